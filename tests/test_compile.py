@@ -21,7 +21,7 @@ from masking.codegen.c import EXTREMES
 from masking.codegen.files import write_whole
 from masking.codegen.graph import Graph
 from masking.codegen.printers import PYTHON, C, statements
-from masking.codegen.source import Module
+from masking.codegen.source import LANES, Module
 from masking.codegen.taylor import degree, is_analytic
 from masking.declaration import registry
 from masking.declaration.expression import Expression
@@ -96,6 +96,25 @@ def run_llvm(texts, points):
     return evaluate(store.load(store.key({"test": texts}), build).function("f"), texts, points)
 
 
+def run_lanes(texts, points):
+    """Run expressions in lanes, a point in each; the last have copies."""
+    graph, nodes = lowered(texts)
+    results = [(f"out[{i}]", node) for i, node in enumerate(nodes)]
+
+    def build():
+        made = Module("test", {})
+        loads = {name: f"v[{i}]" for i, name in enumerate(NAMES)}
+        made.add("f(v: Matrix, out: Matrix)", graph, results, loads, lanes=LANES)
+        return made
+
+    function, found = store.load(store.key({"lanes": texts}), build).function("f"), []
+    for first in range(0, len(points), LANES):
+        part, out = np.resize(points[first : first + LANES], (LANES, len(NAMES))), np.empty((len(texts), LANES))
+        function(np.ascontiguousarray(part.T), out)
+        found.append(out.T)
+    return np.concatenate(found)[: len(points)]
+
+
 def run_c(texts, points, folder):
     graph, nodes = lowered(texts)
     body = [f"const double {name} = v[{i}];" for i, name in enumerate(NAMES)]
@@ -139,7 +158,9 @@ BATCH = settings(max_examples=4, deadline=None, derandomize=True, phases=[Phase.
 @BATCH
 @given(st.lists(trees(), min_size=30, max_size=30, unique=True))
 def test_printed_for_llvm_expressions_keep_their_values(texts):
-    assert_same(run_llvm(texts, POINTS), truth(texts, POINTS), texts)
+    expected = truth(texts, POINTS)
+    for run in (run_llvm, run_lanes):
+        assert_same(run(texts, POINTS), expected, texts)
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc to compile the printed C with")
@@ -152,6 +173,22 @@ def test_printed_as_c_expressions_keep_their_values(tmp_path_factory):
         assert np.array_equal(found, run_llvm(texts, POINTS))  # to the last bit: what is exported is what ran here
 
     check()
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "log"])
+def test_a_function_in_lanes_is_right_to_two_units_in_the_last_place(name):
+    edges = [0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1e-310, 709.7, 710.5, -745.0, -746.0]
+    points = [*edges, -2.0, np.pi, 1e5, 0.5**0.5, *np.linspace(-20.0, 20.0, 101), *np.geomspace(1e-300, 1e300, 20)]
+    points = [x for x in points if name in {"exp", "log"} or not 1e6 < abs(x) < np.inf]
+    found = run_lanes([f"{name}(x)"], [(x, 0.0, 0.0) for x in points])[:, 0]
+    with np.errstate(all="ignore"):
+        expected = getattr(np, name)(points)
+    finite = np.isfinite(expected)
+    assert np.array_equal(found[~finite], expected[~finite], equal_nan=True)
+    with mpmath.workdps(60):
+        exact = [getattr(mpmath, name)(mpmath.mpf(x)) for x in np.array(points)[finite]]
+        errors = [float(abs(mpmath.mpf(x) - y)) for x, y in zip(found[finite], exact, strict=True)]
+    assert np.all(errors <= 2.0 * np.spacing(np.abs(expected[finite])) + (1e-20 if name in {"sin", "cos"} else 0.0))
 
 
 def test_names_of_arguments_are_free():
@@ -199,7 +236,8 @@ def test_every_function_of_declarations_is_printed_in_every_language(tmp_path):
     assert PYTHON.templates.keys() == C.templates.keys()
     points = [(0.7, -1.3, 0.25), (0.3, 0.9, 0.35)]
     expected = truth(texts, points)
-    np.testing.assert_allclose(run_llvm(texts, points), expected, rtol=1e-12, atol=1e-15)
+    for run in (run_llvm, run_lanes):
+        np.testing.assert_allclose(run(texts, points), expected, rtol=1e-12, atol=1e-15)
     if shutil.which("gcc"):
         np.testing.assert_allclose(run_c(texts, points, tmp_path), expected, rtol=1e-12, atol=1e-15)
 
@@ -521,7 +559,7 @@ def test_what_a_function_is_made_of_is_its_content_and_nothing_else(package, mon
     forget()
     assert printed() == before
     assert {name for name, found in printed(size=2).items() if found != before[name]} == {"advance"}
-    monkeypatch.setitem(llvm_text.INTRINSICS, "sin", "llvm.cos.f64")
+    monkeypatch.setitem(llvm_text.INTRINSICS, "sin", "cos")
     assert {name for name, found in printed().items() if found != before[name]} == {"slope", "advance", "solve"}
     for user in (store, templates):
         monkeypatch.setattr(user, "versions", lambda: "another numba")

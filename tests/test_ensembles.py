@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from masking.errors import DeclarationError, ModelError
+from masking.errors import DeclarationError, IntegrationError, ModelError
+from masking.modelling import ensembles
 from masking.modelling.model import Model, load_model
 
 TIMES = np.linspace(0.0, 5.0, 26)
@@ -17,22 +18,44 @@ def huygens():
 def test_each_run_has_its_own_damping_and_start():
     """The beam alone is a linear oscillator: x = a exp(-z Om t) (cos + z/sqrt(1 - z^2) sin)(Om sqrt(1 - z^2) t)."""
     beam = load_model("huygens").dimensionless().with_parameters(mu1=0.0, mu2=0.0)
-    z, a, om = np.linspace(0.05, 0.6, 12), np.linspace(-1.0, 1.0, 12), 1.3034
-    found = beam.simulate(TIMES, ensemble={"z": z, "x": a})
-    damped = om * np.sqrt(1.0 - z**2)[:, None]
-    decay, turn = np.exp(-z[:, None] * om * TIMES), damped * TIMES
+    z, a, om = np.linspace(0.05, 0.6, 12), np.linspace(-1.0, 1.0, 12), np.linspace(3.0, 0.5, 12)
+    found = beam.simulate(TIMES, ensemble={"z": z, "x": a, "Om": om})
+    damped = (om * np.sqrt(1.0 - z**2))[:, None]
+    decay, turn = np.exp(-(z * om)[:, None] * TIMES), damped * TIMES
     exact = a[:, None] * decay * (np.cos(turn) + (z / np.sqrt(1.0 - z**2))[:, None] * np.sin(turn))
     assert found.states.shape == (12, 26, 6)
     assert np.abs(found["x"] - exact).max() < 1e-9
     assert not found.errors
 
 
-def test_an_ensemble_is_bit_equal_to_runs_one_by_one(huygens):
-    values = {"z": np.linspace(0.1, 0.3, 5), "th2'": np.linspace(-0.2, 0.2, 5)}
-    found = huygens.simulate(TIMES, {"th1": 0.3}, ensemble=values)
-    for run in range(5):
-        one = huygens.with_parameters(z=values["z"][run]).simulate(TIMES, {"th1": 0.3, "th2'": values["th2'"][run]})
-        assert np.array_equal(found.states[run], one.states)
+def test_runs_in_lanes_are_those_one_by_one(huygens):
+    """Smooth runs are made side by side, with the same steps; what rounding changes stays far below the tolerance."""
+    values = {"z": np.linspace(0.1, 0.3, 21), "th2'": np.linspace(-0.2, 0.2, 21)}
+    for times in (TIMES, -TIMES[::5], TIMES[:1], np.repeat(TIMES, 2)):
+        found = huygens.simulate(times, {"th1": 0.3}, ensemble=values)
+        ones = [
+            huygens.with_parameters(z=z).simulate(times, {"th1": 0.3, "th2'": v})
+            for z, v in zip(*values.values(), strict=True)
+        ]
+        assert np.abs(found.states - [one.states for one in ones]).max() < 1e-12
+        assert found.steps == sum(one.steps for one in ones)
+        assert np.array_equal(found.times, times)
+
+
+def test_a_run_depends_on_its_own_values_alone(huygens):
+    """To the last bit: on neither the runs beside it, nor their number, nor the threads."""
+    z, start = np.linspace(0.1, 0.3, 21), np.linspace(-2.0, 2.0, 21)
+
+    def states(runs, threads=1):
+        given = {"z": z[runs], "th1": start[runs]}
+        fixed = {"initial": {}, "inputs": None, "tolerance": 1e-6}
+        return ensembles.simulate(huygens, TIMES, given, threads=threads, **fixed).states
+
+    every = np.arange(21)
+    expected = states(every)
+    for runs in (every[::-1], every[3:4], every[2:11], every[::2]):
+        assert np.array_equal(states(runs), expected[runs])
+    assert np.array_equal(states(every, 3), expected)
 
 
 def test_scales_that_depend_on_what_varies_and_events_are_followed_too():
@@ -50,12 +73,17 @@ def test_scales_that_depend_on_what_varies_and_events_are_followed_too():
 
 
 def test_a_run_that_cannot_go_on_is_named_and_the_others_go_on():
-    model = Model(load_model("duffing").declaration)
-    found = model.simulate(TIMES, ensemble={"th1": [0.3, -1e9, 0.3]})  # a spring that pushes to infinity
-    assert set(found.errors) == {1}
-    assert "t = " in found.errors[1]
-    assert np.isnan(found.states[1]).all()
-    assert np.array_equal(found.states[0], found.states[2])
+    model, th1 = Model(load_model("duffing").declaration), np.full(19, 0.3)
+    th1[[4, 17]] = -1e9, -2e9  # springs that push to infinity
+    found = model.simulate(TIMES, ensemble={"th1": th1})
+    assert set(found.errors) == {4, 17}
+    assert np.isnan(found.states[[4, 17]]).all()
+    assert np.array_equal(found.states[[0] * 17], found.states[np.delete(np.arange(19), [4, 17])])
+    for run, error in found.errors.items():
+        with pytest.raises(IntegrationError) as one:
+            model.with_parameters(th1=th1[run]).simulate(TIMES)
+        assert error.partition("(")[0] == str(one.value).partition("(")[0]
+        assert "t = " in error
 
 
 def test_names_and_values_that_do_not_fit_are_refused(huygens):

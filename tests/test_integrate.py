@@ -16,7 +16,7 @@ from masking.declaration import registry
 from masking.errors import IntegrationError, SingularityError
 from masking.modelling.lowering import LoweredEquations
 from masking.modelling.model import Model
-from masking.numerics import dop853, integrators
+from masking.numerics import dop853, integrators, taylor
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
 
 # One equation for all closed forms: harmonic oscillator (w), pendulum (k), x'' = 2 c x^3 (c), and a mass that
@@ -50,7 +50,7 @@ def testbed(declared):
             loads=loads,
             order=order,
         )
-        module.add_factory("solve", integrators.taylor, "coefficients", order, 2, work=(order + 1, 2))
+        module.add_factory("solve", taylor.taylor, "coefficients", order, 2, work=(order + 1, 2))
         found[f"taylor_{order}"] = compiled(module, "solve")
     found["taylor_14"] = found["taylor"]
     module = Module("test", {})

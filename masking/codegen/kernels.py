@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.codegen import store
+from masking.codegen import native, store
 from masking.codegen.jumps import Jumps
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
@@ -162,9 +162,19 @@ class Kernels:
             IntegrationError: times are none, or not in order.
         """
         times, y = in_order(times), np.array(states, dtype=float, order="C")
-        solve, out = getattr(self, f"solve_{self.meta['method']}"), np.empty((len(y), len(times), y.shape[1]))
-        given = (float(times[0]), y, times, inputs, np.ascontiguousarray(parameters), tolerance, 0.0, out)
-        found, errors = solve.each(len(y), *given, threads=threads), dict[int, str]()
+        p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
+        begin, errors = float(times[0]), dict[int, str]()
+        if "solve_in_lanes" in self.meta["functions"]:
+            found, solve = np.empty((len(y), 3)), self.solve_in_lanes
+
+            def part(first: int, last: int) -> None:
+                some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])
+                solve(begin, y[some], times, inputs, p[some], tolerance, found[some], rows)
+
+            native.share(part, len(y), threads)
+        else:
+            solve = getattr(self, f"solve_{self.meta['method']}")
+            found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
         for run in np.flatnonzero(found[:, 0] != REACHED).tolist():
             try:
                 self.stop(int(found[run, 0]), found[run, 1], y[run])

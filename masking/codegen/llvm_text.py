@@ -1,23 +1,37 @@
-"""Graph nodes printed as functions of LLVM code, without any liberty in floating point but what is asked for."""
+"""Graph nodes printed as functions of LLVM code, without any liberty in floating point but what is asked for.
+
+A function has one value of each node, or one in each of several lanes, which are computed side by side: there a value
+is a vector, and an element of an array is a row of such.
+"""
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+from masking.codegen import lane_functions
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import arguments, needed
 
 # Sums of products in a free order, and quotients by products with the inverse.
 FREE = "contract reassoc nsz arcp"
+FUSED = "contract"  # a product and a sum in one, rounded once
+PAIR = ("sin", "cos")
+VECTORS: Mapping[str, Callable[..., Any]] = {
+    **dict.fromkeys(PAIR, lane_functions.sine_and_cosine),
+    "exp": lane_functions.exponential,
+    "log": lane_functions.logarithm,
+}
+FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
+(ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 COMPARED = {"lt": "olt", "le": "ole"}
-INTRINSICS = {"abs": "llvm.fabs.f64"} | {
-    f: f"llvm.{f}.f64" for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")
-}
+INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
 LIBRARY = ("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "atan2")
 AXES = {"Vector": 1, "Matrix": 2}
+ALIGNED = 8  # bytes of an element of an array
 
 
 def parameters(types: Mapping[str, str], *, named: bool = True) -> list[str]:
@@ -44,6 +58,7 @@ def function(  # noqa: PLR0917  (what a function is made of)
     loads: Mapping[str, str],
     returns: Node | None = None,
     free: str = "",
+    lanes: int = 1,
 ) -> str:
     """Return the definition of a function that computes nodes: it reads all that it needs, and then writes results.
 
@@ -55,18 +70,19 @@ def function(  # noqa: PLR0917  (what a function is made of)
         loads: for each symbol of the graph an argument or an element of an array.
         returns: the node whose value is returned, if any.
         free: the liberties that are taken with floating point.
+        lanes: number of values side by side; more than one have arrays with as many columns, and return nothing.
     """
-    body = _Body(types, free)
+    body = _Body(types, free, lanes)
     for node in needed(graph, [node for _, node in results] + ([] if returns is None else [returns])):
         name, *rest = graph.operations[node]
         if name == "symbol":
             body.values[node] = body.read(loads.get(str(rest[0]), str(rest[0])))
         elif name == "number":
-            body.values[node] = number(float(rest[0]))
+            body.values[node] = body.number(float(rest[0]))
         else:
             body.values[node] = body.apply(str(name), [body.values[a] for a in arguments(graph, node)])
     for target, node in results:
-        body.lines.append(f"store double {body.values[node]}, ptr {body.element(target)}")
+        body.lines.append(f"store {body.type} {body.values[node]}, ptr {body.element(target)}, align {ALIGNED}")
     body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
     kind = "void" if returns is None else "double"
     lines = [f"define {kind} @{symbol}({', '.join(parameters(types))}) {{", *(f"  {line}" for line in body.lines), "}"]
@@ -98,8 +114,8 @@ def definition(text: str, symbol: str) -> str:
 
 def declarations(text: str) -> str:
     """Return the declarations of all functions of mathematics that LLVM code calls."""
-    called = sorted(set(re.findall(r"call [a-z ]*double @([\w.]+)\(([^)]*)\)", text)))
-    found = {name: f"declare double @{name}({', '.join(['double'] * given.count('double'))})" for name, given in called}
+    called = sorted(set(re.findall(r"call [a-z ]*(double|<\d+ x double>) @([\w.]+)\(([^)]*)\)", text)))
+    found = {name: f"declare {kind} @{name}({', '.join([kind] * given.count(kind))})" for kind, name, given in called}
     return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
 
 
@@ -111,10 +127,12 @@ def number(value: float) -> str:
 class _Body:
     """The lines of a function on their way."""
 
-    def __init__(self, types: Mapping[str, str], free: str) -> None:
-        self.types, self.free = types, f"{free} " if free else ""
+    def __init__(self, types: Mapping[str, str], free: str, lanes: int) -> None:
+        self.types, self.free, self.lanes = types, f"{free} " if free else "", lanes
+        self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
         self.lines: list[str] = []
         self.values: dict[Node, str] = {}
+        self._known: dict[tuple[str, str], str] = {}  # functions in lanes, by their names and arguments
         self._count = 0
 
     def new(self, text: str) -> str:
@@ -127,25 +145,29 @@ class _Body:
         """Return an argument, an element of an array, or a number."""
         if self.types.get(text) == "float":
             return f"%{text}"
-        return self.new(f"load double, ptr {self.element(text)}")
+        return self.new(f"load {self.type}, ptr {self.element(text)}, align {ALIGNED}")
+
+    def number(self, value: float) -> str:
+        """Return a constant, the same in all lanes."""
+        return number(value) if self.lanes == 1 else f"<{', '.join([f'double {number(value)}'] * self.lanes)}>"
 
     def element(self, text: str) -> str:
         """Return the address of an element, such as `y[3]` or `c[2, 0]`."""
         name, _, inner = text.rstrip("]").partition("[")
         first, *rest = (int(index) for index in inner.split(","))
         if not rest:
-            return self.new(f"getelementptr double, ptr %{name}, i64 {first}")
+            return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {first}")
         row = self.new(f"mul i64 %{name}.1, {first}")
-        return self.new(f"getelementptr double, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
+        return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
 
     def apply(self, name: str, given: Sequence[str]) -> str:
         """Return the value of an operation."""
-        x, zero, one = given[0], number(0.0), number(1.0)
+        x, zero, one = given[0], self.number(0.0), self.number(1.0)
         match name:
             case "add" | "sub" | "mul" | "div":
-                found = self.new(f"{INFIX[name]} {self.free}double {x}, {given[1]}")
+                found = self.new(f"{INFIX[name]} {self.free}{self.type} {x}, {given[1]}")
             case "neg":
-                found = self.new(f"fneg {self.free}double {x}")
+                found = self.new(f"fneg {self.free}{self.type} {x}")
             case "lt" | "le":
                 found = self._is(COMPARED[name], *given)
             case "where":
@@ -154,18 +176,66 @@ class _Body:
                 found = self._choice(self._is("olt" if name == "min" else "ogt", given[1], x), given[1], x)
             case "sign":  # 0 of both zeros, and no number of what is none
                 middle = self._choice(self._is("oeq", x, zero), zero, x)
-                below = self._choice(self._is("olt", x, zero), number(-1.0), middle)
+                below = self._choice(self._is("olt", x, zero), self.number(-1.0), middle)
                 found = self._choice(self._is("ogt", x, zero), one, below)
             case "heaviside":
-                below = self._choice(self._is("oeq", x, zero), number(0.5), zero)
+                below = self._choice(self._is("oeq", x, zero), self.number(0.5), zero)
                 found = self._choice(self._is("ogt", x, zero), one, below)
+            case "power_of_two" | "exponent" | "significand":
+                found = self._bits(name, x)
             case _:
-                called = INTRINSICS.get(name, name)
-                found = self.new(f"call {self.free}double @{called}({', '.join(f'double {x}' for x in given)})")
+                found = self._call(name, given)
         return found
 
+    def _call(self, name: str, given: Sequence[str]) -> str:
+        """Return the value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
+        if name in VECTORS and self.lanes > 1:
+            return self._in_lanes(name, given[0])
+        if name in INTRINSICS:
+            kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
+            return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
+        if self.lanes == 1:
+            return self._called(name, "double", given)
+        found = "undef"
+        for lane in range(self.lanes):
+            parts = [self.new(f"extractelement {self.type} {x}, i64 {lane}") for x in given]
+            value = self._called(name, "double", parts)
+            found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
+        return found
+
+    def _in_lanes(self, name: str, x: str) -> str:
+        """Return the value of a function in lanes, whose operations keep their order."""
+        if (name, x) not in self._known:
+            free, self.free = self.free, f"{FUSED} "
+            found = VECTORS[name](lambda operation, *given: self.apply(operation, given), self.number, x)
+            names, values = (PAIR, found) if name in PAIR else ((name,), (found,))
+            self._known |= {(one, x): value for one, value in zip(names, values, strict=True)}
+            self.free = free
+        return self._known[name, x]
+
+    def _bits(self, name: str, x: str) -> str:
+        """Return 2^x of a whole number x; or the exponent of x, or its significand in [sqrt(1/2), sqrt(2))."""
+        whole = self.type.replace("double", "i64")
+
+        def constant(value: int) -> str:
+            return f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
+
+        if name == "power_of_two":
+            raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(BIAS)}")
+            shifted = self.new(f"shl {whole} {raised}, {constant(FRACTION)}")
+            return self.new(f"bitcast {whole} {shifted} to {self.type}")
+        bits = self.new(f"bitcast {self.type} {x} to {whole}")
+        above = self.new(f"sub {whole} {bits}, {constant(ROOT_HALF)}")
+        if name == "exponent":
+            return self.new(f"sitofp {whole} {self.new(f'ashr {whole} {above}, {constant(FRACTION)}')} to {self.type}")
+        power = self.new(f"and {whole} {above}, {constant(-(2**FRACTION))}")
+        return self.new(f"bitcast {whole} {self.new(f'sub {whole} {bits}, {power}')} to {self.type}")
+
+    def _called(self, name: str, kind: str, given: Sequence[str]) -> str:
+        return self.new(f"call {self.free}{kind} @{name}({', '.join(f'{kind} {x}' for x in given)})")
+
     def _is(self, relation: str, a: str, b: str) -> str:
-        return self.new(f"fcmp {relation} double {a}, {b}")
+        return self.new(f"fcmp {relation} {self.type} {a}, {b}")
 
     def _choice(self, condition: str, a: str, b: str) -> str:
-        return self.new(f"select i1 {condition}, double {a}, double {b}")
+        return self.new(f"select {self.truth} {condition}, {self.type} {a}, {self.type} {b}")

@@ -25,7 +25,7 @@ from typing import Any
 from masking.codegen import llvm_text, native
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import PYTHON, Language, needed
-from masking.codegen.taylor import coefficients
+from masking.codegen.taylor import coefficients, polynomials, step_terms
 
 # measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
 # order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
@@ -33,6 +33,9 @@ TAYLOR_ORDERS = (14, 12)
 MOST_PRODUCTS_OF_HIGH_ORDER = 8
 # measured: beyond this number of products of series, straight-line code costs seconds to compile.
 LARGEST_TAYLOR_COST = 40
+# measured: pendula take as long in 4 lanes as in 8, and 5 % longer in 16. A processor whose vectors are shorter takes
+# several for each.
+LANES = 8
 
 HEADER = '''"""Generated from {title!r}; do not edit."""
 
@@ -46,7 +49,6 @@ from numba import carray
 
 from masking.numerics.arrays import Matrix, Vector
 '''
-
 
 def taylor_order(products: int) -> int:
     """Return the order of the Taylor series for dynamics with this number of products of series."""
@@ -102,6 +104,9 @@ class Module:
         results: Sequence[tuple[str, Node]],
         loads: Mapping[str, str],
         returns: Node | None = None,
+        *,
+        free: str = "",
+        lanes: int = 1,
     ) -> None:
         """Add a function that computes nodes.
 
@@ -111,8 +116,15 @@ class Module:
             results: assignable texts and the nodes they get.
             loads: for each symbol text, the text that reads it from the arguments.
             returns: the node whose value is returned, if any.
+            free: the liberties that are taken with floating point.
+            lanes: number of values side by side; of more than one each argument is a `Matrix` with as many columns,
+                whose rows are its elements, and nothing is returned.
         """
-        self._define(signature, Expressions(_read(signature)[1], graph, results, loads, returns))
+        name, types = _read(signature)
+        self.parts[name] = Expressions(types, graph, results, loads, returns)
+        self._export(name, types, "None" if returns is None else "float")
+        given = (types, graph, results, loads, returns, free, lanes)
+        self.definitions[name] = llvm_text.function(native.symbol(name), *given)
 
     def add_coefficients(
         self,
@@ -127,6 +139,10 @@ class Module:
     ) -> None:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
 
+        For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
+        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor.step_terms` gives, a row each, and
+        `lane_states(x, c, y)` the states at the times x from there.
+
         Args:
             graph: the graph that holds all nodes.
             states: symbols of the states.
@@ -138,10 +154,22 @@ class Module:
         """
         rows = coefficients(graph, states, derivatives, time, order)
         results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
-        signature = "coefficients(t: float, y, u, p, c: Matrix)"
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
-        self._define(signature, Expressions(_read(signature)[1], graph, results, loads, health), llvm_text.FREE)
+        free = llvm_text.FREE
+        self.add("coefficients(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
+        size, loads_of_lanes = len(states), {**loads, str(graph.operations[time][1]): "t[0]"}
+        results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        signature = in_lanes("lane_coefficients", "t", "y", "u", "p", "c", "health")
+        self.add(signature, graph, [*results, ("health[0]", health)], loads_of_lanes, free=free, lanes=LANES)
+        steps = Graph()
+        given = [[steps.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(order + 1)]
+        terms = step_terms(steps, given, steps.symbol("tolerance[0]", varying=True))
+        results = [(f"terms[{i}]", node) for i, node in enumerate(terms)]
+        self.add(in_lanes("lane_terms", "c", "tolerance", "terms"), steps, results, {}, lanes=LANES)
+        found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
+        results = [(f"y[{i}]", node) for i, node in enumerate(found)]
+        self.add(in_lanes("lane_states", "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
 
     def add_factory(
         self,
@@ -197,13 +225,6 @@ class Module:
         self.functions.append(text)
         self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
-    def _define(self, signature: str, part: Expressions, free: str = "") -> None:
-        name, returned = _read(signature)[0], "None" if part.returns is None else "float"
-        self.parts[name] = part
-        self._export(name, part.types, returned)
-        given = (part.types, part.graph, part.results, part.loads, part.returns)
-        self.definitions[name] = llvm_text.function(native.symbol(name), *given, free)
-
     def _export(
         self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
     ) -> None:
@@ -215,6 +236,11 @@ class Module:
         if self.functions:
             self.functions.append(native.interface(name, arguments, results))
         self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+
+
+def in_lanes(name: str, *arguments: str) -> str:
+    """Return the signature of a function in lanes."""
+    return f"{name}({', '.join(f'{argument}: Matrix' for argument in arguments)})"
 
 
 def _read(signature: str) -> tuple[str, dict[str, str]]:

@@ -10,12 +10,14 @@ Taylor methods, Experimental Mathematics 14(1), section 2 (recurrences) and 3.2 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 from masking.codegen.graph import NOT_ANALYTIC, Graph, Node
 from masking.codegen.printers import arguments, needed
 
 # Operations whose recurrence needs a companion series: sin with cos, sinh with cosh, tanh and tan with 1 -+ y^2.
 COMPANION = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
+SMALLEST_STATE = 1e-14  # that steps are measured by
 LINEAR = {"neg", "add", "sub"}
 
 
@@ -75,6 +77,43 @@ def coefficients(
         order: highest order.
     """
     return _Series(graph, states, derivatives, time).rows(order)
+
+
+def step_terms(graph: Graph, rows: Sequence[Sequence[Node]], tolerance: Node) -> list[Node]:
+    """Return what the length of a step follows from by the rule of `masking.numerics.taylor`.
+
+    It is the sum of the sizes of the last two terms of all states, which is finite where the series is one; the largest
+    state; the length at which the larger of these terms are the tolerance times that; and the largest term of each
+    second order from half the highest on, at most these two excepted.
+
+    Args:
+        graph: to add to.
+        rows: Taylor coefficients 0 ... order of the states.
+        tolerance: local error of a step relative to the largest state.
+    """
+    order = len(rows) - 1
+
+    def largest(k: int, least: float = 0.0) -> Node:
+        sizes = [graph.apply("abs", node) for node in rows[k]]
+        return reduce(lambda a, b: graph.apply("max", a, b), [graph.number(least), *sizes] if least else sizes)
+
+    def logarithm(k: int) -> Node:
+        ratio = graph.div(graph.mul(tolerance, state), largest(k))
+        return graph.mul(graph.apply("log", ratio), graph.number(1.0 / k))
+
+    total, state = graph.number(0.0), largest(0, SMALLEST_STATE)
+    for last, before in zip(rows[order], rows[order - 1], strict=True):
+        total = graph.add(total, graph.add(graph.apply("abs", last), graph.apply("abs", before)))
+    length = graph.apply("exp", graph.apply("min", logarithm(order), logarithm(order - 1)))
+    return [total, state, length, *(largest(k) for k in range(order // 2 + 2, order - 1, 2))]
+
+
+def polynomials(graph: Graph, rows: Sequence[Sequence[Node]], x: Node) -> list[Node]:
+    """Return the sums of series at x by Horner's rule; arguments as those of `step_terms`."""
+    *below, found = (list(row) for row in rows)
+    for row in reversed(below):
+        found = [graph.add(graph.mul(value, x), node) for value, node in zip(found, row, strict=True)]
+    return found
 
 
 def _is_scaling(graph: Graph, node: Node) -> bool:

@@ -10,19 +10,22 @@ import lazy_loader as lazy
 
 from masking.codegen.graph import Graph, Node
 from masking.codegen.linear import health, solve
-from masking.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
+from masking.codegen.source import LANES, LARGEST_TAYLOR_COST, Module, taylor_order
 from masking.codegen.taylor import cost, degree, hides_a_switch, is_analytic
 from masking.modelling.equations import Equations
 from masking.modelling.scales import Units
+from masking.numerics.sizes import lane_work
 
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.numerics import delayed, events, integrators
+    from masking.numerics import delayed, events, integrators, lanes, taylor
 else:
     delayed = lazy.load("masking.numerics.delayed", suppress_warning=True)
     events = lazy.load("masking.numerics.events", suppress_warning=True)
     integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
+    lanes = lazy.load("masking.numerics.lanes", suppress_warning=True)
+    taylor = lazy.load("masking.numerics.taylor", suppress_warning=True)
 
 
 @dataclass
@@ -179,7 +182,10 @@ def module(equations: Equations) -> Module:
         module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
-        module.add_factory("solve_taylor", integrators.taylor, "coefficients", order, size, work=(order + 1, size))
+        module.add_factory("solve_taylor", taylor.taylor, "coefficients", order, size, work=(order + 1, size))
+        counts = (order, size, inputs, len(s.p), LANES)
+        linked = ("lane_coefficients", "lane_terms", "lane_states")
+        module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))
     added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module

@@ -4,7 +4,6 @@ Each function here takes a model's compiled functions and returns a kernel, whic
 them into one piece of machine code. Functions of a model, with state `y` = coordinates then velocities:
 
 * `derivative(t, y, u, p, dy) -> health` writes the derivatives;
-* `coefficients(t, y, u, p, c) -> health` writes Taylor coefficients, `c[k, i]` of order k of state i;
 * `step(t, q, v, u, p) -> health` reads coordinates and velocities and writes the inputs u.
 
 `health` is a measure of what had to be inverted (`masking.codegen.linear.health`): a run stops where it vanishes or
@@ -58,108 +57,6 @@ def copy(source, target, size):
     """Copy an array element by element; measured: an array assignment takes numba ten times as long to compile."""
     for i in range(size):
         target[i] = source[i]
-
-
-def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
-    """Make the integrator by Taylor series, with step size control and dense output.
-
-    The step is that of Jorba and Zou (2005), eq. (10): the smaller of the two lengths at which the last two terms
-    of the series equal the tolerance times the size of the state. It is shortened where an earlier term shows a
-    smaller radius of convergence: x'' = -x^7 from x = 0 has no terms between order 9 and order 17.
-
-    Args:
-        coefficients: writes Taylor coefficients.
-        order: their highest order.
-        size: number n of states.
-
-    Returns:
-        `solve(t, y, times, u, p, tolerance, fixed_step, states, work) -> (status, time reached, steps)`, where `t` is
-        the initial time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of
-        which ends the integration; `u` the inputs, held constant; `tolerance` the local error of a step relative
-        to the largest state; `fixed_step` the length of every step, 0 to control it; `states` (m, n) gets the
-        states; `work` (order + 1, n) is work space.
-    """
-
-    @compiled
-    def evaluate(c, x, state):
-        for i in range(size):
-            state[i] = c[order, i]
-        for k in range(order - 1, -1, -1):
-            for i in range(size):
-                state[i] = state[i] * x + c[k, i]
-
-    @compiled
-    def step_length(c, tolerance, part):
-        total, largest, last, before = 0.0, SMALLEST_STEP, 0.0, 0.0
-        for i in range(size):
-            total += abs(c[order, i]) + abs(c[order - 1, i])
-            largest = max(largest, abs(c[0, i]))
-            last = max(last, abs(c[order, i]))
-            before = max(before, abs(c[order - 1, i]))
-        if not math.isfinite(total):
-            return math.nan
-        # In logarithms, which measured 8 % faster than two powers; exp(inf) stands where the series ends.
-        h = math.inf
-        if last > 0.0:
-            h = math.log(tolerance * largest / last) * (1.0 / order)
-        if before > 0.0:
-            h = min(h, math.log(tolerance * largest / before) * (1.0 / (order - 1)))
-        h = math.exp(h)
-        # With part = tolerance^(1/order), no term may be larger at the radius h / part than the state is. Order k
-        # of a coordinate and k - 1 of its velocity vanish together: every second order shows all gaps.
-        radius = h / part
-        for k in range(order // 2 + 2, order - 1, 2):
-            term = 0.0
-            for i in range(size):
-                term = max(term, abs(c[k, i]))
-            if term > 0.0 and term * radius**k > largest:
-                radius = (largest / term) ** (1.0 / k)
-        return part * radius
-
-    @compiled
-    def solve(
-        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
-        work: Matrix,
-    ) -> tuple[int, float, int]:  # fmt: skip
-        m = times.size
-        if m == 0:
-            return REACHED, t, 0
-        c = work
-        end = times[m - 1]
-        direction = 1.0 if end >= t else -1.0
-        part = tolerance ** (1.0 / order)
-        j, steps, first = 0, 0, 0.0
-        while j < m and times[j] == t:
-            copy(y, states[j], size)
-            j += 1
-        while j < m:
-            health = coefficients(t, y, u, p, c)
-            first = health if steps == 0 else first
-            status = fault(health, first)
-            if status != REACHED:
-                return status, t, steps
-            h = step_length(c, tolerance, part)
-            if math.isnan(h):
-                return NOT_FINITE, t, steps
-            if fixed_step > 0.0:
-                h = fixed_step
-            remaining = abs(end - t)
-            is_last = h >= remaining * (1.0 - 1e-12)
-            if not is_last and h <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
-                is_near = abs(health) <= NEARLY_SINGULAR_PART * abs(first)
-                return (SINGULAR if is_near else TOO_SMALL_STEP), t, steps
-            if steps >= MOST_STEPS:
-                return TOO_MANY_STEPS, t, steps
-            steps += 1
-            reached = end if is_last else t + direction * h
-            while j < m and (times[j] - reached) * direction <= 0.0:
-                evaluate(c, times[j] - t, states[j])
-                j += 1
-            evaluate(c, reached - t, y)
-            t = reached
-        return REACHED, t, steps
-
-    return solve
 
 
 def runge_kutta(derivative: Kernel, size: int) -> Kernel:

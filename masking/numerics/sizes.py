@@ -98,3 +98,8 @@ class Sizes:
         rows = 39 if self.events else 34 if self.remembered + self.lags else 26
         switched = self.events + len(self.targets)
         return rows, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)
+
+
+def lane_work(order: int, size: int, inputs: int, parameters: int, lanes: int) -> tuple[int, int]:
+    """Return the shape of the work space of `masking.numerics.lanes`."""
+    return 13 + (order - order // 2 - 2) // 2 + (order + 3) * size + inputs + parameters, lanes
