@@ -166,6 +166,7 @@ class Kernels:
         begin, errors = float(times[0]), dict[int, str]()
         if "solve_in_lanes" in self.meta["functions"]:
             found, solve = np.empty((len(y), 3)), self.solve_in_lanes
+            solve.prepare()  # before threads do
 
             def part(first: int, last: int) -> None:
                 some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])

@@ -50,6 +50,7 @@ from numba import carray
 from masking.numerics.arrays import Matrix, Vector
 '''
 
+
 def taylor_order(products: int) -> int:
     """Return the order of the Taylor series for dynamics with this number of products of series."""
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]

@@ -3,7 +3,7 @@
 A lane has one run, with its own parameters, time and step; when that is over, the lane takes the next. What a lane
 computes depends on its run alone: a run gives the same numbers in any lane and beside any others.
 """
-# ruff: noqa: ANN001, ANN202, PLR0912, PLR0914, PLR0915, PLR0917
+# ruff: noqa: ANN001, ANN202, PLR0912, PLR0915, PLR0917
 # The types are numba's to infer, and a kernel is one long function.
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from masking.numerics.taylor import ALL_BUT_ROUNDING, obstacle, shortened
 Kernel = Callable[..., Any]
 
 
-def taylor(  # noqa: PLR0913  (functions and sizes of a model)
+def taylor(
     coefficients: Kernel,
     measure: Kernel,
     evaluate: Kernel,

@@ -2,7 +2,7 @@
 
 `coefficients(t, y, u, p, c) -> health` writes Taylor coefficients of a model, `c[k, i]` of order k of state i.
 """
-# ruff: noqa: ANN001, ANN201, ANN202, PLR0911, PLR0917
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer, and a kernel is one long function with several ways out.
 
 from __future__ import annotations
