@@ -15,12 +15,14 @@ from masking.discovery import fitting, initial_states, shooting
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
-from masking.discovery.explanation import occam
+from masking.discovery.explanation import Explanation, occam
+from masking.discovery.ground import Ground
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Screen
+from masking.discovery.search import Search
 from masking.discovery.smoothing import smooth
 from masking.discovery.spans import spans
 from masking.effects import attach
@@ -375,3 +377,21 @@ def test_further_places_of_a_law_take_no_place_of_a_coordinate(tmp_path):
     known = {place.name: place.coordinate for place in places(further)}
     assert {**known, "x1": "x1", "x2": "x2"} == known
     assert (known["own"], known["other"]) == (None, None)
+
+
+def test_a_simpler_law_takes_the_place_of_one_that_is_no_better(problem):
+    """Friction with two levels that are equal is dry friction, although a fit of that had ended elsewhere."""
+    hidden = INSTANCES["dry friction"], INSTANCES["a stop"]
+    record = noisy(problem, hidden)
+    base = Explanation("none", (), fitting.fit(record))
+    motion = smooth(record, base.hypothesis.theta, base.hypothesis.start)
+    every = [
+        one for one in candidates(record.rig, spans(record, motion), record.dt) if one.at in {"spring1", "spring2"}
+    ]
+    two = EffectInstance("asymmetric_friction", "spring1", (0.05, 0.05, 1e-3), (0, 1))
+    two = two.at_step(record.rig.mobilities["spring1"], record.dt / record.substeps)
+    names = ("asymmetric_friction", "spring1"), ("stop", "spring2")
+    richer = Explanation("effects", names, fitting.fit(record, (two, hidden[1])))
+    found = Search(record)._reduced(richer, Ground(base, None, motion, every))
+    assert {*found.names} == {("dry_friction", "spring1"), ("stop", "spring2")}
+    assert found.hypothesis.added[0] == pytest.approx(0.05, rel=0.01)

@@ -14,9 +14,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import fitting, shooting, unscreened, verdict
+from masking.discovery import fitting, nesting, shooting, unscreened, verdict
 from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.candidates import candidates
+from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
@@ -173,7 +173,7 @@ class Search:
             number += 1
             is_kept = any(one is likeliest for one in found) or self._is_composite(likeliest)
             passed_over = passed_over if is_kept else (*steps, (likeliest,))
-            now, before = self._reduced(found[0]), now
+            now, before = self._reduced(found[0], ground), now
             if now is not found[0] and set(now.names) == set(before.names):
                 steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
                 break
@@ -198,8 +198,8 @@ class Search:
         except IntegrationError:
             return (), [], now
         found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
-        job = partial(self._job, now, screen)
-        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=job), likeliest
+        added = partial(partial, self._added, now, screen, None)  # of some scores, and then of the cost of a rival
+        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=added), likeliest
 
     def _steps_of(self, base: Explanation, best: Explanation) -> int:
         """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
@@ -245,7 +245,7 @@ class Search:
 
         def added(score: Score) -> tuple[int, Job]:
             number = id(score.candidate)
-            return number, partial(self._added, now, (score,), screen, known.get(number))
+            return number, partial(self._added, now, screen, known.get(number), (score,))
 
         jobs = [added(score) for score in chosen]
         if parameters:
@@ -300,15 +300,9 @@ class Search:
         best = min(found, key=lambda e: e.hypothesis.cost)
         if best.kind != "effects":
             return []
-        known = best.hypothesis
-        values = dict(zip(known.instances[-1].names, known.instances[-1].estimated, strict=True))
-        better = []
-        for nested in found:
-            if nested.names[-1] not in self._nested_in(best.names[-1]):
-                continue
-            instance = nested.hypothesis.instances[-1]
-            shared = [i for i, name in zip(instance.free, instance.names, strict=True) if name in values]
-            instance = instance.with_values(shared, (values[name] for name in instance.names if name in values))
+        known, better, simpler = best.hypothesis, [], self._nested_in(best.names[-1])
+        for nested in (one for one in found if one.names[-1] in simpler):
+            instance = nesting.begun(nested.hypothesis.instances[-1], known.instances[-1])
             instances = (*known.instances[:-1], instance)
             if fitting.cost(self.problem, instances, known.theta, known.start) < nested.hypothesis.cost:
                 better.append(replace(nested, hypothesis=self._fit(instances, known, known.cost)))
@@ -363,7 +357,7 @@ class Search:
     def _settled(self, best: Explanation, ground: Ground) -> Explanation:
         """Return an explanation in which no other effect would do better in the place of one, and none is idle."""
         found = best if self.problem.work.ends() else self._swapped(best, ground)
-        return best if found is best else self._reduced(found)
+        return best if found is best else self._reduced(found, ground)
 
     def _swapped(self, best: Explanation, ground: Ground) -> Explanation:
         """Try other effects in the place of each but the last, which has just been chosen among all."""
@@ -430,16 +424,26 @@ class Search:
         found = self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival)
         return replace(now, hypothesis=found)
 
-    def _reduced(self, best: Explanation) -> Explanation:
-        """Leave out each cause in turn: if the others do as well without it, it goes."""
+    def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
+        """Leave out each cause in turn, or put a simpler one in its place: if that does as well, it stays so."""
         if len(best.names) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
         jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
+        for i, key in enumerate(best.names):
+            first = {one.key: one for one in reversed(ground.every) if one.key in self._nested_in(key)}
+            jobs += [partial(self._as_simple, best, i, first[name]) for name in sorted({*first} - {*best.names})]
         for fewer in fitted(jobs, best.hypothesis.cost):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
-                return self._reduced(fewer)
+                return self._reduced(fewer, ground)
         return best
+
+    def _as_simple(self, best: Explanation, i: int, candidate: Candidate, rival: float) -> Explanation:
+        """Return a fit with a simpler effect in the place of one, from the values of that."""
+        names, others = best.without(i)
+        simple = self._in_steps(nesting.begun(candidate.instances[0], best.hypothesis.instances[i]), candidate)
+        found = self._fit((simple, *others), best.hypothesis, rival)
+        return Explanation("effects", (candidate.key, *names), found, best.unique)
 
     def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
         """Return a fit without one cause."""
@@ -450,7 +454,7 @@ class Search:
         return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
 
     def _added(
-        self, now: Explanation, scores: Sequence[Score], screen: Screen, known: Explanation | None, rival: float
+        self, now: Explanation, screen: Screen, known: Explanation | None, scores: Sequence[Score], rival: float
     ) -> Explanation:
         """Return a fit with more effects, from parameters as they are, declared or screened, or as it is known.
 
@@ -478,15 +482,16 @@ class Search:
         better = (begun(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
-    def _job(self, now: Explanation, screen: Screen, scores: Sequence[Score]) -> Job:
-        return partial(self._added, now, scores, screen, None)
-
     def _ready(self, score: Score) -> EffectInstance:
-        """Return the instance of a score that a fit begins with, not excluded; what sticks, with the step."""
-        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
+        """Return the instance of a score that a fit begins with, not excluded."""
         every = (score.instance, *score.candidate.instances[::-1])
         first = next((one for one in every if not is_excluded(self.problem, [one])), score.instance)
-        return first.at_step(rig.mobilities[first.at], step) if score.candidate.sticks else first
+        return self._in_steps(first, score.candidate)
+
+    def _in_steps(self, instance: EffectInstance, candidate: Candidate) -> EffectInstance:
+        """Return an instance, with the step of integration if it sticks."""
+        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
+        return instance.at_step(rig.mobilities[instance.at], step) if candidate.sticks else instance
 
     def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.problem.rig.names[index], ""),)
