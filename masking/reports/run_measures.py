@@ -16,6 +16,7 @@ from masking.reports.run_facts import Study
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
+WORDS: Final = ("verdict", "end")  # measures that are words
 _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings are taken
 
 
@@ -142,4 +143,4 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
 def empty(name: str) -> Measured:
     """Return what stands for a measure of a run that failed."""
     kind = name.partition(".")[0]
-    return "" if kind in {"verdict", "end"} else np.empty(0) if kind in {"maxima", "section"} else math.nan
+    return "" if kind in WORDS else np.empty(0) if kind in {"maxima", "section"} else math.nan
