@@ -131,7 +131,7 @@ def test_a_recording_on_disk_is_studied_as_in_memory(recorded, on_disk, monkeypa
     whole, folder = recorded
     monkeypatch.setattr(long_record, "_MOST", 30_000)  # of 79822 samples
     monkeypatch.setattr(long_record, "_WINDOW", 5_000)
-    here, there = run_facts.study(whole), run_facts.study(Recording.load(folder))
+    here, there = run_facts.Study(whole), run_facts.Study(Recording.load(folder))
     assert len(there.recording) == 19_956
     assert there.chi == pytest.approx(here.chi, rel=1e-12)
     assert there.errors == here.errors

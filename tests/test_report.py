@@ -18,7 +18,7 @@ from masking.declaration.quantities import percent
 from masking.errors import RecordError
 from masking.records.recording import Recording
 from masking.reports import run_figures, style
-from masking.reports.run_facts import parameters, study
+from masking.reports.run_facts import Study, parameters
 from masking.reports.run_report import limits_used, report, summary, warnings
 
 FIGURES = ["displacements", "others", "synchronisation", "inputs", "masking_error"]
@@ -324,7 +324,7 @@ def test_saturation_is_said_with_what_was_demanded(tmp_path):
     assert page.index("moved as") < page.index('<p class="card wrong">') < page.index("went from")
     assert '<div class="wrong"><dt>largest demand against a limit' in page
     assert '<th class="n">demanded</th>' in page
-    plate = run_figures.figures(study(recording))[3]
+    plate = run_figures.figures(Study(recording))[3]
     above, below = plate.figure.axes
     assert above.get_title(loc="right") == "demanded 200 %, applied 100 % of 0.105 V"
     assert max(np.max(line.get_ydata()) for line in above.lines) == pytest.approx(0.21)
@@ -402,7 +402,7 @@ def test_what_limits_the_masking_error_is_drawn_and_tabulated(tmp_path):
         "without springsinfinfinfinfdivergesit stopped"
         "without all0000\N{MINUS SIGN}100 %"
     ) in text
-    axes = run_figures.figures(study(recording))[-1].figure.axes[0]
+    axes = run_figures.figures(Study(recording))[-1].figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == [
         "without friction", "sampled faster", "without springs", "without all",
     ]  # fmt: skip
@@ -603,13 +603,13 @@ def test_a_folder_that_cannot_be_made(tmp_path):
 
 def test_masking_error_stated_by_the_run_stands_in_for_missing_columns():
     columns = {name: column for name, column in duffing(200).columns.items() if not name.startswith("ideal.")}
-    found = study(Recording(columns, {"masking_error": {"x1": 0.25, "x2": "inf"}}))
+    found = Study(Recording(columns, {"masking_error": {"x1": 0.25, "x2": "inf"}}))
     assert found.chi == {"x1": 0.25, "x2": float("inf")}
     assert found.worst == "x2"
 
 
 def test_limits_are_drawn_where_they_are_near():
-    plate = run_figures.figures(study(duffing(2000)))[3]
+    plate = run_figures.figures(Study(duffing(2000)))[3]
     near, far = plate.figure.axes
     levels = sorted(line.get_ydata()[0] for line in near.lines if line.get_color() == run_figures.LIMIT)
     assert levels == [-0.42, 0.42]
@@ -619,10 +619,10 @@ def test_limits_are_drawn_where_they_are_near():
 
 
 def test_time_is_that_of_the_virtual_system():
-    axes = run_figures.figures(study(duffing(2000)))[0].figure.axes
+    axes = run_figures.figures(Study(duffing(2000)))[0].figure.axes
     assert axes[1].get_xlabel() == "virtual time τ"
     assert axes[0].get_xlim() == pytest.approx((0.0, 2500.0))
-    assert run_figures.figures(study(series(50, 1)))[0].figure.axes[0].get_xlabel() == "time t"
+    assert run_figures.figures(Study(series(50, 1)))[0].figure.axes[0].get_xlabel() == "time t"
 
 
 def test_drawing_leaves_matplotlib_as_it_was(tmp_path):

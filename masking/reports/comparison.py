@@ -14,7 +14,7 @@ from masking.declaration.quantities import number
 from masking.display.symbols import is_symbol
 from masking.records.recording import Recording
 from masking.reports import run_text
-from masking.reports.run_facts import PhasePair, Study, parameters, study
+from masking.reports.run_facts import PhasePair, Study, parameters
 from masking.reports.text import aligned, listed
 
 _SECTIONS: Final = ("experiment", "plant", "plant_model", "virtual", "controller_model")
@@ -67,7 +67,7 @@ class Comparison:
     @cached_property
     def studies(self) -> tuple[Study, Study]:
         """Return what each shows."""
-        return study(self.first), study(self.second)
+        return Study(self.first), Study(self.second)
 
     @property
     def common(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -144,32 +145,153 @@ class Parameter:
     meaning: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Study:
-    """Everything the figures, the tables and the summary say about one recording.
+    """Everything the figures, the tables and the summary say about one recording, each worked out when it is asked for.
 
-    `recording` has fewer samples than `whole` where that is on disk: motions are sampled, and inputs keep the least and
-    the greatest value of each stretch. `prefix` is "virtual", or "rig" for a record without a virtual system. `chi` is
-    the masking error by coordinate, and `errors` the largest distance from the ideal motion.
-    `period` is the mean period of the first oscillator that has one (in units of `tau`), else NaN. `sum_peak` is
-    the running peak of |sum of the oscillators|. `no_phase` says why there is no phase difference, "" if there is.
+    Args:
+        whole: recording that is studied.
     """
 
-    recording: Recording
     whole: Recording
-    tau: Array
-    prefix: str
-    oscillators: tuple[str, ...]
-    others: tuple[str, ...]
-    chi: dict[str, float]
-    errors: dict[str, float]
-    period: float
-    pairs: tuple[PhasePair, ...]
-    sum_peak: Array | None
-    anti_phase: AntiPhase | None
-    inputs: tuple[InputUse, ...]
-    no_phase: str
-    budget: Budget | None
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The recording, with fewer samples where it is on disk: inputs keep the extreme values of each stretch."""
+        return drawn(self.whole)
+
+    @cached_property
+    def tau(self) -> Array:
+        """Time of the virtual system (m,)."""
+        return self.recording.t / self.time_scale
+
+    @property
+    def prefix(self) -> str:
+        """Prefix of the motion that is looked at: "virtual", or "rig" for a record without a virtual system."""
+        return "virtual" if self.recording.coordinates else "rig"
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The oscillators, then the other coordinates."""
+        return self.oscillators + self.others
+
+    @cached_property
+    def oscillators(self) -> tuple[str, ...]:
+        """The oscillators; all coordinates where none are declared."""
+        declared = tuple(str(name) for name in self.recording.manifest.get("oscillators") or ())
+        return declared or tuple(self.recording.names(self.prefix))
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Coordinates that are no oscillators."""
+        return tuple(name for name in self.recording.names(self.prefix) if name not in self.oscillators)
+
+    @property
+    def motions(self) -> dict[str, Array]:
+        """Motion of each oscillator (m,); an error for one that was not recorded."""
+        return {name: self.motion(name) for name in self.oscillators}
+
+    @cached_property
+    def periods(self) -> list[float]:
+        """Mean period of each oscillator, in units of `tau`; NaN where it has none."""
+        return [period(self.tau, motion) for motion in self.motions.values()]
+
+    @property
+    def period(self) -> float:
+        """Mean period of the first oscillator that has one, else NaN."""
+        return next((p for p in self.periods if math.isfinite(p)), math.nan)
+
+    @cached_property
+    def no_phase(self) -> str:
+        """Why there is no phase difference, "" if there is."""
+        all_ = self.recording.array(self.prefix) if self.coordinates else np.zeros((1, 1))
+        return why_no_phase(self.recording.manifest, self.motions, all_, self.periods)
+
+    @cached_property
+    def chi(self) -> dict[str, float]:
+        """Masking error by coordinate; that which the run stated where the ideal motion was not recorded."""
+        stated, sums = self.recording.manifest.get("masking_error") or {}, self._error_sums
+        return {n: sums[n].value if n in sums else float(stated[n]) for n in self._compared if n in {*sums, *stated}}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Largest distance from the ideal motion by coordinate."""
+        return {name: one.largest for name, one in self._error_sums.items()}
+
+    @property
+    def _compared(self) -> tuple[str, ...]:
+        return self.whole.coordinates or self.whole.names("rig")
+
+    @cached_property
+    def _error_sums(self) -> dict[str, ErrorSum]:
+        sums = {n: ErrorSum() for n in self._compared if {f"ideal.{n}", f"virtual.{n}"} <= self.whole.columns.keys()}
+        for chunk in self.whole.chunks([f"{kind}.{name}" for name in sums for kind in ("virtual", "ideal")]):
+            for name, one in sums.items():
+                one.add(chunk[f"virtual.{name}"], chunk[f"ideal.{name}"])
+        return sums
+
+    @cached_property
+    def pairs(self) -> tuple[PhasePair, ...]:
+        """Phases of the first oscillator and each other one."""
+        return () if self.no_phase else tuple(self._pair(name) for name in self.oscillators[1:])
+
+    @cached_property
+    def sum_peak(self) -> Array | None:
+        """Running peak of |sum of the oscillators| (m,)."""
+        if self.no_phase:
+            return None
+        total = np.asarray(sum(self.motions.values()))
+        return running_peak(self.tau, np.abs(total), SUM_WINDOW_PERIODS * self.period)
+
+    @cached_property
+    def anti_phase(self) -> AntiPhase | None:
+        """Fit of definition 5.3 to the end of two oscillations; None where it does not apply."""
+        if self.no_phase or len(self.oscillators) != 2:
+            return None
+        a, b = self.motions.values()
+        try:
+            found = anti_phase(self.tau, a, b)
+        except RecordError:  # fewer than three periods in the last fifth: there is nothing to state
+            return None
+        if not self.whole.is_on_disk or not math.isfinite(found.alpha):
+            return found
+        first, last = self.whole.span
+        first_name, second_name = (f"{self.prefix}.{name}" for name in self.oscillators)
+        start = last - _LAST * (last - first)
+        return replace(found, eps=deviation(self.whole, (first_name, second_name), found, start, self.time_scale))
+
+    @cached_property
+    def verdict(self) -> Synchronisation | None:
+        """In which way the first two oscillators are synchronised at the end; None where that cannot be told."""
+        return None if self.no_phase else self._verdict(self.oscillators[1])
+
+    @cached_property
+    def inputs(self) -> tuple[InputUse, ...]:
+        """How much of each input was used."""
+        return tuple(_use(self.whole, name, self.recording) for name in self.whole.inputs)
+
+    @cached_property
+    def budget(self) -> Budget | None:
+        """The error budget, None where there is none."""
+        return _budget(self.recording)
+
+    def _verdict(self, second: str) -> Synchronisation | None:
+        """Say in which way the first oscillator and another are synchronised; None for too short a record."""
+        tau, first = self.tau, self.oscillators[0]
+        rows = slice(None, None, max(1, int(self.period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
+        a, b = self.motion(first)[rows], self.motion(second)[rows]
+        try:
+            return synchronisation(tau[rows], a, b, names=(first, second))
+        except RecordError:
+            return None
+
+    def _pair(self, second: str) -> PhasePair:
+        first = self.oscillators[0]
+        head, tail = ends(self.tau, self.period)
+        series = phase_difference(self.tau, self.motion(first), self.motion(second))
+        (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
+        verdict = self.verdict if second == self.oscillators[1] else self._verdict(second)
+        return PhasePair(first, second, series, start, end, steady_start, steady_end, verdict)
 
     def motion(self, coordinate: str) -> Array:
         """Give the coordinate as it moved, shape (samples,)."""
@@ -193,8 +315,7 @@ class Study:
     def between(self, start: float | None, end: float | None) -> Study:
         """Give what lies between two times in units of `tau`, with all its samples, for a picture of it."""
         limits = (None if at is None else at * self.time_scale for at in (start, end))
-        part = self.whole.between(*limits)
-        return replace(self, recording=part, whole=part, tau=part.t / self.time_scale)
+        return Study(self.whole.between(*limits))
 
     def unit(self, column: str) -> str:
         """Give the declared unit of a column; "" where it is dimensionless or not declared."""
@@ -208,11 +329,6 @@ class Study:
     def passive(self) -> tuple[str, ...]:
         """Coordinates of the rig that no virtual one stands for."""
         return tuple((self.recording.manifest.get("passive") or {}).get("coordinates") or ())
-
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """The oscillators, then the other coordinates."""
-        return self.oscillators + self.others
 
     @property
     def sum_ends(self) -> tuple[float, float]:
@@ -231,70 +347,6 @@ class Study:
     def worst(self) -> str | None:
         """Coordinate with the largest chi, None where there is nothing to compare with."""
         return max(self.chi, key=lambda name: self.chi[name]) if self.chi else None
-
-
-def study(recording: Recording) -> Study:
-    """Work out what a recording shows."""
-    whole, recording = recording, drawn(recording)
-    manifest = recording.manifest
-    prefix = "virtual" if recording.coordinates else "rig"
-    names = recording.names(prefix)
-    oscillators = tuple(str(name) for name in manifest.get("oscillators") or ())
-    for name in oscillators:
-        recording[f"{prefix}.{name}"]  # a clear error for an oscillator that was not recorded
-    others = tuple(name for name in names if name not in oscillators)
-    if not oscillators:
-        oscillators, others = others, ()
-
-    tau = recording.t / float(manifest.get("time_scale") or 1.0)
-    motions = {name: recording[f"{prefix}.{name}"] for name in oscillators}
-    periods = [period(tau, motion) for motion in motions.values()]
-    mean_period = next((p for p in periods if math.isfinite(p)), math.nan)
-    reason = why_no_phase(manifest, motions, recording.array(prefix) if names else np.zeros((1, 1)), periods)
-    # The sum is a measure of synchronisation also where the oscillators are too many or too still to have one phase.
-    total = sum(motions.values()) if len(motions) > 1 and manifest.get("oscillators") else None
-    sums = _error_sums(whole)
-    return Study(
-        recording=recording,
-        whole=whole,
-        tau=tau,
-        prefix=prefix,
-        oscillators=oscillators,
-        others=others,
-        chi=masking_errors(whole, sums),
-        errors={name: one.largest for name, one in sums.items()},
-        period=mean_period,
-        pairs=() if reason else _pairs(tau, motions, mean_period),
-        sum_peak=None
-        if reason or total is None
-        else running_peak(tau, np.abs(total), SUM_WINDOW_PERIODS * mean_period),
-        anti_phase=None if reason else anti_phase_of(tau, motions, whole, prefix),
-        inputs=input_uses(whole, recording),
-        no_phase=reason,
-        budget=_budget(recording),
-    )
-
-
-def input_uses(recording: Recording, shown: Recording | None = None) -> tuple[InputUse, ...]:
-    """Tell how much of each input was used; `shown` is what is drawn of the recording, if that is known."""
-    shown = shown or drawn(recording)
-    return tuple(_use(recording, name, shown) for name in recording.inputs)
-
-
-def _error_sums(recording: Recording) -> dict[str, ErrorSum]:
-    names = recording.coordinates or recording.names("rig")
-    sums = {n: ErrorSum() for n in names if {f"ideal.{n}", f"virtual.{n}"} <= recording.columns.keys()}
-    for chunk in recording.chunks([f"{kind}.{name}" for name in sums for kind in ("virtual", "ideal")]):
-        for name, one in sums.items():
-            one.add(chunk[f"virtual.{name}"], chunk[f"ideal.{name}"])
-    return sums
-
-
-def masking_errors(recording: Recording, sums: Mapping[str, ErrorSum] | None = None) -> dict[str, float]:
-    """Masking error from the columns; what the run itself stated stands in where the ideal motion was not recorded."""
-    stated, sums = recording.manifest.get("masking_error") or {}, sums or _error_sums(recording)
-    names = recording.coordinates or recording.names("rig")
-    return {n: sums[n].value if n in sums else float(stated[n]) for n in names if n in sums or n in stated}
 
 
 def parameters(recording: Recording) -> tuple[Parameter, ...]:
@@ -330,56 +382,6 @@ def why_no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_
         if not math.isfinite(value):
             return f"the record holds fewer than three periods of {name}"
     return ""
-
-
-def _pairs(tau: Array, motions: Mapping[str, Array], mean_period: float) -> tuple[PhasePair, ...]:
-    first, *rest = motions
-    head, tail = ends(tau, mean_period)
-    pairs = []
-    for name in rest:
-        series = phase_difference(tau, motions[first], motions[name])
-        (start, steady_start), (end, steady_end) = mean_phase(series[head]), mean_phase(series[tail])
-        verdict = verdict_of(tau, motions, (first, name), mean_period)
-        pairs.append(PhasePair(first, name, series, start, end, steady_start, steady_end, verdict))
-    return tuple(pairs)
-
-
-def verdict_of(
-    tau: Array, motions: Mapping[str, Array], names: tuple[str, str], mean_period: float
-) -> Synchronisation | None:
-    """Say in which way two oscillators are synchronised at the end; None where the record is too short to tell."""
-    rows = slice(None, None, max(1, int(mean_period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
-    try:
-        return synchronisation(tau[rows], motions[names[0]][rows], motions[names[1]][rows], names=names)
-    except RecordError:
-        return None
-
-
-def anti_phase_of(
-    tau: Array, motions: Mapping[str, Array], whole: Recording | None = None, prefix: str = "virtual"
-) -> AntiPhase | None:
-    """Fit definition 5.3 to the end of two oscillations; None where it does not apply.
-
-    Args:
-        tau: times (m,).
-        motions: by name (m,).
-        whole: the recording that they are of, in which eps is looked for if it is on disk.
-        prefix: of their columns.
-    """
-    if len(motions) != 2:
-        return None
-    a, b = motions.values()
-    try:
-        found = anti_phase(tau, a, b)
-    except RecordError:  # fewer than three periods in the last fifth: there is nothing to state
-        return None
-    if whole is None or not whole.is_on_disk or not math.isfinite(found.alpha):
-        return found
-    first, last = whole.span
-    first_name, second_name = (f"{prefix}.{name}" for name in motions)
-    scale = float(whole.manifest.get("time_scale") or 1.0)
-    eps = deviation(whole, (first_name, second_name), found, last - _LAST * (last - first), scale)
-    return replace(found, eps=eps)
 
 
 def _use(recording: Recording, name: str, shown: Recording) -> InputUse:

@@ -4,130 +4,83 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from masking.analysis.stability.basins import LABELS, end_of
-from masking.analysis.synchronisation import AntiPhase, Synchronisation, period
 from masking.errors import DeclarationError, Problem, nearest
 from masking.numerics.arrays import Array
 from masking.records.recording import Recording
-from masking.reports.long_record import drawn
-from masking.reports.run_facts import anti_phase_of, input_uses, masking_errors, verdict_of, why_no_phase
+from masking.reports.run_facts import Study
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
+WORDS: Final = ("verdict", "end")  # measures that are words
 _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings are taken
 
 
-@dataclass(frozen=True)
-class _Run:
-    """What measures of one run share, each computed once."""
-
-    whole: Recording
-
-    @cached_property
-    def recording(self) -> Recording:
-        return drawn(self.whole)
-
-    @cached_property
-    def tau(self) -> Array:
-        return self.recording.t / float(self.recording.manifest.get("time_scale") or 1.0)
-
-    @cached_property
-    def motions(self) -> dict[str, Array]:
-        names = [str(name) for name in self.recording.manifest.get("oscillators") or ()]
-        return {name: self.recording[f"virtual.{name}"] for name in names}
-
-    @cached_property
-    def periods(self) -> list[float]:
-        return [period(self.tau, motion) for motion in self.motions.values()]
-
-    @cached_property
-    def period(self) -> float:
-        return next((p for p in self.periods if math.isfinite(p)), math.nan)
-
-    @cached_property
-    def has_phase(self) -> bool:
-        all_ = self.recording.array("virtual")
-        return not why_no_phase(self.recording.manifest, self.motions, all_, self.periods)
-
-    @cached_property
-    def anti_phase(self) -> AntiPhase | None:
-        return anti_phase_of(self.tau, self.motions, self.whole) if self.has_phase else None
-
-    @cached_property
-    def verdict(self) -> Synchronisation | None:
-        names = [*self.motions][:2]
-        return verdict_of(self.tau, self.motions, (names[0], names[1]), self.period) if self.has_phase else None
-
-    @cached_property
-    def end(self) -> str:
-        """Return in which way the last fifth of two oscillators ends, as basins have it."""
-        a, b = [*self.motions.values()][:2]
-        last = int((1.0 - _FIFTH) * (len(a) - 1))
-        size = max(float(np.abs(a).max()), float(np.abs(b).max()))
-        return LABELS[end_of(a[last:], b[last:], _NEAR, _REST * size)]
-
-    @cached_property
-    def chi(self) -> dict[str, float]:
-        return masking_errors(self.whole)
-
-    def peak(self, name: str) -> float:
-        return float(np.abs(self.recording[f"input.{name}"]).max())
-
-    @cached_property
-    def used(self) -> float:
-        return max(
-            (use.used for use in input_uses(self.whole, self.recording) if use.used is not None), default=math.nan
-        )
-
-    def last(self, name: str) -> Array:
-        series = self.whole[f"virtual.{name}"]
-        return series[int((1.0 - _LAST) * (len(series) - 1)) :]
-
-    def maxima(self, name: str) -> Array:
-        """Return the maxima of a coordinate, each that of the parabola through its three largest samples."""
-        x = self.last(name)
-        at = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
-        before, here, after = x[at - 1], x[at], x[at + 1]
-        slope, bend = 0.5 * (after - before), after - 2.0 * here + before
-        return np.asarray(here - 0.5 * slope**2 / bend)
-
-    def section(self, name: str, crossed: str) -> Array:
-        """Return a coordinate or velocity where another crosses zero upwards, on the line between two samples."""
-        x, y = self.last(name), self.last(crossed)
-        at = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
-        part = y[at] / (y[at] - y[at + 1])
-        return np.asarray(x[at] + part * (x[at + 1] - x[at]))
+def _end(run: Study) -> str:
+    """Return in which way the last fifth of two oscillators ends, as basins have it."""
+    a, b = [*run.motions.values()][:2]
+    last = int((1.0 - _FIFTH) * (len(a) - 1))
+    size = max(float(np.abs(a).max()), float(np.abs(b).max()))
+    return LABELS[end_of(a[last:], b[last:], _NEAR, _REST * size)]
 
 
-_WITH_TWO: Final[Mapping[str, Callable[[_Run], Measured]]] = {
+def _used(run: Study) -> float:
+    return max((use.used for use in run.inputs if use.used is not None), default=math.nan)
+
+
+def _peaks(run: Study) -> dict[str, float]:
+    return {use.name: use.peak for use in run.inputs}
+
+
+def _last(run: Study, name: str) -> Array:
+    series = run.whole[f"{run.prefix}.{name}"]
+    return series[int((1.0 - _LAST) * (len(series) - 1)) :]
+
+
+def _maxima(run: Study, name: str) -> Array:
+    """Return the maxima of a coordinate, each that of the parabola through its three largest samples."""
+    x = _last(run, name)
+    at = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
+    before, here, after = x[at - 1], x[at], x[at + 1]
+    slope, bend = 0.5 * (after - before), after - 2.0 * here + before
+    return np.asarray(here - 0.5 * slope**2 / bend)
+
+
+def _section(run: Study, names: str) -> Array:
+    """Return a coordinate or velocity where another crosses zero upwards, on the line between two samples."""
+    x, y = (_last(run, name) for name in names.split("@"))
+    at = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
+    part = y[at] / (y[at] - y[at + 1])
+    return np.asarray(x[at] + part * (x[at + 1] - x[at]))
+
+
+_WITH_TWO: Final[Mapping[str, Callable[[Study], Measured]]] = {
     "alpha": lambda run: run.anti_phase.alpha if run.anti_phase else math.nan,
     "eps": lambda run: run.anti_phase.eps if run.anti_phase else math.nan,
     "tau_s": lambda run: run.verdict.time if run.verdict else math.nan,
     "phase": lambda run: abs(run.verdict.phase) if run.verdict else math.nan,
     "verdict": lambda run: run.verdict.kind if run.verdict else "unknown",
-    "end": lambda run: run.end,
+    "end": _end,
 }
-_ONLY_WITH_A_RIG: Final[Mapping[str, Callable[[_Run], Measured]]] = {
+_ONLY_WITH_A_RIG: Final[Mapping[str, Callable[[Study], Measured]]] = {
     "chi": lambda run: max(run.chi.values(), default=math.nan),
-    "peak": lambda run: max(map(run.peak, run.recording.inputs), default=math.nan),
-    "used": lambda run: run.used,
+    "peak": lambda run: max(_peaks(run).values(), default=math.nan),
+    "used": _used,
 }
-_MEASURES: Final[Mapping[str, Callable[[_Run], Measured]]] = {
+_MEASURES: Final[Mapping[str, Callable[[Study], Measured]]] = {
     **_WITH_TWO,
     **_ONLY_WITH_A_RIG,
     "period": lambda run: run.period,
 }
-_OF_ONE: Final[Mapping[str, Callable[[_Run, str], Measured]]] = {
+_OF_ONE: Final[Mapping[str, Callable[[Study, str], Measured]]] = {
     "chi": lambda run, name: run.chi[name],
-    "peak": lambda run, name: run.peak(name),
-    "maxima": lambda run, name: run.maxima(name),
-    "section": lambda run, name: run.section(*name.split("@")),
+    "peak": lambda run, name: _peaks(run)[name],
+    "maxima": _maxima,
+    "section": _section,
 }
 MEANINGS: Final = {
     "alpha": "ratio of the amplitudes of the oscillators in anti-phase (5.3)",
@@ -180,7 +133,7 @@ def check(
 
 def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
     """Return measures of a recording by name."""
-    run, found = _Run(recording), dict[str, Measured]()
+    run, found = Study(recording), dict[str, Measured]()
     for name in names:
         kind, dot, of = name.partition(".")
         found[name] = _OF_ONE[kind](run, of) if dot else _MEASURES[name](run)
@@ -190,4 +143,4 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
 def empty(name: str) -> Measured:
     """Return what stands for a measure of a run that failed."""
     kind = name.partition(".")[0]
-    return "" if kind in {"verdict", "end"} else np.empty(0) if kind in {"maxima", "section"} else math.nan
+    return "" if kind in WORDS else np.empty(0) if kind in {"maxima", "section"} else math.nan

@@ -20,10 +20,7 @@ from masking.reports.run_facts import (
     InputUse,
     Parameter,
     Study,
-    input_uses,
-    masking_errors,
     parameters,
-    study,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +49,7 @@ def report(recording: Recording, folder: str | Path) -> Report:
     Raises:
         RecordError: the folder cannot be written.
     """
-    folder, facts = Path(folder), study(recording)
+    folder, facts = Path(folder), Study(recording)
     found, figures = parameters(recording), run_figures.figures(facts)
     tables = {"synchronisation": _phases(facts), "inputs": _inputs(facts), "masking_error": _errors(facts)}
     shown = [one for one in figures if one.figure is not None or tables.get(one.name)]
@@ -90,17 +87,18 @@ def report(recording: Recording, folder: str | Path) -> Report:
 
 def summary(recording: Recording) -> str:
     """Return at most fourteen lines of plain text on a recording."""
-    return run_text.summary(study(recording))
+    return run_text.summary(Study(recording))
 
 
 def warnings(recording: Recording) -> list[str]:
     """Return sentences on what limits the validity of the result; empty if all is well."""
-    return run_text.warnings(recording, input_uses(recording), masking_errors(recording))
+    facts = Study(recording)
+    return run_text.warnings(recording, facts.inputs, facts.chi)
 
 
 def limits_used(recording: Recording) -> dict[str, float]:
     """Return the part of its limit that each input used at its peak; inputs without a limit are left out."""
-    return {use.name: use.used for use in input_uses(recording) if use.used is not None}
+    return {use.name: use.used for use in Study(recording).inputs if use.used is not None}
 
 
 def _lead(facts: Study, changed: Sequence[Parameter]) -> list[tuple[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -17,7 +18,7 @@ from masking.reports import style
 from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, CaptionedFigure, Series
 
 _MOST = len(COLOURS)
-_BASIN_COLOURS = (MUTED, COLOURS[0], COLOURS[1], COLOURS[5], "#ffffff")
+END_COLOURS: Final = dict(zip(LABELS, (MUTED, COLOURS[0], COLOURS[1], COLOURS[3], "#ffffff"), strict=True))
 
 
 def figures(found: Stability) -> list[CaptionedFigure]:
@@ -108,14 +109,16 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
     """
     figure, (axes,) = style.sheet([4.6], top=LEGEND)
     sides = [edges(found.first), edges(found.second)]
-    axes.pcolormesh(*sides, found.ends.T, cmap=ListedColormap(list(_BASIN_COLOURS)), vmin=-0.5, vmax=len(LABELS) - 0.5)
+    axes.pcolormesh(
+        *sides, found.ends.T, cmap=ListedColormap([*END_COLOURS.values()]), vmin=-0.5, vmax=len(LABELS) - 0.5
+    )
     axes.grid(visible=False)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
     axes.set(xlabel=f"initial {style.symbol(found.names[0])}", ylabel=f"initial {style.symbol(found.names[1])}")
     shares = found.shares()
     handles = [
         Patch(facecolor=colour, edgecolor=MUTED, label=f"{label} {100 * shares[label]:.0f} %")
-        for label, colour in zip(LABELS, _BASIN_COLOURS, strict=True)
+        for label, colour in END_COLOURS.items()
         if shares[label] > 0.0
     ]
     parts.legend(figure, None, handles)
@@ -123,7 +126,20 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
 
 
 def edges(values: Sequence[float] | Array) -> Array:
-    """Return the edges of cells around values (m + 1,)."""
+    """Return the edges of cells around values (m + 1,): on a logarithmic axis where their ratios are all the same."""
     v = np.asarray(values, dtype=float)
+    if is_geometric(v):
+        return np.asarray(np.exp(_between(np.log(v))))
+    return _between(v)
+
+
+def is_geometric(values: Array) -> bool:
+    """Tell whether values in rising order (m,) have one ratio, and no equal steps."""
+    if len(values) < 3 or values[0] <= 0.0 or np.allclose(np.diff(values, 2), 0.0, atol=1e-9 * float(values[-1])):
+        return False
+    return bool(np.allclose(np.diff(np.log(values), 2), 0.0, atol=1e-9))
+
+
+def _between(v: Array) -> Array:
     between = 0.5 * (v[1:] + v[:-1])
     return np.concatenate([[1.5 * v[0] - 0.5 * v[1]], between, [1.5 * v[-1] - 0.5 * v[-2]]])

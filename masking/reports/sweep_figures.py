@@ -10,20 +10,19 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from masking.numerics.arrays import Array
 from masking.records.chunks import Columns
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.run_measures import MEANINGS
-from masking.reports.stability_figures import edges
+from masking.reports.stability_figures import END_COLOURS, edges, is_geometric
 from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, CaptionedFigure
 from masking.reports.text import capital
 
 _KINDS: Final = {
-    "in phase": COLOURS[0], "rest": MUTED, "other": COLOURS[3],
-    "anti-phase": COLOURS[1], "in-phase": COLOURS[0], "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
+    **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
     "not synchronised": COLOURS[3], "unknown": "#d9d9d9", "": "#ffffff",
 }  # fmt: skip
 _QUANTILES: Final = (0.1, 0.5, 0.9)
@@ -54,6 +53,14 @@ def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]
     return found
 
 
+def _over(axis: Any, values: Array) -> None:  # noqa: ANN401  # an axis of matplotlib
+    """Make an axis logarithmic where the values of a grid (m,) are so."""
+    if is_geometric(values):
+        axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": edges(values)[[0, -1]]})
+        parts.plain_numbers(axis)
+        axis.set_minor_formatter(NullFormatter())
+
+
 def _label(name: str) -> str:
     return ", ".join(style.symbol(one) for one in name.split(","))
 
@@ -82,11 +89,14 @@ def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Col
     if ways:
         parts.legend(figure, None, [parts.marker_key(way, c) for way, c in zip(("up", "down"), COLOURS, strict=False)])
     parts.ticks(axes)
+    _over(axes.xaxis, np.unique(at))
     kind, _, of = name.partition(".")
-    what = f"maxima of {style.symbol(of)}" if kind == "maxima" else f"{of.replace('@', ' where it crosses 0: ')}"
+    x, _, crossed = of.partition("@")
+    what = f"maxima of {style.symbol(x)}" if kind == "maxima" else style.symbol(x)
+    where = f": {x} where {crossed} crosses 0 upwards" if crossed else f" of {x}"
     axes.set(xlabel=labels[grid[-1]] if grid else "run", ylabel=what)
     more = " Followed up and down: each run begins where the one before it ended." if ways else ""
-    caption = f"{capital(kind)} over the second half of each run.{more}"
+    caption = f"{capital(kind)}{where}, over the second half of each run.{more}"
     return CaptionedFigure(f"diagram_{_file(name)}", "Bifurcation diagram", caption, figure)
 
 
@@ -98,6 +108,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     if not isinstance(column, np.ndarray):
         _shares(figure, axes, at, values, [str(text) for text in column])
         axes.set(xlabel=labels[over], ylabel="part of the runs", ylim=(0.0, 1.0))
+        _over(axes.xaxis, values)
         parts.ticks(axes)
         caption = f"{capital(_words(name))}, over {over}: the part of the runs."
         return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
@@ -115,6 +126,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
         parts.ticks(axes)
         axes.set_ylim(*_range(np.concatenate([low, high])))
     axes.set(xlabel=labels[over], ylabel=_label(name))
+    _over(axes.xaxis, values)
     caption = f"{capital(_words(name))}, over {over}"
     caption += ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
     return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
@@ -166,7 +178,9 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
                         vmax=len(_KINDS) - 0.5, rasterized=True)  # fmt: skip
         share = Counter(text for text in column if text)
         total = sum(share.values())
-        keys = [Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {share[k] / total:.0%}") for k in chosen]
+        keys = [
+            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {100 * share[k] / total:.3g} %") for k in chosen
+        ]
         parts.legend(figure, None, keys)
     else:
         drawn = axes.pcolormesh(edges(across), edges(up), table, cmap="viridis", rasterized=True)
@@ -175,6 +189,8 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
     axes.grid(visible=False)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
     axes.set(xlabel=labels[grid[0]], ylabel=labels[grid[1]])
+    for axis, values in ((axes.xaxis, across), (axes.yaxis, up)):
+        _over(axis, values)
     several = len(column) > len(across) * len(up)
     middle = (
         ": the commonest of the runs at each point" if is_word else ": the median of the runs at each point"

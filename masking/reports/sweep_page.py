@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,6 +45,11 @@ def _cause(columns: Columns) -> str:
     return cause
 
 
+def counts(column: Sequence[Any]) -> dict[str, int]:
+    """Return how many runs have each word of a column, the commonest first."""
+    return dict(Counter(text for text in column if text).most_common())
+
+
 def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any kind
     if isinstance(column, np.ndarray):
         finite = column[np.isfinite(column)]
@@ -53,9 +58,7 @@ def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any ki
         low, middle, high = np.quantile(finite, (0.0, 0.5, 1.0))
         return f"{name} {low:.4g} to {high:.4g}, median {middle:.4g}" if high > low else f"{name} {low:.4g}"
     if column and isinstance(column[0], str):
-        counts = Counter(text for text in column if text)
-        total = sum(counts.values())
-        return ", ".join(f"{kind} {count / total:.1%}" for kind, count in counts.most_common(4))
+        return f"{name} " + ", ".join(f"{kind} {count}" for kind, count in counts(column).items())
     return ""
 
 

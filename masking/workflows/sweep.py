@@ -62,9 +62,11 @@ class Sweep:
     def as_dict(self) -> dict[str, Any]:
         """Return a summary as JSON can hold it."""
         failed = sum(bool(text) for text in self.columns[ERROR])
+        words = [name for name in self.facts["measures"] if name in run_measures.WORDS]
         return {
             "name": self.name, "runs": self.rows, "done": len(self), "failed": failed, "sentence": self.sentence,
-            "over": self.facts["over"], "measures": self.facts["measures"], "rows": str(self.folder / ROWS),
+            "over": self.facts["over"], "measures": self.facts["measures"],
+            "counts": {name: sweep_page.counts(self.columns[name]) for name in words}, "rows": str(self.folder / ROWS),
         }  # fmt: skip
 
     def __str__(self) -> str:

@@ -15,7 +15,7 @@ from masking.errors import IntegrationError, ModelError, SingularityError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
-LABELS: Final = ("rest", "in phase", "anti-phase", "other", "lost")
+LABELS: Final = ("rest", "in-phase", "anti-phase", "other", "lost")
 _THREADS = 2
 _ROWS = 400  # samples of the last part
 
@@ -118,7 +118,7 @@ def end_of(a: Array, b: Array, near: float, rest: float) -> int:
     if larger < rest:
         return LABELS.index("rest")
     if float(np.max(np.abs(a - b))) < near * larger:
-        return LABELS.index("in phase")
+        return LABELS.index("in-phase")
     if float(np.max(np.abs(a + b))) < near * larger:
         return LABELS.index("anti-phase")
     return LABELS.index("other")
