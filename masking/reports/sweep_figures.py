@@ -91,9 +91,9 @@ def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Col
     parts.ticks(axes)
     _over(axes.xaxis, np.unique(at))
     kind, _, of = name.partition(".")
-    x, _, crossed = of.partition("@")
-    what = f"maxima of {style.symbol(x)}" if kind == "maxima" else style.symbol(x)
-    where = f": {x} where {crossed} crosses 0 upwards" if crossed else f" of {x}"
+    moved, _, crossed = of.partition("@")
+    what = f"maxima of {style.symbol(moved)}" if kind == "maxima" else style.symbol(moved)
+    where = f": {moved} where {crossed} crosses 0 upwards" if crossed else f" of {moved}"
     axes.set(xlabel=labels[grid[-1]] if grid else "run", ylabel=what)
     more = " Followed up and down: each run begins where the one before it ended." if ways else ""
     caption = f"{capital(kind)}{where}, over the second half of each run.{more}"

@@ -66,7 +66,7 @@ class Sweep:
         return {
             "name": self.name, "runs": self.rows, "done": len(self), "failed": failed, "sentence": self.sentence,
             "over": self.facts["over"], "measures": self.facts["measures"],
-            "counts": {name: sweep_page.counts(self.columns[name]) for name in words}, "rows": str(self.folder / ROWS),
+            "counts": {name: sweep_page.counts(self[name]) for name in words}, "rows": str(self.folder / ROWS),
         }  # fmt: skip
 
     def __str__(self) -> str:
