@@ -118,5 +118,5 @@ assert abs(upsilon(discs.with_parameters(z3=0.394)) - 39.0) < 0.05
 assert differences[0] > 0.015
 assert 0.002 < onset < 0.06
 assert all(cycle.is_stable for cycle in cycles.values())
-assert min(found.shares()["in phase"], found.shares()["anti-phase"]) > 0.1
+assert min(found.shares()["in-phase"], found.shares()["anti-phase"]) > 0.1
 assert certificate(eccentric.with_parameters(nu1=low, nu2=low)).others == ()

@@ -262,7 +262,7 @@ class Study:
 
     @cached_property
     def verdict(self) -> Synchronisation | None:
-        """In which way the first two oscillators are synchronised at the end; None where that cannot be told."""
+        """In which way the first two oscillators are synchronised at the end; None where the record does not say."""
         return None if self.no_phase else self._verdict(self.oscillators[1])
 
     @cached_property
