@@ -18,7 +18,7 @@ from masking.declaration import catalogue, registry
 from masking.declaration.schema import ObserverSettings, Transform
 from masking.errors import ActuationError, ModelError, SingularityError
 from masking.runs.experiment import Experiment
-from masking.runs.offline import rig_state, run_continuous, run_sampled
+from masking.runs.offline import continuous_chunks, joined, rig_state, sampled_chunks
 
 EXACT = 1e-6
 # What a volt of each actuator adds to x1'', x2'', x3'' (m/s**2/V): Table B.1, and Newton's third law between the
@@ -108,9 +108,9 @@ def test_other_plants_move_as_the_same_system_in_another_form(tmp_path, name):
     )
     found = experiment(other, plant, virtual=name, parameters=values, transform=diagonal)
     state = rig_state(found.loop, found.virtual.initial_state({}))
-    run = run_continuous(
-        found.loop, state, found.time_scale * reference.t / experiment(other).time_scale, tolerance=1e-10
-    )
+    times = found.time_scale * reference.t / experiment(other).time_scale
+    chunks = continuous_chunks(found.loop, state, len(times), lambda i, j: times[i:j], tolerance=1e-10)
+    run = joined(chunks)
     for i, coordinate in enumerate(found.virtual.coordinates):
         assert masking_error(run.virtual[:, i], reference[f"ideal.{coordinate}"]) <= EXACT
 
@@ -241,7 +241,7 @@ def test_sampled_run_equals_one_written_out_in_numpy():
         inputs.append(u)
         y = solve_ivp(lambda _, y, u=u: plant(y, u), (0, 1 / rate), y, "DOP853", rtol=1e-12, atol=1e-16).y[:, -1]
     loop = experiment("duffing").loop
-    run = run_sampled(loop, states[0], rate=rate, duration=steps / rate, substeps=10)
+    run = joined(sampled_chunks(loop, states[0], rate=rate, duration=steps / rate, substeps=10))
     largest = np.abs(states).max(axis=0)
     np.testing.assert_allclose(run.rig / largest, states / largest, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.inputs, inputs, rtol=0, atol=1e-9 * np.abs(inputs).max())
@@ -250,7 +250,8 @@ def test_sampled_run_equals_one_written_out_in_numpy():
 def test_slow_sampling_still_integrates_the_plant_finely():
     slow = sampled(200.0, duration=20.0)
     state = rig_state(slow.loop, slow.virtual.initial_state({}))
-    run, finer = (run_sampled(slow.loop, state, rate=200.0, duration=1.0, substeps=n).rig for n in (None, 100))
+    chunks = (sampled_chunks(slow.loop, state, rate=200.0, duration=1.0, substeps=n) for n in (None, 100))
+    run, finer = (joined(some).rig for some in chunks)
     np.testing.assert_allclose(run, finer, rtol=0, atol=1e-7 * np.abs(finer).max())
 
 

@@ -16,7 +16,7 @@ from masking.control.step import LawStep, SampledStep
 from masking.errors import CommandError, PlantMismatchError, SingularityError
 from masking.plants.interface import Settings
 from masking.plants.simulated import SimulatedPlant
-from masking.runs.offline import run_sampled
+from masking.runs.offline import joined, sampled_chunks
 
 AFTER = 400  # samples from the release on
 
@@ -175,7 +175,7 @@ def test_the_law_drives_the_rig_as_the_virtual_system_moves():
 def test_the_law_gives_the_inputs_of_the_packaged_loop_to_the_last_bit():
     experiment = masking.Experiment.load("duffing_sampled")
     step, start = experiment.controller(), np.array([*(LENGTH * START), 0.0, 0.0, 0.0])
-    run = run_sampled(experiment.loop, start, rate=4000.0, duration=0.2)
+    run = joined(sampled_chunks(experiment.loop, start, rate=4000.0, duration=0.2))
     for t, state, inputs in zip(run.times, run.rig, run.inputs, strict=True):
         step(t, state)
         assert step.inputs.tolist() == inputs.tolist()

@@ -34,19 +34,17 @@ AXES = {"Vector": 1, "Matrix": 2}
 ALIGNED = 8  # bytes of an element of an array
 
 
-def parameters(types: Mapping[str, str], *, named: bool = True) -> list[str]:
+def parameters(types: Mapping[str, str]) -> list[str]:
     """Return the parameters of a function in LLVM: an array is its address and its shape.
 
     Args:
         types: of its arguments by their names, such as `float` or `Matrix`.
-        named: whether they have names, as in a definition.
     """
     found = []
     for name, kind in types.items():
-        axes = AXES.get(kind.removeprefix("Int"), 0)
+        axes = range(AXES.get(kind.removeprefix("Int"), 0))
         first = "ptr noalias" if axes else {"float": "double", "int": "i64"}[kind]
-        names = [name, *(f"{name}.{axis}" for axis in range(axes))] if named else [""] * (1 + axes)
-        found += [f"{t} %{n}" if named else t for t, n in zip([first, *["i64"] * axes], names, strict=True)]
+        found += [f"{first} %{name}", *(f"i64 %{name}.{axis}" for axis in axes)]
     return found
 
 

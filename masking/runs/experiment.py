@@ -341,7 +341,7 @@ class Experiment:
         stages.append(time.perf_counter())
         simulate = self.simulation()
         stages.append(time.perf_counter())
-        run, condition = offline.joined([*simulate(progress=progress)]), self.stop_condition
+        run, condition = offline.joined(simulate(progress=progress)), self.stop_condition
         row = condition.watch()(self.seen(run)) if condition else None
         run = run if row is None else offline.cut(run, row + 1)
         stages.append(time.perf_counter())

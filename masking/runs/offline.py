@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol, TypeVar
 
@@ -81,8 +81,9 @@ def cut(run: _AnyRun, rows: int) -> _AnyRun:
     return replace(run, **{name: part[:rows] for name, part in parts.items() if part is not None})
 
 
-def joined(runs: Sequence[_AnyRun]) -> _AnyRun:
+def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
     """Return chunks of a run as one."""
+    runs = [*chunks_of_run]
     if len(runs) == 1:
         return runs[0]
     names = [
@@ -104,42 +105,6 @@ def chunks(kernels: Kernels, rows: int) -> range:
     return range(0, rows, max(1, rows) if kernels.meta.get("lags") or kernels.meta.get("events") else CHUNK)
 
 
-def run_continuous(
-    loop: ClosedLoop,
-    state: Array,
-    times: Array,
-    *,
-    tolerance: float,
-    schedule: Schedule | None = None,
-    progress: Progress | None = None,
-) -> Run:
-    """Run a closed loop whose controller acts in continuous time.
-
-    Args:
-        loop: controller and plant.
-        state: rig coordinates then velocities (2 n,) at the first time.
-        times: instants to record (m,), increasing.
-        tolerance: local relative error of the integrator.
-        schedule: parameters of the control law that change on the way.
-        progress: called with the part done.
-
-    Raises:
-        SingularityError: the decoupling matrix became singular; holds the state.
-        IntegrationError: the integrator could not go on.
-    """
-
-    def instants(first: int, last: int) -> Array:
-        return times[first:last]
-
-    return joined(
-        [
-            *continuous_chunks(
-                loop, state, len(times), instants, tolerance=tolerance, schedule=schedule, progress=progress
-            )
-        ]
-    )
-
-
 def continuous_chunks(
     loop: ClosedLoop,
     state: Array,
@@ -150,7 +115,7 @@ def continuous_chunks(
     schedule: Schedule | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Run]:
-    """Run a closed loop as `run_continuous` does, in chunks of `CHUNK` rows.
+    """Run a closed loop whose controller acts in continuous time, in chunks of `CHUNK` rows.
 
     Args:
         loop: controller and plant.
@@ -184,44 +149,6 @@ def _within(progress: Progress | None, begin: int, count: int, rows: int) -> Pro
     return None if progress is None else lambda part: progress((begin + part * count) / rows)
 
 
-def run_sampled(
-    loop: ClosedLoop,
-    state: Array,
-    *,
-    rate: float,
-    duration: float,
-    every: int = 1,
-    substeps: int | None = None,
-    schedule: Schedule | None = None,
-    progress: Progress | None = None,
-) -> Run:
-    """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs between samples.
-
-    Args:
-        loop: controller and plant.
-        state: rig coordinates then velocities (2 n,) at time 0.
-        rate: samples per second.
-        duration: seconds.
-        every: record one sample of this many.
-        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
-            state asks for.
-        schedule: parameters of the control law that change on the way.
-        progress: called with the part done.
-
-    Raises:
-        SingularityError: the decoupling matrix became singular; holds the state.
-        IntegrationError: the state or the inputs are no longer finite.
-    """
-    return joined(
-        [
-            *sampled_chunks(
-                loop, state, rate=rate, duration=duration, every=every, substeps=substeps, schedule=schedule,
-                progress=progress,
-            )
-        ]
-    )  # fmt: skip
-
-
 def sampled_chunks(
     loop: ClosedLoop,
     state: Array,
@@ -234,7 +161,24 @@ def sampled_chunks(
     progress: Progress | None = None,
     most: int | None = None,
 ) -> Iterator[Run]:
-    """Run a closed loop as `run_sampled` does, in chunks of at most `most` rows; its other arguments are the same."""
+    """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs, in chunks of rows.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at time 0.
+        rate: samples per second.
+        duration: seconds.
+        every: record one sample of this many.
+        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
+            state asks for.
+        schedule: parameters of the control law that change on the way.
+        progress: called with the part done.
+        most: rows of a chunk; by default there is one.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the inputs are no longer finite.
+    """
     loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
     if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
         raise ModelError(
@@ -297,7 +241,7 @@ def run_twin(
         SingularityError: the decoupling matrix became singular; holds the state.
         IntegrationError: the state or the commands are no longer finite.
     """
-    return joined([*twin_chunks(loop, start, duration=duration, seed=seed, every=every, progress=progress)])
+    return joined(twin_chunks(loop, start, duration=duration, seed=seed, every=every, progress=progress))
 
 
 def twin_chunks(
