@@ -183,9 +183,9 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
     _forget(directory())
     text = made.text()
     objects, kernels, templates = described(made)
-    for one in templates:
-        files.keep(_text_path(digest(one)), one.encode())
-    files.keep(_text_path(digest(text)), text.encode())
+    for one in (*templates, text):
+        if files.find(_text_path(digest(one))) is None:  # those of templates are the same for many models
+            files.keep(_text_path(digest(one)), one.encode())
     content = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects, "kernels": kernels})
     files.keep(_path(name), content.encode())  # last: if it is there, all is
     return _generated(content, text)
