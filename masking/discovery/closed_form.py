@@ -371,7 +371,7 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
                 score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
                 if best is None or score < best.score:
                     best = ClosedForm(form, made, checked, score)
-        if best is not None and best.hypothesis.cost < known.cost + evidence:
+        if best is not None and (problem.work.ends() or best.hypothesis.cost < known.cost + evidence):
             break
     return best
 

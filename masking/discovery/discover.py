@@ -91,7 +91,8 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
     """Return what one record shows, validated by another."""
     twin, rules = rig.twin, settings.rules
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
-    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules)
+    work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
+    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work)
     say("checking units", 0.0)
     with threadpool_limits(1):
         whole = centred(whole)
@@ -126,12 +127,11 @@ def _in_unit(
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    width = len(twin.state_names) + len(twin.free) + len(problem.prior.mean)
-    problem = replace(problem, substeps=shooting.substeps(problem), work=Work.allowed(len(whole.record), width))
+    problem = replace(problem.apart(), substeps=shooting.substeps(problem))
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
-        problem = problem.uncounted()
+        problem = problem.apart()
         for seconds in shooting.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
             again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)

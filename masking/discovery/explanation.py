@@ -16,10 +16,12 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.verdict import Key, Kind
+from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
+AT_ONCE = 4  # fits between which it is asked whether the work ends
 ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
 
 
@@ -71,12 +73,13 @@ class Explanation:
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
 
 
-def fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
-    """Return what fits give, two at once; None where the motion is not finite.
+def fitted(jobs: Sequence[Job], rival: float, work: Work) -> list[Explanation | None]:
+    """Return what fits give, two at once; None where the motion is not finite, or where the work ends before.
 
     Args:
-        jobs: the fits.
+        jobs: the fits, the likeliest first.
         rival: cost of another hypothesis.
+        work: of the search; the first fits are made however much that is.
     """
 
     def found(job: Job) -> Explanation | None:
@@ -85,8 +88,11 @@ def fitted(jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
         except IntegrationError:
             return None
 
+    made: list[Explanation | None] = []
     with ThreadPoolExecutor(2) as pool:
-        return [*pool.map(found, jobs)]
+        while len(made) < len(jobs) and not (made and work.ends()):
+            made += pool.map(found, jobs[len(made) : len(made) + AT_ONCE])
+    return made + [None] * (len(jobs) - len(made))
 
 
 def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:

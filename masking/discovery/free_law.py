@@ -25,7 +25,6 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import COLLINEAR, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.tempered_fits import tempered
-from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
@@ -179,19 +178,18 @@ def fit(
         known: effects elsewhere that are fitted beside it, with values to begin from.
         further: places that are tried, in the place of those of the rig.
     """
-    work = found.problem.uncounted().work
     if further:
-        starts = [start for one in further for start in _further(found, work, one, known)]
+        starts = [start for one in further for start in _further(found, one, known)]
     else:
         theta = found.explanation.hypothesis.theta
-        starts = [start for ground in _grounds(found, work) for start in _at(ground, theta, known)]
+        starts = [start for ground in _grounds(found) for start in _at(ground, theta, known)]
     best: FreeLaw | None = None
     noise = float(found.record.readings.size)
     for one in _ranked(starts)[:MOST_FORMS]:
         law = _fitted(one, known)
         if law is not None and (best is None or law.score < best.score):
             best = law
-        if work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
+        if found.problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
             break
     return best
 
@@ -215,9 +213,9 @@ class _Ground:
     further: FurtherPlaces | None = None
 
 
-def _grounds(found: Explained, work: Work) -> Iterator[_Ground]:
+def _grounds(found: Explained) -> Iterator[_Ground]:
     """Give the model as it was fitted, and as it is declared where the fit went far from that."""
-    problem, base = replace(found.problem, work=work), found.search.base.hypothesis
+    problem, base = found.problem, found.search.base.hypothesis
     places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
     yield _Ground(problem, base, found.search.motion, places)
     if (np.abs(base.theta - problem.prior.mean) > FAR * problem.prior.deviation).any():
@@ -226,11 +224,11 @@ def _grounds(found: Explained, work: Work) -> Iterator[_Ground]:
             yield _Ground(problem, declared, smooth(problem, declared.theta, declared.start), places)
 
 
-def _further(found: Explained, work: Work, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:
+def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:
     """Return the forms of a law at further places, with the relaxation time that leaves least to first order."""
 
     def at(seconds: float) -> list[_Start]:
-        problem = replace(further.problem(found.problem, seconds), work=work)
+        problem = further.problem(found.problem, seconds)
         base = further.hypothesis(found.search.base.hypothesis, found.rig, seconds)
         try:
             motion = smooth(problem, base.theta, base.start)

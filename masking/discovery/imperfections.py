@@ -57,7 +57,7 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
     if _is_complete(wider, again) and (trial.is_shown or is_better):
         return again, wider
     if trial.is_shown:  # the first search ended early
-        found, known = _in_problem(Search(problem.uncounted(), tell), substeps)
+        found, known = _in_problem(Search(problem.apart(), tell), substeps)
         if not _is_complete(known, found) and _last(again).cost < _last(found).cost:
             return again, wider
     return found, known
@@ -89,7 +89,7 @@ class _Trial:
         if not laws or verdict.reaches_noise(found[0].cost, size, rules):
             return False
         wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
-        for made in fitted([partial(_beside, wider, one) for one in laws[:TRIED]], float(size)):
+        for made in fitted([partial(_beside, wider, one) for one in laws[:TRIED]], float(size), wider.work):
             if made is not None:
                 left = verdict.excess_cost(made.cost, size)
                 self.is_likely |= left < rules.unexplained_fraction * alone
@@ -153,7 +153,7 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
         low=np.concatenate([prior.low, least]),
         high=np.concatenate([prior.high, most]),
     )
-    return replace(problem.uncounted(), rig=replace(problem.rig, imperfections=instances), prior=wider)
+    return replace(problem.apart(), rig=replace(problem.rig, imperfections=instances), prior=wider)
 
 
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:

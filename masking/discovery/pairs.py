@@ -99,7 +99,7 @@ def pairs_first(
             break
         if len({*names}) == len(names) and not are_composite(names, rig, rules):
             chosen.append(pair)
-    both = [e for e in fitted([job(pair.scores) for pair in chosen], alone) if e is not None]
+    both = [e for e in fitted([job(pair.scores) for pair in chosen], alone, problem.work) if e is not None]
     better = [e for e in both if verdict.excess_cost(e.cost, size) < left]
     better = [e for e in better if not is_excluded(problem, e.hypothesis.instances)]
     if not better:

@@ -43,9 +43,13 @@ class EstimationProblem:
     rules: DecisionRules = RULES
     work: Work = field(default_factory=partial(Work, np.inf), compare=False)
 
-    def uncounted(self) -> EstimationProblem:
-        """Return the problem with a count of work of its own, which may be as much."""
-        return replace(self, work=Work(self.work.most))
+    def apart(self, part: float = 1.0) -> EstimationProblem:
+        """Return the problem with a count of work of its own, which may be a part of what this one may do."""
+        return replace(self, work=self.work.another(part))
+
+    def sharing(self, part: float) -> EstimationProblem:
+        """Return the problem with a count of work that is a part of this one's."""
+        return replace(self, work=self.work.share(part))
 
     @property
     def interval_samples(self) -> int:

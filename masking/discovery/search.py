@@ -29,6 +29,7 @@ from masking.discovery.screening import Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
+from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
@@ -256,7 +257,7 @@ class Search:
         found: list[Explanation] = []
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
-            found += self._noted(some, rival, made)
+            found += self._noted(some, self.problem.work, rival, made)
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
             found += unscreened.fits(self.problem, now, found, ground, noted)
@@ -267,7 +268,7 @@ class Search:
         least = now.hypothesis.cost - (1.0 - rules.gain_fraction) * (now.hypothesis.cost - rival)
         near = {e.names[-1] for e in found if e.hypothesis.cost < least}
         again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in repeated)]
-        found += self._noted(again, rival, made)
+        found += self._noted(again, self.problem.work, rival, made)
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]
         if not found:
@@ -300,8 +301,8 @@ class Search:
         best = min(found, key=lambda e: e.hypothesis.cost)
         if best.kind != "effects":
             return []
-        known, better, simpler = best.hypothesis, [], self._nested_in(best.names[-1])
-        for nested in (one for one in found if one.names[-1] in simpler):
+        known, better = best.hypothesis, []
+        for nested in (one for one in found if one.names[-1] in self._nested_in(best.names[-1])):
             instance = nesting.begun(nested.hypothesis.instances[-1], known.instances[-1])
             instances = (*known.instances[:-1], instance)
             if fitting.cost(self.problem, instances, known.theta, known.start) < nested.hypothesis.cost:
@@ -338,9 +339,9 @@ class Search:
         variants = [p for p in others if all(p is not one for one in chosen)]
         return chosen, variants
 
-    def _noted(self, jobs: Sequence[tuple[int, Job]], rival: float, made: Fits) -> list[Explanation]:
+    def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
         """Return what fits give where the motion is finite, and note them by their numbers."""
-        every = zip(jobs, fitted([job for _, job in jobs], rival), strict=True)
+        every = zip(jobs, fitted([job for _, job in jobs], rival, work), strict=True)
         found = {number: e for (number, _), e in every if e is not None}
         made.update({number: e for number, e in found.items() if number not in made or e.cost < made[number].cost})
         return [*found.values()]
@@ -371,7 +372,7 @@ class Search:
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, score) for score in chosen]
-            made = [e for e in fitted(jobs, best.hypothesis.cost) if e and self._is_possible(e)]
+            made = [e for e in fitted(jobs, best.hypothesis.cost, self.problem.work) if e and self._is_possible(e)]
             others = [e for e in made if self._is_better(ground.base, e, best, i)]
             if others:
                 tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
@@ -411,7 +412,7 @@ class Search:
                     starts = {tuple(one.values[j] for j in more): None for one in other.instances}
                     freed = replace(instance, free=other.free)
                     jobs += [partial(self._with_shape, now, i, freed.with_values(more, start)) for start in starts]
-        found = [one for one in fitted(jobs, now.hypothesis.cost) if one is not None]
+        found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
         if not found:
             return now
         best = min(found, key=lambda e: e.hypothesis.cost)
@@ -433,7 +434,7 @@ class Search:
         for i, key in enumerate(best.names):
             first = {one.key: one for one in reversed(ground.every) if one.key in self._nested_in(key)}
             jobs += [partial(self._as_simple, best, i, first[name]) for name in sorted({*first} - {*best.names})]
-        for fewer in fitted(jobs, best.hypothesis.cost):
+        for fewer in fitted(jobs, best.hypothesis.cost, self.problem.work):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
                 return self._reduced(fewer, ground)
         return best

@@ -227,6 +227,7 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> Un
         validation: the validation record.
         substeps: integration steps between samples of the model alone.
     """
+    found = replace(found, problem=replace(found.problem, work=found.problem.work.kept()))
     steps = min(found.problem.substeps, MOST_FINER * substeps)
     law = _law_of(found, validation, steps)
     if law is None or found.problem.work.ends():

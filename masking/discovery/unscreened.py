@@ -21,6 +21,7 @@ from masking.discovery.fitting import Hypothesis
 from masking.discovery.ground import Ground
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tempered_fits import approached
+from masking.discovery.work import Work
 from masking.errors import IntegrationError
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
@@ -28,6 +29,9 @@ LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in 
 FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place sticks, it slides faster than by its rms
 MUCH = 1e-3  # of what the model without a law leaves beyond noise
 WORSE = 10.0  # times what another law leaves: with two levels, friction may leave far less than with one
+SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
+PART = 0.5  # of what a search may simulate
+SHARE = 0.2  # of that, after which a law begins at no further start
 FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
 
 
@@ -36,7 +40,7 @@ def fits(
     now: Explanation,
     found: Sequence[Explanation],
     ground: Ground,
-    noted: Callable[[Sequence[tuple[int, Job]]], list[Explanation]],
+    noted: Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]],
 ) -> list[Explanation]:
     """Return fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
 
@@ -49,23 +53,27 @@ def fits(
     """
     if not _leaves_much(problem, now, found):
         return []
-    problem = problem.uncounted()  # few fits, beside those that a search may do
+    problem = problem.apart(PART)
     begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
     bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
     if ground.declared is None:
-        return noted(bounds)
+        return noted(bounds, problem.work)
     simple = [one for one in sticking if one.factors and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
     jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
     folding = [one for one in ground.every if any(exclusion.folds(problem, at) for at in one.instances)]
-    made = noted([*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding), *bounds])
+    made = noted(
+        [*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding), *bounds], problem.work
+    )
     best = min(made, key=lambda one: one.cost, default=now)
-    if not made or best.cost > WORSE * min(one.cost for one in (now, *found)) or not _leaves_much(problem, now, made):
+    least = min(WORSE * min(one.cost for one in (now, *found)), (1.0 - SHOWN) * now.cost)
+    if not made or best.cost > least or not _leaves_much(problem, now, made):
         return made
     (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
     others = [one for one in sticking if one.factors and one.at == at and one.effect != effect]
-    return made + noted([(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others])
+    jobs = [(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others]
+    return made + noted(jobs, problem.work)
 
 
 def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> bool:
@@ -87,20 +95,22 @@ def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
 
 def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
     """Return the best fit of a law from its best starts, from parameters and initial states of a hypothesis."""
-    step, ready = problem.dt / problem.substeps, starts
+    step, ready, own = problem.dt / problem.substeps, starts, problem.sharing(SHARE)
     if candidate.sticks:
         ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
 
     def cost(instance: EffectInstance) -> float:
-        return fitting.cost(problem, (instance,), begun.theta, begun.start)
+        return fitting.cost(own, (instance,), begun.theta, begun.start)
 
     def made(rival: float) -> Explanation:
         fits = list[Hypothesis]()
         for one in sorted(ready, key=cost)[:FITTED]:
+            if fits and own.work.is_done:
+                break
             least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
             with suppress(IntegrationError):
-                near = approached(problem, (one,), begun)
-                fits.append(fitting.fit(problem, near.instances, theta=near.theta, start=near.start, rival=least))
+                near = approached(own, (one,), begun)
+                fits.append(fitting.fit(own, near.instances, theta=near.theta, start=near.start, rival=least))
         if not fits:
             raise IntegrationError("the simulated motion is no longer finite")
         return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from threading import Lock
 
-MOST_STEPS = 6e8  # times states and columns: about 40 s on one core
-FEWEST_RUNS = 2000  # of a record, however long it is
+MOST_STEPS = 5e8  # times states and columns: about 60 s on one core
+FEWEST_RUNS = 500  # of a record, however long it is
+WHOLE = 1.5  # times what one search may do that all searches of an answer may do together
+LAST = 0.8  # of what one search may do, that is kept for a law without a name
 
 
 @dataclass
@@ -18,24 +20,39 @@ class Work:
 
     Args:
         most: steps, so weighted, after which a search begins nothing more.
+        whole: work that this is a part of; None where there is none.
         done: those that have been done.
         is_cut: whether a search has ended for that.
     """
 
     most: float
+    whole: Work | None = None
     done: float = 0.0
     is_cut: bool = False
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod
     def allowed(cls, samples: int, width: int) -> Work:
-        """Return the work that a search of a record may do.
+        """Return the work that a search of a record may do, the first one of an answer.
 
         Args:
             samples: of the record.
             width: states and columns of the rig alone.
         """
-        return cls(max(MOST_STEPS, float(FEWEST_RUNS * samples * width)))
+        most = max(MOST_STEPS, float(FEWEST_RUNS * samples * width))
+        return cls(most, cls(WHOLE * most))
+
+    def another(self, part: float = 1.0) -> Work:
+        """Return the work of another search of the answer, which may do a part of what this one may."""
+        return Work(part * self.most, self.whole)
+
+    def share(self, part: float) -> Work:
+        """Return the work of some of the fits of this search, which may do a part of what it may."""
+        return Work(part * self.most, self)
+
+    def kept(self) -> Work:
+        """Return work that is kept for the end of an answer, whatever its searches have done."""
+        return Work(LAST * self.most)
 
     def add(self, steps: int, width: int) -> None:
         """Add a simulation, from any thread.
@@ -46,8 +63,18 @@ class Work:
         """
         with self._lock:
             self.done += steps * width
+        if self.whole is not None:
+            self.whole.add(steps, width)
+
+    @property
+    def is_done(self) -> bool:
+        """Return whether this alone is done, whatever others do that run beside it."""
+        return self.done > self.most
 
     def ends(self) -> bool:
-        """Return whether a search is to begin nothing more; that it was so is noted."""
-        self.is_cut = self.is_cut or self.done > self.most
+        """Return whether a search is to begin nothing more; that it was so is noted.
+
+        It is asked where no other fit runs, so that the answer is the same each time.
+        """
+        self.is_cut = self.is_cut or self.is_done or (self.whole is not None and self.whole.ends())
         return self.is_cut
