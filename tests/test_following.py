@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from masking.discovery import latent_force
+from masking.discovery import latent_force, laws
 from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.rig.twin import Twin
 
@@ -45,6 +45,17 @@ def dahl(x, length):
     for i, step in enumerate(np.diff(x)):
         z[i + 1] = np.sign(step) + (z[i] - np.sign(step)) * np.exp(-abs(step) / length)
     return FORCE * z
+
+
+@pytest.mark.parametrize("samples", [20, 40, 80, 160])
+def test_a_force_is_followed_as_well_where_a_turn_has_more_samples(rig, samples):
+    turns = np.pi * np.arange(10 * samples + 1) / samples
+    x, rate = 5e-4 * (1.0 - np.cos(turns)), 5e-4 * np.pi / samples * RATE * np.sin(turns)
+    assert 1 <= laws.pieces(x, rate, 1.0 / RATE) <= laws.MOST_PIECES
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, 100 * LENGTH), ())
+    force = rig.along(instance, x, rate, 1.0 / RATE)[:, 0]
+    slides = np.abs(np.sin(turns)) > 1e-6
+    assert np.abs(force - dahl(x, 100 * LENGTH))[slides].max() < 0.01 * FORCE
 
 
 @pytest.mark.parametrize("length", [LENGTH, 100 * LENGTH])

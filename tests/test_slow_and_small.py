@@ -3,11 +3,14 @@
 Records are the exact response of one mass to held commands, by the matrix exponential of scipy.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy import signal
 
 import masking
+from masking.discovery.explanation import AT_ONCE, fitted
 from masking.discovery.work import FEWEST_RUNS, MOST_STEPS, Work
 from masking.estimation.data import Data
 
@@ -89,4 +92,34 @@ def test_work_is_counted_in_steps():
     assert not work.ends()
     work.add(int(work.most), 1)
     assert work.ends()
+    assert work.is_cut
+
+
+def test_searches_of_one_answer_share_what_it_may_do():
+    first = Work.allowed(1000, 4)
+    second, kept = first.another(), first.kept()
+    part = second.share(0.1)
+    part.add(int(0.2 * part.most), 1)
+    assert not part.is_done
+    part.add(int(first.most), 1)  # counts in the search that it is a part of, and in the answer
+    assert part.is_done
+    assert second.ends()
+    assert not first.ends()
+    first.add(int(0.6 * first.most), 1)
+    assert first.ends()  # both together did more than an answer may
+    assert not kept.ends()
+
+
+def test_fits_of_which_the_first_take_all_the_work_end_there():
+    work = Work(100.0)
+    made = []
+
+    def job(number, rival):
+        made.append(number)
+        work.add(30, 1)
+        return number
+
+    found = fitted([partial(job, i) for i in range(11)], 0.0, work)
+    assert sorted(made) == [*range(AT_ONCE)]
+    assert found == [*range(AT_ONCE), *[None] * (11 - AT_ONCE)]
     assert work.is_cut

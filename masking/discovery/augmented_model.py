@@ -478,15 +478,15 @@ class AugmentedModel:
             dt: time between samples, s.
             by: indices of these parameters.
         """
-        values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
-        x, rate, has_state = np.ascontiguousarray(x), np.ascontiguousarray(rate), bool(instance.entry.states)
+        values, span = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)]), (len(x), dt, laws.pieces(x, rate, dt))
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
+        x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
         parts = [(self._number(instance), 1.0)]
         if instance.entry.attaches != "beside":
             parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
         total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
         for number, factor in parts:
-            self.kernels.along(len(x), dt, number, has_state, x, rate, parameters, values, features)
+            self.kernels.along(*span, number, bool(instance.entry.states), x, rate, parameters, values, features)
             total += factor * features
         return total
 

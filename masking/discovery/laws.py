@@ -8,6 +8,7 @@ parameters. They do not know any model, so that an effect is put anywhere in one
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from masking.codegen.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
 from masking.declaration.expression import Expression
 from masking.effects import Effect
+from masking.numerics.arrays import Array
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -43,6 +45,22 @@ _FACTOR = {"a": effects.EffectParameter("F", "factor")}
 _EVEN = {"x0": effects.EffectParameter("D", "middle"), "w": effects.EffectParameter("D", "width")}
 _ALONG = {"v0": effects.EffectParameter("D/s", "middle"), "wv": effects.EffectParameter("D/s", "width")}
 _TURN = {"vs": effects.EffectParameter("D/s", "rate at which a sign has 76 % of its size")}
+
+
+MOST_PIECES = 4  # of a sample, in which the state of a law is integrated along a motion
+FINE = 16.0  # pieces in the time in which a motion turns by one radian: its forces are then right to 1 %
+
+
+def pieces(x: Array, rate: Array, dt: float) -> int:
+    """Return the pieces of a sample in which the state of a law is integrated along a motion.
+
+    Args:
+        x: displacement (m,).
+        rate: of it (m,); 0 where none is known, as of a command.
+        dt: time between samples, s.
+    """
+    radians = dt * float(np.linalg.norm(rate)) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
+    return math.ceil(np.clip(FINE * radians, 1.0, MOST_PIECES)) if rate.any() else MOST_PIECES
 
 
 def _spline(x: str) -> str:

@@ -422,8 +422,7 @@ class Search:
     def _with_shape(self, now: Explanation, i: int, instance: EffectInstance, rival: float) -> Explanation:
         """Return a fit with other parameters of one effect estimated."""
         known = now.hypothesis.instances
-        found = self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival)
-        return replace(now, hypothesis=found)
+        return replace(now, hypothesis=self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival))
 
     def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
         """Leave out each cause in turn, or put a simpler one in its place: if that does as well, it stays so."""

@@ -21,7 +21,6 @@ Kernel = Callable[..., Any]
 
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
-PIECES = 4  # of a sample, in which the state of an effect is integrated
 
 
 def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
@@ -97,17 +96,18 @@ def law_along(law: Kernel) -> Kernel:
     Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
     Returns:
-        `follow(count, dt, number, has_state, x, rate, parameters, values, features, work)`, which writes `features`
-        (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
+        `follow(count, dt, pieces, number, has_state, x, rate, parameters, values, features, work)`, which writes
+        `features` (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,). A
+        state is integrated in `pieces` of a sample.
     """
 
     @compiled
     def follow(
-        count: int, dt: float, number: int, has_state: int, x: Vector, rate: Vector, parameters: IntVector,
-        values: Vector, features: Matrix, work: Matrix,
+        count: int, dt: float, pieces: int, number: int, has_state: int, x: Vector, rate: Vector,
+        parameters: IntVector, values: Vector, features: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
         rows, later, dz = work[:2], work[2:4], work[4]
-        many, h, z = features.shape[1], dt / PIECES, NEARLY_ZERO
+        many, h, z = features.shape[1], dt / pieces, NEARLY_ZERO
         dz[:] = 0.0
         for index in range(count):
             t = index * dt
@@ -116,8 +116,8 @@ def law_along(law: Kernel) -> Kernel:
             for j in range(1, many):
                 features[index, j] = rows[0, BY_STATE] * dz[j] + rows[0, BY_PARAMETER + parameters[j - 1]]
             if has_state and index < count - 1:
-                for piece in range(PIECES):
-                    share = (piece + 0.5) / PIECES
+                for piece in range(pieces):
+                    share = (piece + 0.5) / pieces
                     px = x[index] + share * (x[index + 1] - x[index])
                     pr = rate[index] + share * (rate[index + 1] - rate[index])
                     law(number, t + share * dt, px, pr, z, values, later)
