@@ -97,7 +97,7 @@ def test_work_is_counted_in_steps():
 
 def test_searches_of_one_answer_share_what_it_may_do():
     first = Work.allowed(1000, 4)
-    second, kept = first.another(), first.kept()
+    second, kept = first.another(), first.kept(0.5)
     part = second.share(0.1)
     part.add(int(0.2 * part.most), 1)
     assert not part.is_done

@@ -12,6 +12,8 @@ from masking.discovery.discovery import Discovery
 from masking.discovery.search import Tell
 from masking.discovery.unnamed import evidence, law_of
 
+OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
+
 
 def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Return a discovery with the probability that no name is right, and with the law without a name where it is not.
@@ -27,7 +29,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """
     floor = found.simulation_error.validation_noise_floor
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps)
+        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps, OPEN)
         none = 0.0 if law is None else 1.0 if law.reaches(floor) else calibration.REFUSED
         return replace(found, law=law, none_of_these=none)
     law, left, better = None, _left(found), -np.inf
@@ -37,7 +39,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
-        law = law_of(found, found.validation, substeps)
+        law = law_of(found, found.validation, substeps, OPEN if is_open else NAMED)
     refused, above = found.verdict == "unknown", not found.is_at_noise_floor
     explained = not above if law is None else law.reaches(floor)
     if law is not None:

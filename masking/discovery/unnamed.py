@@ -219,15 +219,16 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
 
 
-def law_of(found: Explained, validation: EstimationProblem, substeps: int) -> UnnamedLaw | None:
+def law_of(found: Explained, validation: EstimationProblem, substeps: int, part: float) -> UnnamedLaw | None:
     """Return the law of a record without a name; None where none makes the simulation of unseen data better.
 
     Args:
         found: the record with its explanation.
         validation: the validation record.
         substeps: integration steps between samples of the model alone.
+        part: of what a search may simulate, after which nothing more is fitted.
     """
-    found = replace(found, problem=replace(found.problem, work=found.problem.work.kept()))
+    found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
     steps = min(found.problem.substeps, MOST_FINER * substeps)
     law = _law_of(found, validation, steps)
     if law is None or found.problem.work.ends():

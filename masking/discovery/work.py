@@ -8,7 +8,6 @@ from threading import Lock
 MOST_STEPS = 5e8  # times states and columns: about 60 s on one core
 FEWEST_RUNS = 500  # of a record, however long it is
 WHOLE = 1.5  # times what one search may do that all searches of an answer may do together
-LAST = 0.8  # of what one search may do, that is kept for a law without a name
 
 
 @dataclass
@@ -50,9 +49,9 @@ class Work:
         """Return the work of some of the fits of this search, which may do a part of what it may."""
         return Work(part * self.most, self)
 
-    def kept(self) -> Work:
-        """Return work that is kept for the end of an answer, whatever its searches have done."""
-        return Work(LAST * self.most)
+    def kept(self, part: float) -> Work:
+        """Return work that is kept for the end of an answer, whatever its searches have done: a part of one's."""
+        return Work(part * self.most)
 
     def add(self, steps: int, width: int) -> None:
         """Add a simulation, from any thread.
