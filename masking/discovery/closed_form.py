@@ -9,6 +9,7 @@ Source: as `fitting`; Golub and Pereyra (1973), SIAM J. Numer. Anal. 10(2), 413-
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -361,16 +362,20 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
     best: ClosedForm | None = None
     both = float(np.log(problem.record.readings.size + validation.record.readings.size))
     every = forms(law, problem.record.readings.size)
+
+    def made(form: Form) -> ClosedForm | None:
+        every_one = (*others, instance(form, law))
+        with suppress(IntegrationError):
+            found = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start)
+            checked = fitting.validated(knowing(validation, every_one), found)
+            cost = found.cost + float(checked.squares @ validation.weights)
+            return ClosedForm(form, found, checked, cost + both * form.size + evidence * len(form.atoms))
+        return None
+
     for many, fits in FITS.items():
-        for form in [one for one in every if len(one.atoms) == many][:fits]:
-            one = instance(form, law)
-            every_one = (*others, one)
-            with suppress(IntegrationError):
-                made = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start)
-                checked = fitting.validated(knowing(validation, every_one), made)
-                score = made.cost + float(checked.squares @ validation.weights) + both * form.size + evidence * many
-                if best is None or score < best.score:
-                    best = ClosedForm(form, made, checked, score)
+        with ThreadPoolExecutor(2) as pool:
+            found = [*pool.map(made, [one for one in every if len(one.atoms) == many][:fits])]
+        best = min((one for one in (best, *found) if one is not None), key=lambda one: one.score, default=None)
         if best is not None and (problem.work.ends() or best.hypothesis.cost < known.cost + evidence):
             break
     return best
