@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import signal
 
 import masking
 
@@ -121,3 +122,32 @@ def test_parameters_keep_their_signs_and_bounds(discovered):
     """Readings in mm are a thousand times too large: no mass, damper or spring becomes negative for them."""
     found = discovered(lambda x, v: 5e4 * x**3, scale=1e3)
     assert (found.explanation.hypothesis.theta > 0.0).all()
+
+
+DAMPER = """name: damper
+coordinates: {x: {unit: m}}
+inputs: {u: {unit: N}}
+parameters: {m: {value: 0.3, unit: kg}, k: {value: 900, unit: N/m}, c: {value: 1.5, unit: N*s/m}}
+equations: {"m*x''": u}
+elements: {strut: {displacement: x, unit: N, force: k*d + c*d_rate, acts: {x: -1}}}
+"""
+
+
+def test_a_law_that_takes_the_element_away_is_that_law_instead_of_it(tmp_path):
+    """The spring and damper that are declared are a Maxwell element, 1.5 times as stiff: nothing holds the mass."""
+    mass, stiffness, tau, rate = 0.3, 1350.0, 0.03, 400.0
+    rng = np.random.default_rng(12)
+    command = signal.sosfilt(signal.butter(2, 15.0, fs=rate, output="sos"), rng.standard_normal(4000))
+    rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -stiffness / mass], [0.0, 1.0, -1.0 / tau]])
+    push = np.array([[0.0], [1.0 / mass], [0.0]])
+    system = signal.cont2discrete((rates, push, np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 1))), 1.0 / rate)
+    _, moved, _ = signal.dlsim(system, command)
+    reading = moved[:, 0] + 1e-3 * moved.std() * rng.standard_normal(len(moved))
+    np.savez(tmp_path / "record.npz", t=np.arange(len(command)) / rate, u=command, x=reading)
+    (tmp_path / "model.yaml").write_text(DAMPER)
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml", out=tmp_path / "out")
+    assert found.verdict == "named"
+    assert [(cause.name, cause.on) for cause in found.effects] == [("maxwell_element", "strut")]
+    values = found.effects[0].parameters
+    assert values["k"][0] == pytest.approx(stiffness, rel=0.01)
+    assert values["tau"][0] == pytest.approx(tau, rel=0.01)

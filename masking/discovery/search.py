@@ -425,29 +425,21 @@ class Search:
         return replace(now, hypothesis=self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival))
 
     def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
-        """Leave out each cause in turn, or put a simpler one in its place: if that does as well, it stays so."""
+        """Return a simpler explanation that does as well as one of several causes, or that one where there is none."""
         if len(best.names) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
-        jobs = [partial(self._less, best, i) for i in reversed(range(len(best.names)))]
-        for i, key in enumerate(best.names):
-            first = {one.key: one for one in reversed(ground.every) if one.key in self._nested_in(key)}
-            jobs += [partial(self._as_simple, best, i, first[name]) for name in sorted({*first} - {*best.names})]
+        simpler = nesting.simpler(best, ground.every, self._in_steps)
+        jobs = [partial(self._refitted, best, names, instances) for names, instances in simpler]
         for fewer in fitted(jobs, best.hypothesis.cost, self.problem.work):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
                 return self._reduced(fewer, ground)
         return best
 
-    def _as_simple(self, best: Explanation, i: int, candidate: Candidate, rival: float) -> Explanation:
-        """Return a fit with a simpler effect in the place of one, from the values of that."""
-        names, others = best.without(i)
-        simple = self._in_steps(nesting.begun(candidate.instances[0], best.hypothesis.instances[i]), candidate)
-        found = self._fit((simple, *others), best.hypothesis, rival)
-        return Explanation("effects", (candidate.key, *names), found, best.unique)
-
-    def _less(self, best: Explanation, i: int, rival: float) -> Explanation:
-        """Return a fit without one cause."""
-        names, instances = best.without(i)
+    def _refitted(
+        self, best: Explanation, names: tuple[Key, ...], instances: tuple[EffectInstance, ...], rival: float
+    ) -> Explanation:
+        """Return a fit of effects from the parameters of an explanation."""
         return Explanation("effects", names, self._fit(instances, best.hypothesis, rival), best.unique)
 
     def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
