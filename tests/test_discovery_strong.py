@@ -10,6 +10,7 @@ import pytest
 from scipy import signal
 
 import masking
+from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
 NOISE = 1e-5  # m
@@ -133,21 +134,38 @@ elements: {strut: {displacement: x, unit: N, force: k*d + c*d_rate, acts: {x: -1
 """
 
 
-def test_a_law_that_takes_the_element_away_is_that_law_instead_of_it(tmp_path):
-    """The spring and damper that are declared are a Maxwell element, 1.5 times as stiff: nothing holds the mass."""
-    mass, stiffness, tau, rate = 0.3, 1350.0, 0.03, 400.0
-    rng = np.random.default_rng(12)
+def shaken(folder, rates, seed):
+    """Return what is found in 10 s of a linear system (s, s) whose second state is the rate of the mass of 0.3 kg."""
+    rng, rate, n = np.random.default_rng(seed), 400.0, len(rates)
     command = signal.sosfilt(signal.butter(2, 15.0, fs=rate, output="sos"), rng.standard_normal(4000))
-    rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -stiffness / mass], [0.0, 1.0, -1.0 / tau]])
-    push = np.array([[0.0], [1.0 / mass], [0.0]])
-    system = signal.cont2discrete((rates, push, np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 1))), 1.0 / rate)
+    push = np.eye(n)[:, 1:2] / 0.3
+    system = signal.cont2discrete((np.array(rates), push, np.eye(n)[:1], np.zeros((1, 1))), 1.0 / rate)
     _, moved, _ = signal.dlsim(system, command)
     reading = moved[:, 0] + 1e-3 * moved.std() * rng.standard_normal(len(moved))
-    np.savez(tmp_path / "record.npz", t=np.arange(len(command)) / rate, u=command, x=reading)
-    (tmp_path / "model.yaml").write_text(DAMPER)
-    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml", out=tmp_path / "out")
+    np.savez(folder / "record.npz", t=np.arange(len(command)) / rate, u=command, x=reading)
+    (folder / "model.yaml").write_text(DAMPER)
+    return masking.discover(folder / "record.npz", model=folder / "model.yaml", out=folder / "out")
+
+
+def test_a_law_that_takes_the_element_away_is_that_law_instead_of_it(tmp_path):
+    """The spring and damper that are declared are a Maxwell element, 1.5 times as stiff: nothing holds the mass."""
+    stiffness, tau = 1350.0, 0.03
+    found = shaken(tmp_path, [[0.0, 1.0, 0.0], [0.0, 0.0, -stiffness / 0.3], [0.0, 1.0, -1.0 / tau]], seed=12)
     assert found.verdict == "named"
     assert [(cause.name, cause.on) for cause in found.effects] == [("maxwell_element", "strut")]
     values = found.effects[0].parameters
     assert values["k"][0] == pytest.approx(stiffness, rel=0.01)
     assert values["tau"][0] == pytest.approx(tau, rel=0.01)
+
+
+def test_several_parameters_that_are_far_off_are_named_together(tmp_path):
+    """Stiffness and damping are half and a third larger than declared: no other cause is needed."""
+    stiffness, damping = 1350.0, 2.0
+    found = shaken(tmp_path, [[0.0, 1.0], [-stiffness / 0.3, -damping / 0.3]], seed=13)
+    assert found.verdict == "parameter"
+    assert {cause.name for cause in found.effects} == {"k", "c"}
+    values = {cause.name: cause.parameters[cause.name][0] for cause in found.effects}
+    assert values == {"k": pytest.approx(stiffness, rel=1e-3), "c": pytest.approx(damping, rel=0.01)}
+    assert "50 % more than declared" in discovery_text.sentence(found)
+    again = masking.simulate(tmp_path / "out" / "plant.yaml", tmp_path / "record.npz")
+    assert again.chi["x"] == pytest.approx(1e-3, rel=0.05)

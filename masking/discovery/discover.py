@@ -421,7 +421,7 @@ def _scored(rivals: Sequence[Explanation], problem: EstimationProblem, tempering
 def _one_scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
     """Return an explanation as plain data, with its score and the estimates of its last cause."""
     rig, estimates = problem.rig, _estimates(problem.rig, explanation, tempering)
-    usual = rig.start[rig.names.index(explanation.names[0][0])] if explanation.kind == "parameter" else 0.0
+    usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
     return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
 
@@ -448,9 +448,8 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
     """Return the estimated parameters of each cause: values and standard deviations by name."""
     hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
     if explanation.kind == "parameter":
-        ((name, _),) = explanation.names
-        i = rig.names.index(name)
-        return [{name: (float(hypothesis.theta[i]), float(deviations[i]))}]
+        indices = {name: rig.names.index(name) for name, _ in explanation.names}
+        return [{name: (float(hypothesis.theta[i]), float(deviations[i]))} for name, i in indices.items()]
     parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.start) :]), strict=True)
     return [
         {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}

@@ -31,7 +31,7 @@ class Explanation:
 
     Args:
         kind: `none`, `parameter` or `effects`.
-        names: (parameter, '') or (effect, place) of each.
+        names: (parameter, '') or (effect, place) of each cause.
         hypothesis: fitted.
         unique: unique fraction, the least part of an effect that parameters could not have.
         joint: the hypothesis fitted to both records, if it has been validated on another.
@@ -49,11 +49,11 @@ class Explanation:
         return self.hypothesis.cost
 
     def with_prior(self, problem: EstimationProblem) -> EstimationProblem:
-        """Return the problem with the parameter of this explanation free, if it is one."""
-        if self.kind != "parameter":
-            return problem
-        index = problem.rig.names.index(self.names[0][0])
-        return replace(problem, prior=problem.prior.freed(index, problem.rules.freed_factor))
+        """Return the problem with the parameters of this explanation free, if it is one of these."""
+        prior = problem.prior
+        for name, _ in self.names if self.kind == "parameter" else ():
+            prior = prior.freed(problem.rig.names.index(name), problem.rules.freed_factor)
+        return replace(problem, prior=prior)
 
     def without(self, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
         """Return its names and effects without one of its causes."""
@@ -61,9 +61,13 @@ class Explanation:
         return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
     def score(self, tempering: float) -> float:
-        """Return its cost over a tempering factor, with the Occam factor of its parameters."""
-        fitted = self.joint or self.hypothesis
-        return fitted.cost / tempering + occam(fitted, tempering)
+        """Return its cost over a tempering factor, with the Occam factor of its parameters.
+
+        Of parameters of the model, each beyond the first has Schwarz's penalty.
+        """
+        fitted, further = self.joint or self.hypothesis, (len(self.names) - 1) * (self.kind == "parameter")
+        penalty = further * float(np.log(self.hypothesis.residuals.size))
+        return fitted.cost / tempering + occam(fitted, tempering) + penalty
 
     def deviations(self, tempering: float) -> Array:
         """Return the standard deviations of its parameters (k + f,), larger where more than white noise is left."""

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from masking.discovery import fitting, nesting, shooting, unscreened, verdict
+from masking.discovery import fitting, freed, nesting, shooting, unscreened, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate, candidates
 from masking.discovery.composites import are_composite
@@ -164,7 +164,7 @@ class Search:
             needed = self._steps_of(base, found[0])
             if needed > self.problem.substeps or (not steps and self.ends(self.problem, found)):
                 return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
-            if len(now.names) > 1 and now is not settled:
+            if len(now.hypothesis.instances) > 1 and now is not settled:
                 # The first effects may only resemble the true ones: they were compared while the others were missing.
                 now, before = self._settled(now, ground), now
                 settled = now
@@ -181,7 +181,7 @@ class Search:
             steps.append(tuple(found) if now is found[0] else (now,))
             if now.kind == "parameter":
                 break
-        if len(now.names) > 1 and now is steps[-1][0] and now is not settled:
+        if len(now.hypothesis.instances) > 1 and now is steps[-1][0] and now is not settled:
             settled = self._settled(now, ground)
             steps[-1] = steps[-1] if settled is now else (settled,)
         return SearchResult(base, tuple(steps), motion, tried, self.problem, passed_over)
@@ -261,6 +261,7 @@ class Search:
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
             found += unscreened.fits(self.problem, now, found, ground, noted)
+            found += freed.several(self.problem, now, found)
         if not found:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
@@ -426,7 +427,7 @@ class Search:
 
     def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
         """Return a simpler explanation that does as well as one of several causes, or that one where there is none."""
-        if len(best.names) < 2:
+        if len(best.hypothesis.instances) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
         simpler = nesting.simpler(best, ground.every, self._in_steps)

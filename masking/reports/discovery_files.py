@@ -25,6 +25,7 @@ from masking.modelling.model import Model
 from masking.records.json_text import json_text
 from masking.reports import discovery_text, html, model_files
 from masking.reports.style import CaptionedFigure
+from masking.reports.text import listed
 from masking.rig.twin import Twin
 
 STD_DIGITS = 3  # of standard deviations
@@ -206,8 +207,7 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
             # Commands pass what was found first; readings pass it last.
             values = dict(zip(instance.entry.parameters, instance.values, strict=True))
             add(first if instance.where == "actuator" else last, instance.effect, instance.at, values)
-    beside = len(found.explanation.hypothesis.instances) or found.explanation.kind == "parameter"
-    for cause in found.effects[beside:]:
+    for cause in found.effects[len(found.explanation.names) :]:
         add(last, cause.name, cause.on, {n: value for n, (value, _) in cause.parameters.items()})
     heading = {
         "name": f"{twin.declaration.name} with {_causes(found)}",
@@ -300,7 +300,7 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
 
 def _causes(found: Discovery) -> str:
     if found.law is None and found.explanation.kind == "parameter":
-        return f"another {found.effects[0].name}"
+        return f"another {listed([name for name, _ in found.explanation.names])}"
     return " and ".join(text for _, text in written(found))
 
 

@@ -39,7 +39,9 @@ def sentence(found: Discovery) -> str:
         first = f"Nothing is missing: with the parameters adjusted within their prior uncertainty, {left(found)}"
         sentences = [first, moved(found)]
     elif found.verdict == "parameter":
-        first = f"No effect is missing, but a parameter is off: {cause(found, found.effects[-1])}"
+        off = [cause(found, one) for one in found.effects[: len(found.explanation.names)]]
+        what = "a parameter is" if len(off) == 1 else "parameters are"
+        first = f"No effect is missing, but {what} off: {listed(off, '; ')}"
         sentences = [first, gap(found), moved(found)]
     elif found.verdict == "unknown":
         known = [cause(found, one) for one in offered(found)]
