@@ -10,6 +10,7 @@ from scipy import integrate, stats
 
 from masking import cli, load_sweep, merge_sweeps, sweep
 from masking.errors import DeclarationError, RecordError
+from masking.reports.sweep_figures import figures
 from masking.runs.design import Design
 from masking.runs.experiment import Experiment
 from masking.workflows import sweep_work
@@ -190,6 +191,25 @@ def test_the_way_down_begins_where_the_way_up_ended(tmp_path):
     largest = np.array([y[0].max() for y in motions])
     np.testing.assert_allclose([row.max() for row in found["maxima.x"]], largest, rtol=5e-3)
     assert largest[6:8].min() > 5.0 * run(path[-1], np.zeros(3))[0].max()
+
+
+def test_pictures_name_words_units_and_shares():
+    columns = {
+        "run": np.arange(6), "m": np.repeat([1.0, 2.0, 3.0], 2), "end": ["rest", "other"] * 2 + ["other"] * 2,
+        "tau_s": np.array([3.0, 3.0, 4.0, 4.0, 5.0, 5.0]), "alpha": 1.0 + 1e-7 * np.arange(6),
+    }  # fmt: skip
+    over = [{"name": "m", "grid": [1.0, 2.0, 3.0], "factor": False, "unit": "kg"}]
+    shares, curve, flat = figures({"over": over, "measures": ["end", "tau_s", "alpha"]}, columns)
+    axes = shares.figure.axes[0]
+    assert axes.get_xlabel() == "$m$ (kg)"
+    assert axes.get_xlim() == (0.5, 3.5)
+    heights = [max(path.vertices[:, 1]) for path in axes.collections[0].get_paths()]
+    assert heights == [0.5]  # at rest, of the first and the second value
+    assert curve.figure.axes[0].get_ylabel() == "τ$_s$ (units of time)"
+    low, high = flat.figure.axes[0].get_ylim()
+    assert high - low >= 1e-3  # nothing that a reader would take for a change
+    words, *_ = figures({"over": [], "measures": ["end"]}, columns)
+    assert [text.get_text() for text in words.figure.axes[0].get_yticklabels()] == ["rest", "other"]
 
 
 def test_the_command_says_what_happened_and_refuses_what_cannot_be(tmp_path, capsys):

@@ -30,6 +30,7 @@ from tests.benchmarks import (
     exported,
     hidden,
     loop,
+    many,
     masking_error_table,
     official,
     rules,
@@ -193,6 +194,12 @@ def wishes_table() -> str:
 def exported_table() -> str:
     """Return the table of every packaged experiment exported."""
     return "\n".join(exported.rows())
+
+
+@slow_value
+def many_table(system: str) -> str:
+    """Return the table of a system of 2 to 200 coordinates: the `chain` or the `beam`."""
+    return many.table(system)
 
 
 # Identification.
