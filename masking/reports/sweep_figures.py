@@ -27,6 +27,7 @@ _KINDS: Final = {
 }  # fmt: skip
 _QUANTILES: Final = (0.1, 0.5, 0.9)
 _BINS: Final = 40
+_ROOM: Final = 0.19  # of the width of a figure, for words beside bars
 _SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
@@ -136,6 +137,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     else:
         parts.ticks(axes)
         axes.set_ylim(*_range(np.concatenate([low, high])))
+        axes.ticklabel_format(axis="y", useOffset=False)
     axes.set(xlabel=labels[over], ylabel=_measure(name))
     _over(axes.xaxis, values)
     caption = f"{capital(_words(name))}, over {over}"
@@ -239,10 +241,13 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
         return style.absent(file, title, "no run has a value")
     figure, (axes,) = style.sheet([0.5 + 0.3 * len(counts)], top=BARE)
     kinds, total = [*counts], sum(counts.values())
-    shares = [counts[kind] / total for kind in kinds]
-    axes.barh(range(len(kinds)), shares, color=[_KINDS.get(kind, MUTED) for kind in kinds])
+    shares, box = [counts[kind] / total for kind in kinds], axes.get_position()
+    axes.set_position((_ROOM, box.y0, box.x1 - _ROOM, box.height))
+    axes.barh(range(len(kinds)), shares, height=0.66, color=[_KINDS.get(kind, MUTED) for kind in kinds])
     axes.set_yticks(range(len(kinds)), kinds)
-    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0))
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
     return CaptionedFigure(file, title, f"{capital(_words(name))}: the part of the runs.", figure)
 
 
