@@ -189,7 +189,7 @@ class _Repetition:
         return replace(node, path=path, value=value, text=text, pieces=())
 
     def count(self, node: Node, characters: int = 0) -> None:
-        """Count one more thing of so many characters that is made.
+        """Count one more thing that is made, and its characters.
 
         Raises:
             DeclarationError: the file makes too much.
