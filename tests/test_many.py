@@ -95,6 +95,17 @@ def test_what_is_wrong_with_an_index_is_said_with_its_place(tmp_path, old, new, 
     assert re.match(re.escape(str(path)) + r":\d+:\d+: ", str(problem))
 
 
+@pytest.mark.parametrize(("name", "part"), [("pendula_beam", "lagrangian"), ("duffing_chain", "energy")])
+def test_the_size_of_what_is_made_is_counted_in_operations(name, part):
+    """Two hundred coordinates make a text that nobody would write; a thousand are refused with the place of the sum."""
+    made = getattr(load_model(MANY / f"{name}.yaml", {"N": 200}).declaration, part)
+    assert len(made.text) > 10_000 > len(made.steps)
+    with pytest.raises(
+        DeclarationError, match=rf"{name}\.yaml:\d+:\d+: {part}: .* operations and operands, more than 10000"
+    ):
+        load_model(MANY / f"{name}.yaml", {"N": 1000})
+
+
 def interpreted(kernels, name):
     """Return a function of a generated module ; its machine code is straight-line."""
     return getattr(kernels, name)

@@ -6,10 +6,11 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 
 from masking import cli, load_sweep, merge_sweeps, sweep
 from masking.errors import DeclarationError, RecordError
+from masking.reports.sweep_figures import figures
 from masking.runs.design import Design
 from masking.runs.experiment import Experiment
 from masking.workflows import sweep_work
@@ -151,6 +152,64 @@ def test_a_branch_is_followed_up_and_down(tmp_path):
         roots = np.roots([0.5625, 1.5 * (1.0 - 2.25), (1.0 - 2.25) ** 2 + 0.0225, -(f**2)])
         amplitudes = np.sqrt(roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)].real)
         assert np.abs(amplitudes / a - 1.0).min() < 0.1
+
+
+def test_the_way_down_begins_where_the_way_up_ended(tmp_path):
+    """The frequency of a force is swept up and down: one path, as scipy follows it, that stays on the upper branch.
+
+    From rest, the oscillator ends on the lower branch at the frequency at which the path turns.
+    """
+    (tmp_path / "swept.yaml").write_text(
+        "name: a swept sine\ncoordinates: {x: {meaning: displacement, initial: 0}}\n"
+        "states: {phase: {meaning: phase of the force, initial: 0}}\n"
+        "parameters: {w: {value: 1, meaning: frequency of the force}}\n"
+        "equations: {\"x''\": -0.1*x' - x - x**3 + 0.3*cos(phase), \"phase'\": w}\n"
+    )
+    (tmp_path / "swept_cart.yaml").write_text(
+        "name: a swept sine on a cart\nplant: cart\nvirtual: swept.yaml\ntransform: {matrix: [[1]]}\n"
+        "controller: {rate: continuous}\nduration: 70\n"
+    )
+
+    def last(recording):
+        return float(recording["virtual.x"][-1])
+
+    def run(w, start):
+        def rate(_, y):
+            return [y[1], -0.1 * y[1] - y[0] - y[0] ** 3 + 0.3 * np.cos(y[2]), w]
+
+        times = np.linspace(35.0, 70.0, 3501)
+        return integrate.solve_ivp(rate, (0.0, 70.0), start, "DOP853", times, rtol=1e-11, atol=1e-12).y
+
+    given = {"over": {"w": "1.1:1.7:7"}, "virtual": True, "continuation": True, "workers": 1}
+    found = sweep(tmp_path / "swept_cart.yaml", **given, measure=["maxima.x", last], out=tmp_path / "a")
+    path = np.linspace(1.1, 1.7, 7)
+    motions = [run(path[0], np.zeros(3))]
+    for w in [*path[1:], *path[::-1]]:
+        motions.append(run(w, motions[-1][:, -1]))
+    np.testing.assert_allclose(found["w"], [*path, *path[::-1]], rtol=1e-12)
+    np.testing.assert_allclose(found["last"], [y[0, -1] for y in motions], atol=1e-5)
+    largest = np.array([y[0].max() for y in motions])
+    np.testing.assert_allclose([row.max() for row in found["maxima.x"]], largest, rtol=5e-3)
+    assert largest[6:8].min() > 5.0 * run(path[-1], np.zeros(3))[0].max()
+
+
+def test_pictures_name_words_units_and_shares():
+    columns = {
+        "run": np.arange(6), "m": np.repeat([1.0, 2.0, 3.0], 2), "end": ["rest", "other"] * 2 + ["other"] * 2,
+        "tau_s": np.array([3.0, 3.0, 4.0, 4.0, 5.0, 5.0]), "alpha": 1.0 + 1e-7 * np.arange(6),
+    }  # fmt: skip
+    over = [{"name": "m", "grid": [1.0, 2.0, 3.0], "factor": False, "unit": "kg"}]
+    shares, curve, flat = figures({"over": over, "measures": ["end", "tau_s", "alpha"]}, columns)
+    axes = shares.figure.axes[0]
+    assert axes.get_xlabel() == "$m$ (kg)"
+    assert axes.get_xlim() == (0.5, 3.5)
+    heights = [max(path.vertices[:, 1]) for path in axes.collections[0].get_paths()]
+    assert heights == [0.5]  # at rest, of the first and the second value
+    assert curve.figure.axes[0].get_ylabel() == "τ$_s$ (units of time)"
+    low, high = flat.figure.axes[0].get_ylim()
+    assert high - low >= 1e-3  # nothing that a reader would take for a change
+    words, *_ = figures({"over": [], "measures": ["end"]}, columns)
+    assert [text.get_text() for text in words.figure.axes[0].get_yticklabels()] == ["rest", "other"]
 
 
 def test_the_command_says_what_happened_and_refuses_what_cannot_be(tmp_path, capsys):

@@ -11,6 +11,7 @@ from masking.declaration import expansion
 from masking.declaration.couplings import driven_outputs, motions
 from masking.declaration.expression import Expression
 from masking.declaration.schema import Declaration, ModelDeclaration
+from masking.declaration.syntax import LARGEST
 from masking.declaration.tables import TABLES
 from masking.errors import DeclarationError, Problem, nearest
 
@@ -437,7 +438,7 @@ def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Exp
 def _large(model: ModelDeclaration) -> Iterator[Problem]:
     for path, size in expansion.oversized(formulas(model), model.definitions):
         message = f"with its definitions written out it has {size} operations and operands"
-        mend = f"at most {expansion.LARGEST} are allowed: a definition that holds another one twice doubles it"
+        mend = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
         yield problem_at(model, path, message, mend)
 
 

@@ -9,8 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 
 from masking.declaration.expression import Expression
-
-LARGEST = 10_000  # operations and operands; measured: compiling as many takes a second, the packaged models have 200
+from masking.declaration.syntax import LARGEST
 
 
 def oversized(

@@ -19,14 +19,19 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from masking.declaration.expression import Expression
-from masking.declaration.strict_yaml import Node
+from masking.declaration.operations import CONSTANTS, FUNCTIONS
+from masking.declaration.strict_yaml import LARGEST_FILE, Node
+from masking.declaration.syntax import DEEPEST_NESTING
 from masking.errors import DeclarationError, Place, Problem, nearest
 
-LARGEST_MADE = 100_000  # nodes; measured: making as many takes five seconds
+LARGEST_MADE = 100_000  # entries, terms of sums and indices; measured: making as many takes five seconds
+LONGEST_MADE = LARGEST_FILE  # characters
+LONGEST_SUMS = 10_000  # characters of a text with sums in it, as written
 
 _ITEM = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*)\s*=\s*(.*?)\s*(?:\.\.\s*(.*?)\s*)?")
 _BRACKET = re.compile(r"(?P<name>[A-Za-z0-9_])?\[(?P<inside>[^][]*)\]")
 _OWN_RANGE = re.compile(r"\[\s*([A-Za-z][A-Za-z0-9_]*)\s*=[^][]*\]")
+_NAME = re.compile(r"(?<![\w.])[A-Za-z]\w*")
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _SUM = re.compile(r"\bsum\(")
 _MEND = "write 'repeat: i = 1..50', or 'repeat: [N = 50, i = 1..N]'"
@@ -52,11 +57,13 @@ def repeated(node: Node, given: Mapping[str, int]) -> tuple[Node, dict[str, int]
 
 @dataclass
 class _Repetition:
-    """The counts and ranges of a file, and how many nodes have been made."""
+    """The counts and ranges of a file, and how many things and characters have been made."""
 
     counts: dict[str, int] = field(default_factory=dict)
     ranges: dict[str, range] = field(default_factory=dict)
-    nodes: int = 0
+    things: int = 0
+    characters: int = 0
+    integers: dict[tuple[str, Place], Expression] = field(default_factory=dict)
 
     def declare(self, node: Node, given: Mapping[str, int]) -> None:
         """Read the items of `repeat`."""
@@ -82,7 +89,9 @@ class _Repetition:
 
     def number(self, text: str, known: Mapping[str, int], node: Node) -> int:
         """Return the integer that an expression of indices and counts is."""
-        expression = Expression(text, node.place, node.path)
+        if (text, node.place) not in self.integers:
+            self.integers[text, node.place] = Expression(text, node.place, node.path)
+        expression = self.integers[text, node.place]
         if expression.unknown(known):
             raise DeclarationError(expression.check_symbols([*known]))
         value = expression.evaluate(known)
@@ -92,9 +101,7 @@ class _Repetition:
 
     def made(self, node: Node, known: Mapping[str, int], path: str) -> Node:
         """Return a node with everything inside it that is repeated, for known values of indices."""
-        self.nodes += 1
-        if self.nodes > LARGEST_MADE:
-            raise _too_many(node)
+        self.count(node)
         if isinstance(node.value, dict):
             return self.mapping(node, known, path)
         if isinstance(node.value, list):
@@ -150,20 +157,20 @@ class _Repetition:
             found = dict[str, range]()
             for key, child in node.value.items():
                 text = _OWN_RANGE.sub(r"[\1]", key)
-                bound = {**known, **dict.fromkeys((*self.indices(text, known), *_OWN_RANGE.findall(key)), 0)}
+                bound = {**known, **dict.fromkeys((*self.indices(text, known, child), *_OWN_RANGE.findall(key)), 0)}
                 found |= self.free(child, bound)
             return found
-        return self.indices(node.text, known) if isinstance(node.value, str) else {}
+        return self.indices(node.text, known, node) if isinstance(node.value, str) else {}
 
-    def indices(self, text: str, known: Mapping[str, int]) -> dict[str, range]:
+    def indices(self, text: str, known: Mapping[str, int], node: Node) -> dict[str, range]:
         """Return the ranges of the indices in a text, outside of sums over them, that have no value yet."""
         found = dict[str, range]()
         outside, end = list[str](), 0
-        for start, stop, index, body in sums(text):
+        for start, stop, index, body in sums(text, node):
             outside.append(text[end:start])
             end = stop
             name = index.partition("=")[0].strip()
-            found |= self.indices(body, {**known, name: 0})
+            found |= self.indices(body, {**known, name: 0}, node)
         for match in _BRACKET.finditer("".join([*outside, text[end:]])):
             words = _WORD.findall(match["inside"])
             found |= {word: self.ranges[word] for word in words if word in self.ranges and word not in known}
@@ -176,14 +183,27 @@ class _Repetition:
         if text == node.value:
             return replace(node, path=path)
         value: str | float = text
-        with suppress(DeclarationError):  # a text, or an expression of names
-            value = Expression(text).evaluate({})
+        if not {*_NAME.findall(text)} - {*FUNCTIONS, *CONSTANTS}:
+            with suppress(DeclarationError):  # a text of numbers
+                value = Expression(text).evaluate({})
         return replace(node, path=path, value=value, text=text, pieces=())
+
+    def count(self, node: Node, characters: int = 0) -> None:
+        """Count one more thing that is made, and its characters.
+
+        Raises:
+            DeclarationError: the file makes too much.
+        """
+        self.things += 1
+        self.characters += characters
+        if self.things > LARGEST_MADE or self.characters > LONGEST_MADE:
+            raise _too_many(node)
 
     def text(self, text: str, known: Mapping[str, int], node: Node) -> str:
         """Return a text with sums written out, and numbers in place of indices."""
+        self.count(node, len(text))
         made, end = "", 0
-        for start, stop, index, body in sums(text):
+        for start, stop, index, body in sums(text, node):
             made += self.indexed(text[end:start], known, node) + self.sum(index, body, known, node)
             end = stop
         return made + self.indexed(text[end:], known, node)
@@ -201,11 +221,11 @@ class _Repetition:
         else:
             raise _problem(node, f"sum: '{name}' is no index", nearest(name, self.ranges))
         terms = [f"({self.text(body.strip(), {**known, name: value}, node)})" for value in values]
-        self.nodes += len(terms)
         return f"({' + '.join(terms) or '0'})"
 
     def index(self, match: re.Match[str], known: Mapping[str, int], node: Node) -> str:
         """Return what stands for the brackets of an index; others, such as those of a citation, stay."""
+        self.count(node)
         before, inside = match["name"] or "", match["inside"]
         words = set(_WORD.findall(inside))
         if not words or not (before or words <= {*known, *self.ranges}):
@@ -225,13 +245,18 @@ class _Repetition:
         return f"{before}{number}" if number >= 0 else f"({number})"
 
 
-def sums(text: str) -> Iterator[tuple[int, int, str, str]]:
+def sums(text: str, node: Node) -> Iterator[tuple[int, int, str, str]]:
     """Yield the outermost sums of a text: where each starts and stops, its index and what is summed."""
+    if len(text) > LONGEST_SUMS and _SUM.search(text):
+        message = f"a text with sums in it has {len(text)} characters, more than {LONGEST_SUMS}"
+        raise _problem(node, message, "split it into definitions")
     end = 0
     while found := _SUM.search(text, end):
         depth, comma, end = 1, -1, found.end()
         while depth and end < len(text):
             depth += (text[end] == "(") - (text[end] == ")")
+            if depth > DEEPEST_NESTING:
+                return  # the expression will be refused
             if text[end] == "," and depth == 1 and comma < 0:
                 comma = end
             end += 1
@@ -240,7 +265,8 @@ def sums(text: str) -> Iterator[tuple[int, int, str, str]]:
 
 
 def _too_many(node: Node) -> DeclarationError:
-    return _problem(node, f"the repetition makes more than {LARGEST_MADE} entries", "shorten the ranges")
+    message = f"the repetition makes more than {LARGEST_MADE} entries, terms and indices, or {LONGEST_MADE} characters"
+    return _problem(node, message, "shorten the ranges")
 
 
 def _problem(node: Node, message: str, mend: str) -> DeclarationError:

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from masking.declaration.operations import COMPARISONS, CONSTANTS, FUNCTIONS, OPERATIONS, Step
 from masking.errors import DeclarationError, nearest
 
-LONGEST_TEXT = 10_000
+LARGEST = 10_000  # operations and operands; measured: compiling as many takes a second, the packaged models have 200
 LONGEST_NUMBER = 32
+LONGEST_NAME = 100
 DEEPEST_NESTING = 100
 
 Refuse = Callable[[int, int, str, str], DeclarationError]
@@ -40,6 +41,7 @@ _TOKEN = re.compile(
     r"|(?P<open>\()|(?P<close>\))"
     r"|(?P<operator>\*\*|<=|>=|(?!//|<<|>>)[-+*/<>,])"
 )
+_CALL = re.compile(r"(?P<primes>'*) *(?P<open>\()?")  # what may follow a name
 _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what it is, and what to write instead
     ("^", "'^' is not an operator", "write ** for a power"),
     ("//", "'//' is not an operator", "write a/b"),
@@ -81,13 +83,14 @@ def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
     """
     if not text.strip():
         raise refuse(0, 1, "the expression is empty", "")
-    if len(text) > LONGEST_TEXT:
-        raise refuse(0, 1, f"the expression has {len(text)} characters, more than {LONGEST_TEXT}", _SPLIT)
-    _scan(text, refuse)
+    if (size := _scan(text, refuse)) > LARGEST:
+        message = f"the expression has {size} operations and operands, more than {LARGEST}"
+        raise refuse(0, 1, message, "shorten it, or the ranges of the sums in it")
     source = f"({text})".replace("'", _PRIME)
+    indices = [index for index, character in enumerate(source) for _ in character.encode()]
     try:
         tree = ast.parse(source, mode="eval").body
-        return tuple(_Walker(text, source.encode(), refuse).visit(tree, 0))
+        return tuple(_Walker(text, [*indices, len(source)], refuse).visit(tree, 0))
     except SyntaxError as error:
         index = min(max((error.offset or 1) - 2, 0), len(text) - 1)
         raise refuse(index, index + 1, "an operand or an operator is missing", "") from None
@@ -95,10 +98,11 @@ def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
         raise refuse(0, 1, f"too long or {_DEEP}", _SPLIT) from None
 
 
-def _scan(text: str, refuse: Refuse) -> None:
-    """Refuse every text that is not made of this language's tokens."""
+def _scan(text: str, refuse: Refuse) -> int:
+    """Refuse every text that is not made of this language's tokens; give how many operations and operands it has."""
     brackets: list[int] = []
     index, before, last = 0, "", ""  # `last` is the token just read, `before` the same if a value ended there
+    size = 0
     while index < len(text):
         if text[index] == " ":
             index += 1
@@ -124,9 +128,11 @@ def _scan(text: str, refuse: Refuse) -> None:
                 raise refuse(start, end, "an argument is missing after the comma", "")
             brackets.pop()
         last = text[start:end]
+        size += kind in {"number", "name"} or (kind == "operator" and last != ",")
         index, before = end, "" if kind in {"operator", "open"} else last
     if brackets:
         raise refuse(brackets[-1], brackets[-1] + 1, "'(' is never closed", "")
+    return size
 
 
 def _foreign(text: str, index: int, refuse: Refuse) -> DeclarationError:
@@ -156,15 +162,17 @@ def _juxtaposed(text: str, start: int, end: int, before: str, refuse: Refuse) ->
 
 def _check_name(text: str, start: int, end: int, refuse: Refuse) -> int:
     """Refuse names that are not free to use; give the end of the name with its primes."""
-    name, rest = text[start:end], text[end:].lstrip("'")
-    last = len(text) - len(rest)
+    name, call = text[start:end], _CALL.match(text, end)
+    last = call.end("primes") if call else end
+    if end - start > LONGEST_NAME:
+        raise refuse(start, end, f"a name of {end - start} characters, more than {LONGEST_NAME}", "")
     if keyword.iskeyword(name):
         raise refuse(start, end, f"'{name}' is a Python keyword", "")
     if last - end > 2:
         raise refuse(start, last, f"'{name}' has {last - end} primes, at most two are allowed", "write x1' or x1''")
     if last > end and (name in FUNCTIONS or name in CONSTANTS or name == "t"):
         raise refuse(start, last, f"'{name}' has no derivative", "primes are for coordinates")
-    called = rest.lstrip(" ").startswith("(")
+    called = bool(call and call["open"])
     if called and name not in FUNCTIONS:
         hint = nearest(name, sorted(FUNCTIONS))
         mend = hint if hint.startswith("did") else f"write {text[start:last]}*(...) for a product"
@@ -188,10 +196,13 @@ def _check_number(token: str, start: int, refuse: Refuse) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Walker:
-    """Walks Python's tree of the bracketed source and yields steps, arguments before operations."""
+    """Walks Python's tree of the bracketed source and yields steps, arguments before operations.
+
+    `indices` has the index of the character of the source that each of its bytes belongs to.
+    """
 
     text: str
-    data: bytes
+    indices: list[int]
     refuse: Refuse
 
     def visit(self, node: ast.expr, depth: int) -> Iterator[Step]:
@@ -261,5 +272,5 @@ class _Walker:
 
     def _span(self, node: ast.expr) -> tuple[int, int]:
         """Give the node's first and last index in the text; Python counts bytes of the bracketed source."""
-        start, end = (len(self.data[:offset].decode()) - 1 for offset in (node.col_offset, node.end_col_offset or 0))
+        start, end = (self.indices[offset] - 1 for offset in (node.col_offset, node.end_col_offset or 0))
         return max(start, 0), min(end, len(self.text))  # a tuple would include the brackets around the source

@@ -27,6 +27,8 @@ _KINDS: Final = {
 }  # fmt: skip
 _QUANTILES: Final = (0.1, 0.5, 0.9)
 _BINS: Final = 40
+_ROOM: Final = 0.19  # of the width of a figure, for words beside bars
+_SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
 def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]:
@@ -38,7 +40,11 @@ def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]
     """
     grid = [one["name"] for one in facts["over"] if one["grid"] is not None and len(one["grid"]) > 1]
     factors = {one["name"] for one in facts["over"] if one["factor"]}
-    labels = {name: _label(name) + " / declared" * (name in factors) for name in grid}
+    units = {one["name"]: one.get("unit", "") for one in facts["over"]}
+    labels = {
+        name: f"{_label(name)} / declared" if name in factors else style.with_unit(_label(name), units[name])
+        for name in grid
+    }
     found = []
     for name in facts["measures"]:
         column = columns[name]
@@ -63,6 +69,12 @@ def _over(axis: Any, values: Array) -> None:  # noqa: ANN401  # an axis of matpl
 
 def _label(name: str) -> str:
     return ", ".join(style.symbol(one) for one in name.split(","))
+
+
+def _measure(name: str) -> str:
+    """Return the label of a measure: times are those of the virtual system."""
+    of_time = "units of time" if name in {"tau_s", "period"} else ""
+    return style.with_unit("τ$_s$" if name == "tau_s" else _label(name), "rad" if name == "phase" else of_time)
 
 
 def _words(name: str) -> str:
@@ -125,7 +137,8 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     else:
         parts.ticks(axes)
         axes.set_ylim(*_range(np.concatenate([low, high])))
-    axes.set(xlabel=labels[over], ylabel=_label(name))
+        axes.ticklabel_format(axis="y", useOffset=False)
+    axes.set(xlabel=labels[over], ylabel=_measure(name))
     _over(axes.xaxis, values)
     caption = f"{capital(_words(name))}, over {over}"
     caption += ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
@@ -137,7 +150,8 @@ def _range(values: Array) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
-    room = 0.06 * float(np.ptp(finite)) or 0.06 * abs(float(finite[0])) or 1.0
+    least = _SAME * float(np.abs(finite).max()) or 1.0
+    room = 0.06 * float(np.ptp(finite)) + 0.5 * max(0.0, least - float(np.ptp(finite)))
     return float(finite.min()) - room, float(finite.max()) + room
 
 
@@ -151,7 +165,11 @@ def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) 
     shares = [
         [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
     ]
-    axes.stackplot(values, shares, colors=[_KINDS[kind] for kind in kinds], step="mid")
+    cells = edges(values)
+    steps = [[*share, share[-1]] for share in shares]
+    axes.stackplot(cells, steps, colors=[_KINDS[kind] for kind in kinds], step="post")
+    axes.set_xlim(cells[[0, -1]])
+    axes.grid(visible=False)
     parts.legend(figure, None, [Patch(facecolor=_KINDS[kind], label=kind) for kind in kinds])
 
 
@@ -185,7 +203,7 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
     else:
         drawn = axes.pcolormesh(edges(across), edges(up), table, cmap="viridis", rasterized=True)
         bar = figure.colorbar(drawn, ax=axes, pad=0.02)
-        bar.set_label(_label(name), color=INK)
+        bar.set_label(_measure(name), color=INK)
     axes.grid(visible=False)
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
     axes.set(xlabel=labels[grid[0]], ylabel=labels[grid[1]])
@@ -193,7 +211,9 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
         _over(axis, values)
     several = len(column) > len(across) * len(up)
     middle = (
-        ": the commonest of the runs at each point" if is_word else ": the median of the runs at each point"
+        ": the commonest of the runs at each point, and the part of all runs"
+        if is_word
+        else ": the median of the runs at each point"
     ) * several
     more = f", whatever {' and '.join(grid[2:])}" if len(grid) > 2 else ""
     title = f"{capital(name)} over {grid[0]} and {grid[1]}"
@@ -213,7 +233,7 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
         for value in (low, middle, high):
             axes.axvline(value, color=INK, lw=0.9, ls=style.DASHED)
         parts.ticks(axes)
-        axes.set(xlabel=_label(name), ylabel="runs", ylim=(0.0, None))
+        axes.set(xlabel=_measure(name), ylabel="runs", ylim=(0.0, None))
         caption = f"{capital(_words(name))}: median {middle:.4g}, from {low:.4g} to {high:.4g} in 80 % of the runs."
         return CaptionedFigure(file, title, caption, figure)
     counts = Counter(text for text in column if text)
@@ -221,8 +241,13 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
         return style.absent(file, title, "no run has a value")
     figure, (axes,) = style.sheet([0.5 + 0.3 * len(counts)], top=BARE)
     kinds, total = [*counts], sum(counts.values())
-    axes.barh(kinds, [counts[kind] / total for kind in kinds], color=[_KINDS.get(kind, MUTED) for kind in kinds])
-    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0))
+    shares, box = [counts[kind] / total for kind in kinds], axes.get_position()
+    axes.set_position((_ROOM, box.y0, box.x1 - _ROOM, box.height))
+    axes.barh(range(len(kinds)), shares, height=0.66, color=[_KINDS.get(kind, MUTED) for kind in kinds])
+    axes.set_yticks(range(len(kinds)), kinds)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
     return CaptionedFigure(file, title, f"{capital(_words(name))}: the part of the runs.", figure)
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from masking.declaration import schema
 from masking.declaration.expression import Expression
+from masking.declaration.units import pretty
 from masking.errors import DeclarationError, Problem, nearest
 from masking.modelling.model import Model
 from masking.runs.experiment import Experiment
@@ -71,6 +72,19 @@ def place(experiment: Experiment, name: str) -> Place:
     allowed += [f"{PLANT}.{n}" for n in experiment.assembly.plant_model.parameters]
     message = f"{experiment.stem} has nothing called '{name}' to vary"
     raise DeclarationError(Problem(None, name, message, nearest(name, allowed)))
+
+
+def unit(experiment: Experiment, where: Place) -> str:
+    """Return the declared unit of a parameter of the virtual system or of the plant's model; nothing for 1 and others.
+
+    Args:
+        experiment: that varies.
+        where: a place in it.
+    """
+    models = {"parameters": experiment.assembly.virtual_model, PLANT: experiment.assembly.plant_model}
+    model, name = models.get(where.path[0]), where.path[-1]
+    found = model.parameters[name].unit if model and name in model.parameters else "1"
+    return "" if found == "1" else pretty(found)
 
 
 def _parameter(model: Model, name: str) -> float:

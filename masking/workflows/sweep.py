@@ -20,7 +20,7 @@ from masking.records.chunks import Columns
 from masking.records.json_text import json_text
 from masking.records.parquet import replacing
 from masking.reports import html, run_measures, sweep_page
-from masking.runs import manifest
+from masking.runs import manifest, variation
 from masking.runs.design import Design, Sampling, Values
 from masking.runs.experiment import Experiment
 from masking.workflows.outputs import check_folder
@@ -233,6 +233,8 @@ def _facts(plan: Plan) -> dict[str, Any]:
     ]
     given = json.dumps([declared, over, names, kind, design.runs, design.seed], sort_keys=True, default=str).encode()
     identity = hashlib.sha256(given + np.ascontiguousarray(design.points).tobytes()).hexdigest()
+    for one, places in zip(over, plan.places, strict=True):
+        one["unit"] = variation.unit(experiment, places[0])
     return {
         "name": experiment.declaration.name, "identity": identity, "rows": plan.rows, "runs": design.runs,
         "seed": design.seed, "sampling": design.sampling, "over": over, "measures": names, **kind,

@@ -42,7 +42,7 @@ class Plan:
         design: the values of each run.
         measures: names, or functions of a recording that return a number.
         virtual: whether the virtual system runs by itself, without a rig.
-        continuation: whether the last axis of the grid is followed up and down, each run from the end of the last.
+        continuation: whether the last axis of the grid is followed up and then down, each run from the end of the last.
         trajectories: whether the virtual motion is kept.
     """
 
@@ -65,9 +65,9 @@ class Plan:
 
     @cached_property
     def chain(self) -> int:
-        """Return how many rows in a row are made together: one, or those of an axis that is followed."""
+        """Return how many rows in a row are made together: one, or those of an axis that is followed up and down."""
         values = self.design.grid[-1].values if self.continuation else None
-        return 1 if values is None else len(values)
+        return 1 if values is None else 2 * len(values)
 
     @property
     def rows(self) -> int:
@@ -117,19 +117,18 @@ class Plan:
         if self.has_seeds:
             columns[SEED] = np.array([self.seed(row) for row in numbers.tolist()])
         if self.continuation:
-            columns[WAY] = [DOWN if row // self.chain % 2 else UP for row in numbers.tolist()]
+            columns[WAY] = [DOWN if row % self.chain >= self.chain // 2 else UP for row in numbers.tolist()]
         for name in made[0]:
             values = [row[name] for row in made]
             columns[name] = np.array(values, dtype=float) if isinstance(values[0], float) else values
         return columns
 
     def _points(self, rows: Rows) -> Rows:
-        """Return the point of the design of each row: chains go up, then down."""
+        """Return the point of the design of each row: a chain goes up, then down."""
         if not self.continuation:
             return rows
-        chain, at = rows // (2 * self.chain), rows % self.chain
-        is_down = rows // self.chain % 2 == 1
-        return chain * self.chain + np.where(is_down, self.chain - 1 - at, at)
+        at = rows % self.chain
+        return rows // self.chain * (self.chain // 2) + np.minimum(at, self.chain - 1 - at)
 
     def _settings(self, row: int) -> list[tuple[Place, float, bool]]:
         point = self.design.points[self._points(np.array([row], dtype=np.int64))[0]]

@@ -4,8 +4,8 @@
 
 Processor seconds on an empty cache: `load` reads and checks the declaration, `lower` derives the equations and prints
 their code, `compile` makes machine code, `run` is one simulation of 100 units of time, `mask` the same motion made by
-the rig of `examples/many` in continuous time, `first` its first run with all that it loads and compiles; chi is the
-worst masking error. heyoka and casadi are measured where they are installed, at the same tolerance.
+the rig of `examples/many` in continuous time, both the median of 5, `first` its first run with all that it loads and
+compiles; chi is the worst masking error. heyoka and casadi are measured where they are installed, with this tolerance.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,9 @@ MANY = Path(__file__).resolve().parents[2] / "examples" / "many"
 MODELS = {"chain": "duffing_chain.yaml", "beam": "pendula_beam.yaml"}
 COUNTS = (2, 5, 10, 20, 50, 100, 200)
 TIME, TOLERANCE = 100.0, 1e-10
+REPEATS = 5
+BOUNDS = [float(f"{digit}e{power}") for power in range(-4, 4) for digit in (1, 2, 5)]
+KEYS = ("load", "lower", "compile", "run", "first", "mask", "chi")
 
 Vector = Sequence[Any]
 
@@ -39,6 +44,12 @@ def spent(work: Callable[[], Any]) -> tuple[float, Any]:
     begin = time.process_time()
     result = work()
     return time.process_time() - begin, result
+
+
+def settled(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the median of the processor seconds that something takes several times, and its last result."""
+    found = [spent(work) for _ in range(REPEATS)]
+    return statistics.median(seconds for seconds, _ in found), found[-1][1]
 
 
 def simulated(system: str, n: int) -> tuple[dict[str, float], Model]:
@@ -53,7 +64,7 @@ def simulated(system: str, n: int) -> tuple[dict[str, float], Model]:
     found["lower"], _ = spent(lambda: model.kernels)
     times = np.linspace(0.0, TIME, 201)
     first, _ = spent(lambda: model.simulate(times, tolerance=TOLERANCE))
-    found["run"], _ = spent(lambda: model.simulate(times, tolerance=TOLERANCE))
+    found["run"], _ = settled(lambda: model.simulate(times, tolerance=TOLERANCE))
     found["compile"] = first - found["run"]
     return found, model
 
@@ -67,7 +78,7 @@ def masked(system: str, n: int) -> dict[str, float]:
     first, _ = spent(lambda: load().run())
     wanted = load()
     wanted.run()
-    again, recording = spent(wanted.run)
+    again, recording = settled(wanted.run)
     return {"first": first, "mask": again, "chi": max(recording.manifest["masking_error"].values())}
 
 
@@ -118,11 +129,48 @@ def casadi(system: str, model: Model) -> dict[str, float]:
     return {"compile": built, "run": run}
 
 
+def bound(seconds: float) -> str:
+    """Return the next round number, which a slower moment of the same machine keeps to."""
+    return next(f"{most:g}" for most in BOUNDS if most > 1.2 * seconds)
+
+
+def growth(counts: Sequence[int], seconds: Sequence[float]) -> float:
+    """Return the power of N with which a time grows, by least squares of its logarithm from N = 10 on."""
+    n, t = (np.log([x for x, count in zip(of, counts, strict=True) if count >= 10]) for of in (counts, seconds))
+    return float(np.polyfit(n, t, 1)[0])
+
+
+@contextmanager
+def empty_cache() -> Iterator[None]:
+    """Compile into a folder of its own."""
+    before = os.environ.get("MASKING_CACHE")
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["MASKING_CACHE"] = cache
+        try:
+            yield
+        finally:
+            os.environ.pop("MASKING_CACHE")
+            os.environ.update({"MASKING_CACHE": before} if before is not None else {})
+
+
+def table(system: str) -> str:
+    """Return a table of this package alone, with times rounded up, and below which power of N those of runs grow."""
+    with empty_cache():
+        masked(system, 3)  # what no model needs alone: imports, and kernels that all share
+        found = [simulated(system, n)[0] | masked(system, n) for n in COUNTS]
+    rows = ["| N | load | derive | compile | run | first masked run | next masked runs | chi |", f"|{'---|' * 8}"]
+    for n, one in zip(COUNTS, found, strict=True):
+        times = [bound(one[key]) for key in KEYS if key != "chi"]
+        rows.append(f"| {n} | {' | '.join(times)} | {'below 1e-6' if one['chi'] < 1e-6 else one['chi']} |")
+    powers = [growth(COUNTS, [one[key] for one in found]) for key in ("run", "mask")]
+    most = next(power for power in (1.0, 1.5, 2.0, 3.0) if power > max(powers))
+    return "\n".join(rows) + f"\n\nFrom N = 10 on, the times of runs grow more slowly than N^{most:g}."
+
+
 def lines(systems: Sequence[str], counts: Sequence[int], masking: bool) -> Iterator[str]:
     """Yield the rows of the table."""
-    keys = ("load", "lower", "compile", "run", "first", "mask", "chi")
-    yield f"| system | N | by | {' | '.join(keys)} |"
-    yield f"|{'---|' * (len(keys) + 3)}"
+    yield f"| system | N | by | {' | '.join(KEYS)} |"
+    yield f"|{'---|' * (len(KEYS) + 3)}"
     for system in systems:
         for n in counts:
             ours, model = simulated(system, n)
@@ -137,7 +185,7 @@ def lines(systems: Sequence[str], counts: Sequence[int], masking: bool) -> Itera
                 except ImportError:
                     continue
             for name, values in found.items():
-                cells = " | ".join(f"{values[key]:.2g}" if key in values else "" for key in keys)
+                cells = " | ".join(f"{values[key]:.2g}" if key in values else "" for key in KEYS)
                 yield f"| {system} | {n} | {name} | {cells} |"
 
 
@@ -148,8 +196,7 @@ def main() -> None:
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
     parser.add_argument("--no-masking", action="store_true")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as cache:
-        os.environ["MASKING_CACHE"] = cache
+    with empty_cache():
         for line in lines(given.systems, given.counts, not given.no_masking):
             print(line, flush=True)
 

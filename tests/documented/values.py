@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from masking import cli
+from masking import cli, sweep
 from masking.analysis.stability.equilibria import Equilibrium, equilibria
 from masking.faults.rerun import rerun
 from masking.modelling.model import load_model
@@ -30,6 +30,7 @@ from tests.benchmarks import (
     exported,
     hidden,
     loop,
+    many,
     masking_error_table,
     official,
     rules,
@@ -193,6 +194,32 @@ def wishes_table() -> str:
 def exported_table() -> str:
     """Return the table of every packaged experiment exported."""
     return "\n".join(exported.rows())
+
+
+@slow_value
+def many_table(system: str) -> str:
+    """Return the table of a system of 2 to 200 coordinates: the `chain` or the `beam`."""
+    return many.table(system)
+
+
+# Sweeps.
+
+
+@value
+def clocks_in_anti_phase(points: str, starts: str) -> str:
+    """Return the part of Huygens' clocks that end in anti-phase, over the map of docs/sweeps.md with fewer points."""
+    over = {"mu1,mu2": f"0.02:0.3:{points}", "z": f"0.02:0.6:{points}", "th2": "uniform:-0.785:0.785"}
+    found = sweep(
+        "huygens", over=over, runs=int(starts), sampling="latin", measure=["end"], virtual=True, workers=1, out="clocks"
+    )
+    return f"{100.0 * float(np.mean([kind == 'anti-phase' for kind in found['end']])):.0f} %"
+
+
+@value
+def fastest_damping() -> str:
+    """Return the damping at which the sum of the discs decays fastest, as `examples/15_sweeps.py` finds it."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return f"{runpy.run_path(str(ROOT / 'examples' / '15_sweeps.py'))['damping']():.2f}"
 
 
 # Identification.

@@ -297,7 +297,9 @@ NUMBERS = [
     "x" + "**x" * 200,
     "x*" * 4999 + "x",
     "x + " * 5000 + "x",
+    "x" * 101,
     "x" * 10001,
+    "-".join(["sin(x)"] * 3400),
     "(" * 9999,
     ")" * 9999,
     "where(x>0,1," * 150 + "2" + ")" * 150,
@@ -420,6 +422,8 @@ YAML = [
 _HEAD = "name: m\ncoordinates: {x: a}\nparameters: {k: 1}\n"
 _TAIL = "equations: {x'': -k*x}\n"
 
+_REPEAT = "repeat: [i = 1..1000, j = 1..1000]\nname: m\ncoordinates:\n  {}\nequations:\n  {}\n"
+
 MODELS = [
     "just a text",
     "- a\n- b",
@@ -485,4 +489,13 @@ MODELS = [
     _HEAD.replace("x: a", "pi: a") + _TAIL,
     _HEAD.replace("x: a", "x: a, z: b") + _TAIL,
     _HEAD.replace("k: 1", "k: 1, j: 2") + _TAIL,
+    _REPEAT.format("x[i]: a", "x[i]'': 'sum(i, sum(j, sum(i=1..1000, x1)))'"),
+    _REPEAT.format("x[i]: a", "x[i]'': 'sum(i, x[i]**2)'"),
+    _REPEAT.format("x[i]: a", "x[i]'': '" + "+".join(["x[i]"] * 100_000) + "'"),
+    _REPEAT.format("x[i]: a", "x[i]'': 'sum(i, " + "+".join(["x[i]"] * 20_000) + ")'"),
+    _REPEAT.format("x: a", "x'': '" + "sum(i, " * 1000 + "x" + ")" * 1000 + "'"),
+    _REPEAT.format("x: a", "x'': '" + "sum(" * 200_000 + "'"),
+    _REPEAT.format("x: a", "x'': 'sum(i=1..4000, x)/4000 - x'"),
+    _REPEAT.format("x[i]: a[i] " + "a" * 900_000, "x[i]'': 0"),
+    _REPEAT.format("x[i]_[j]: a", "x[i]_[j]'': 0"),
 ]
