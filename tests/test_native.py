@@ -125,7 +125,7 @@ def number():
 
 made = store.load("1.5", number)
 assert made.function("f")(0.0) == 1.5
-assert made.module().f(0.0) == 1.5
+assert made.module().f.py_func(0.0) == 1.5
 print(json.dumps([str(made.path), made.objects["f"]]))
 """
 

@@ -28,9 +28,11 @@ import math
 import numba
 import numpy as np
 from numba import carray
+
+from masking.numerics.compilation import compiled, inlined
 '''
 BUILTINS = {abs, max, min, range, int, float, bool, len}
-INLINED = '@numba.njit(nogil=True, error_model="numpy", forceinline=True)'
+INLINED = "@inlined"
 
 
 @dataclass(frozen=True)
