@@ -39,11 +39,15 @@ class _Lowering(NativeLowering):
 
     def run_pass(self, state: StateDict) -> bool:
         """Lower a function."""
-        context = state.targetctx
+        context, flags = state.targetctx, state.flags
         state.library = _Library(context.codegen(), state.func_id.func_qualname)
-        state.flags.no_compile = True
+        flags.no_compile = True
+        if not flags.no_cpython_wrapper:  # only a C interface has nothing for Python, and wants a wrapper for C
+            flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         super().run_pass(state)
-        entry = {}.popitem  # numba tells functions apart by what Python would call: one of its own, which always raises
+        entry = dict[
+            str, int
+        ]().popitem  # numba tells functions apart by what Python would call: one of its own, which always raises
         context.insert_user_function(entry, state.cr.fndesc, [state.library])
         state.cr = state.cr._replace(cfunc=entry)
         return True
@@ -60,7 +64,6 @@ class Lowered(CompilerBase):
         return [passes]
 
 
-_OPTIONS = {"error_model": "numpy", "nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-compiled = numba.njit(pipeline_class=Lowered, **_OPTIONS)
+compiled = numba.njit(error_model="numpy", nogil=True, pipeline_class=Lowered)
 # measured: a call that LLVM does not take into its caller writes the arrays in its tuples to memory, twice the time.
-inlined = numba.njit(pipeline_class=Lowered, forceinline=True, **_OPTIONS)
+inlined = numba.njit(error_model="numpy", nogil=True, pipeline_class=Lowered, forceinline=True)
