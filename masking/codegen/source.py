@@ -128,6 +128,23 @@ class Module:
         given = (types, graph, results, loads, returns, free, lanes)
         self.definitions[name] = llvm_text.function(native.symbol(name), *given)
 
+    def add_choice(
+        self,
+        signature: str,
+        zeros: Sequence[str],
+        cases: Sequence[tuple[Graph, Sequence[tuple[str, Node]], Mapping[str, str]]],
+    ) -> None:
+        """Add a function that computes the nodes of one of several graphs.
+
+        Args:
+            signature: as for `add`; the first argument is the number of the graph, from 0 on.
+            zeros: assignable texts that are 0 where a graph has no result for them.
+            cases: of each graph what `add` takes of it: the graph, its results and loads.
+        """
+        name, types = _read(signature)
+        self._export(name, types, "None")
+        self.definitions[name] = llvm_text.choice(native.symbol(name), types, zeros, cases)
+
     def add_coefficients(
         self,
         graph: Graph,
