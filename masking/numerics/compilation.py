@@ -45,9 +45,8 @@ class _Lowering(NativeLowering):
         if not flags.no_cpython_wrapper:  # only a C interface has nothing for Python, and wants a wrapper for C
             flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         super().run_pass(state)
-        entry = dict[
-            str, int
-        ]().popitem  # numba tells functions apart by what Python would call: one of its own, which always raises
+        # Numba tells functions apart by what Python would call: here one of its own, which always raises.
+        entry = dict[str, int]().popitem
         context.insert_user_function(entry, state.cr.fndesc, [state.library])
         state.cr = state.cr._replace(cfunc=entry)
         return True
