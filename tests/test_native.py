@@ -125,7 +125,7 @@ def number():
 
 made = store.load("1.5", number)
 assert made.function("f")(0.0) == 1.5
-assert made.module().f(0.0) == 1.5
+assert made.module().f.py_func(0.0) == 1.5
 print(json.dumps([str(made.path), made.objects["f"]]))
 """
 
@@ -308,6 +308,26 @@ def test_linked_functions_are_compiled_apart_from_those_that_call_them(tmp_path,
         assert rows[1, 2] == expected
         assert np.count_nonzero(rows) == 1
     assert len(list(tmp_path.glob("objects/*"))) == 3  # two laws, and one function that calls either
+
+
+def test_one_of_several_graphs_is_computed_by_its_number(tmp_path, monkeypatch):
+    monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
+
+    def build():
+        module, cases = Module("choice", {}), []
+        for operation in ("mul", "sub"):
+            graph = Graph()
+            x, y = (graph.symbol(name, varying=True) for name in ("a", "b"))
+            results = [("out[1, 0]", graph.apply(operation, x, y))]
+            cases.append((graph, results, {"a": "x", "b": "p[1]"}))
+        module.add_choice("f(kind: int, x: float, p, out: Matrix)", ["out[0, 1]", "out[1, 0]"], cases)
+        return module
+
+    f = store.load("choice", build).function("f")
+    for kind, expected in ((0, 21.0), (1, 4.0), (2, 0.0), (-1, 0.0)):
+        out = np.full((2, 2), 9.0)
+        f(kind, 7.0, np.array([5.0, 3.0]), out)
+        np.testing.assert_array_equal(out, [[9.0, 0.0], [expected, 9.0]])
 
 
 def test_machine_code_that_is_not_used_for_long_is_removed(tmp_path, monkeypatch):

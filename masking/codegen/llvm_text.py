@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from masking.codegen import lane_functions
@@ -31,6 +31,7 @@ COMPARED = {"lt": "olt", "le": "ole"}
 INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
 LIBRARY = ("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "atan2")
 AXES = {"Vector": 1, "Matrix": 2}
+Results = Sequence[tuple[str, Node]]
 ALIGNED = 8  # bytes of an element of an array
 
 
@@ -71,20 +72,35 @@ def function(  # noqa: PLR0917  (what a function is made of)
         lanes: number of values side by side; more than one have arrays with as many columns, and return nothing.
     """
     body = _Body(types, free, lanes)
-    for node in needed(graph, [node for _, node in results] + ([] if returns is None else [returns])):
-        name, *rest = graph.operations[node]
-        if name == "symbol":
-            body.values[node] = body.read(loads.get(str(rest[0]), str(rest[0])))
-        elif name == "number":
-            body.values[node] = body.number(float(rest[0]))
-        else:
-            body.values[node] = body.apply(str(name), [body.values[a] for a in arguments(graph, node)])
-    for target, node in results:
-        body.lines.append(f"store {body.type} {body.values[node]}, ptr {body.element(target)}, align {ALIGNED}")
+    body.compute(graph, results, loads, [] if returns is None else [returns])
     body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
-    kind = "void" if returns is None else "double"
-    lines = [f"define {kind} @{symbol}({', '.join(parameters(types))}) {{", *(f"  {line}" for line in body.lines), "}"]
-    return "\n".join(lines)
+    return body.definition(symbol, "void" if returns is None else "double")
+
+
+def choice(
+    symbol: str,
+    types: Mapping[str, str],
+    zeros: Sequence[str],
+    cases: Sequence[tuple[Graph, Results, Mapping[str, str]]],
+) -> str:
+    """Return the definition of a function that computes the nodes of one of several graphs, whose number it is given.
+
+    Args:
+        symbol: what it is called.
+        types: of its arguments by their names; the first is the number, from 0 on.
+        zeros: elements of arrays that are 0 where the graph has no result for them, or where there is no such graph.
+        cases: of each graph what `function` takes of it.
+    """
+    body = _Body(types, "", 1)
+    body.store((target, body.number(0.0)) for target in zeros)
+    labels = " ".join(f"i64 {i}, label %case.{i}" for i in range(len(cases)))
+    body.lines.append(f"switch i64 %{next(iter(types))}, label %none [{labels}]")
+    for i, (graph, results, loads) in enumerate(cases):
+        body.lines.append(f"case.{i}:")
+        body.compute(graph, results, loads)
+        body.lines.append("ret void")
+    body.lines += ["none:", "ret void"]
+    return body.definition(symbol, "void")
 
 
 def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) -> str:
@@ -132,6 +148,29 @@ class _Body:
         self.values: dict[Node, str] = {}
         self._known: dict[tuple[str, str], str] = {}  # functions in lanes, by their names and arguments
         self._count = 0
+
+    def compute(self, graph: Graph, results: Results, loads: Mapping[str, str], more: Sequence[Node] = ()) -> None:
+        """Compute nodes of a graph, which are known afterwards, and then write the results."""
+        self.values = {}
+        for node in needed(graph, [*(node for _, node in results), *more]):
+            name, *rest = graph.operations[node]
+            if name == "symbol":
+                self.values[node] = self.read(loads.get(str(rest[0]), str(rest[0])))
+            elif name == "number":
+                self.values[node] = self.number(float(rest[0]))
+            else:
+                self.values[node] = self.apply(str(name), [self.values[a] for a in arguments(graph, node)])
+        self.store((target, self.values[node]) for target, node in results)
+
+    def store(self, values: Iterable[tuple[str, str]]) -> None:
+        """Write values into elements of arrays."""
+        for target, value in values:
+            self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
+
+    def definition(self, symbol: str, kind: str) -> str:
+        """Return the definition of the function, which returns what is of a kind."""
+        lines = (f"  {line}" for line in self.lines)
+        return "\n".join([f"define {kind} @{symbol}({', '.join(parameters(self.types))}) {{", *lines, "}"])
 
     def new(self, text: str) -> str:
         """Return a new name for what a line computes."""

@@ -30,9 +30,12 @@ from masking.codegen import files
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
     import numba
+
+    from masking.numerics import compilation
 else:
     llvm = lazy.load("llvmlite.binding", suppress_warning=True)
     numba = lazy.load("numba")
+    compilation = lazy.load("masking.numerics.compilation", suppress_warning=True)
 
 # How an argument of each type goes through the C interface: an array as its address and its shape.
 DIMENSIONS = {"Vector": 1, "Matrix": 2, "IntVector": 1, "IntMatrix": 2}
@@ -46,7 +49,7 @@ LLVM_TYPES = {"float": "double", "int": "i64"}
 ENTRY = "masking_entry"
 # No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
 # computes the same numbers. measured: fused multiply-add makes the sampled loop slower, not faster.
-DECORATOR = '@numba.njit(nogil=True, error_model="numpy")'
+DECORATOR = "@compiled"
 VECTOR = 64  # bytes of the longest that a processor computes with
 RESULTS = 4  # room for the results of a function
 
@@ -262,7 +265,7 @@ def compiled_by_numba(interface: Callable[..., None], arguments: Iterable[str], 
     signature = f"void({', '.join(NUMBA_TYPES[kind] for kind in arguments)}, CPointer(f8))"
     for name in symbols:  # numba links what it compiles at once, although it is not called there
         llvm.add_symbol(name, _stop())
-    made = numba.cfunc(signature, error_model="numpy")(interface)
+    made = numba.cfunc(signature, error_model="numpy", pipeline_class=compilation.Lowered)(interface)
     module = parsed(_without_aliases(made.inspect_llvm()))
     module.get_function(made.native_name).name = ENTRY
     return module

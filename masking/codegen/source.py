@@ -7,7 +7,7 @@ A module is made of two kinds of functions. Both say the types of their argument
 * Kernels: plain functions that a factory closes over sizes and over functions of the module, such as
   `masking.numerics.sampled_loop.transforms`. `Module.add_factory("transforms", sampled_loop.transforms, "transform",
   2)` adds what it returns; text names a function of the module, all else is written as it is. The factory lives in a
-  module that takes `compiled` from `masking.numerics.integrators` and postpones annotations (`from __future__`); import
+  module that takes `compiled` from `masking.numerics.compilation` and postpones annotations (`from __future__`); import
   it by `lazy_loader`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last
   argument is work space that callers need not give. With `exported=False` only other functions of the module call it,
   and its arguments need no types.
@@ -48,6 +48,7 @@ import numpy as np
 from numba import carray
 
 from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.compilation import compiled
 '''
 
 
@@ -126,6 +127,23 @@ class Module:
         self._export(name, types, "None" if returns is None else "float")
         given = (types, graph, results, loads, returns, free, lanes)
         self.definitions[name] = llvm_text.function(native.symbol(name), *given)
+
+    def add_choice(
+        self,
+        signature: str,
+        zeros: Sequence[str],
+        cases: Sequence[tuple[Graph, Sequence[tuple[str, Node]], Mapping[str, str]]],
+    ) -> None:
+        """Add a function that computes the nodes of one of several graphs.
+
+        Args:
+            signature: as for `add`; the first argument is the number of the graph, from 0 on.
+            zeros: assignable texts that are 0 where a graph has no result for them.
+            cases: of each graph what `add` takes of it: the graph, its results and loads.
+        """
+        name, types = _read(signature)
+        self._export(name, types, "None")
+        self.definitions[name] = llvm_text.choice(native.symbol(name), types, zeros, cases)
 
     def add_coefficients(
         self,

@@ -28,9 +28,11 @@ import math
 import numba
 import numpy as np
 from numba import carray
+
 '''
 BUILTINS = {abs, max, min, range, int, float, bool, len}
-INLINED = '@numba.njit(nogil=True, error_model="numpy", forceinline=True)'
+INLINED = "@inlined"
+DECORATORS = "from masking.numerics.compilation import compiled, inlined"
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class _Printer:
     texts: list[str] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     uses: list[str] = field(default_factory=list)
-    imports: set[str] = field(default_factory=set)
+    imports: set[str] = field(default_factory=lambda: {DECORATORS})
 
     def add(self, callee: Any, wanted: str = "") -> str:  # noqa: ANN401
         """Return the name in the text of a function of the module, or of a kernel that others call."""

@@ -19,8 +19,7 @@ import numpy as np
 from masking import effects
 from masking.codegen import store
 from masking.codegen.graph import Graph
-from masking.codegen.native import DECORATOR, NativeFunction
-from masking.codegen.printers import statements
+from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 from masking.codegen.tangent import derivatives
 from masking.declaration.dictionary import MOST_PARAMETERS, MOST_STATES
@@ -143,31 +142,23 @@ def library(kinds: Mapping[str, Effect]) -> NativeFunction:
 
     def build() -> Module:
         module = Module("laws of effects", {})
-        module.add_text(SIGNATURE, text(kinds))
+        zeros = [f"rows[{i}, {j}]" for i in range(2) for j in range(WIDTH)]
+        module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
         return module
 
     made_from = {"laws": {name: effect.structure() for name, effect in kinds.items()}}
     return store.load(store.key(made_from), build).function(LAW)
 
 
-def text(kinds: Mapping[str, Effect]) -> str:
-    """Return the source of `law(kind, t, x, rate, z, theta, rows)` over the effects that are known."""
-    functions = [_function(name, effect) for name, effect in kinds.items()]
-    lines = [DECORATOR, "def _law(kind, t, x, rate, z, theta, rows):"]
-    lines += ["    for i in range(2):", f"        for j in range({WIDTH}):", "            rows[i, j] = 0.0"]
-    for i, name in enumerate(kinds):
-        lines.append(f"    {'elif' if i else 'if'} kind == {i}:")
-        lines.append(f"        _law_{name}(t, x, rate, z, theta, rows)")
-    return "\n\n\n".join([*functions, "\n".join(lines)])
-
-
-def _function(name: str, effect: Effect) -> str:
+def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:
+    """Return the graph of a law, its rows, and what its symbols read."""
     graph = Graph()
     subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
-    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z"), "xi": "0.0"}
+    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z")}
     reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
     nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}
-    symbols = {symbol: sp.Symbol(symbol, real=True) for symbol in reads}
+    nodes["xi"] = graph.number(0.0)
+    symbols = {symbol: sp.Symbol(symbol, real=True) for symbol in nodes}
     by_symbol = {symbols[symbol]: node for symbol, node in nodes.items()}
 
     def lower(expression: str) -> int:
@@ -185,6 +176,4 @@ def _function(name: str, effect: Effect) -> str:
         for column, node in zip(wanted.values(), row, strict=True)
         if not graph.is_number(node, 0.0)
     ]
-    loads = [f"s_{symbol} = {read}" for symbol, read in reads.items()]
-    body = [*loads, *statements(graph, results)]
-    return "\n".join([DECORATOR, f"def _law_{name}(t, x, rate, z, theta, rows):", *(f"    {line}" for line in body)])
+    return graph, results, {f"s_{symbol}": read for symbol, read in reads.items()}

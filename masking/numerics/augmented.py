@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.numerics.compilation import compiled, inlined
 from masking.numerics.inertia import accelerate, draw_rows
 from masking.numerics.instances import (
     ACTUATOR,
@@ -34,7 +35,7 @@ from masking.numerics.instances import (
     STATE,
     VALUE,
 )
-from masking.numerics.integrators import compiled, held_late, inlined
+from masking.numerics.integrators import held_late
 from masking.numerics.rig_sizes import (
     CHANNELS,
     COMMAND_COLUMNS,

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled, copy, embedded_steps, no_event
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import copy, embedded_steps, no_event
 
 Kernel = Callable[..., Any]
 

@@ -14,7 +14,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from masking.numerics.integrators import compiled, copy
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import copy
 from masking.numerics.sizes import Sizes
 
 Kernel = Callable[..., Any]

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled, copy, dense_output, embedded_steps, forget
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import copy, dense_output, embedded_steps, forget
 
 Kernel = Callable[..., Any]
 

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled
+from masking.numerics.compilation import compiled
 from masking.numerics.sizes import Sizes
 
 Kernel = Callable[..., Any]

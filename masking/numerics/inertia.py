@@ -11,7 +11,7 @@ Source: Sherman and Morrison (1950), Ann. Math. Stat. 21(1), 124-127.
 
 from __future__ import annotations
 
-from masking.numerics.integrators import inlined
+from masking.numerics.compilation import inlined
 from masking.numerics.rig_sizes import COORDINATES, FORCE_COLUMNS, FORCE_ENTRIES, PLACES, SIZES, STATES
 from masking.numerics.variational import add_rows
 

@@ -18,9 +18,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numba
-
 from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.compilation import compiled, inlined
 from masking.numerics.dop853 import E3, E5, STAGES, A, C, D
 from masking.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 
@@ -32,10 +31,6 @@ SINGULAR_PART = 1e-9
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
 MOST_STEPS = 100_000_000
-
-compiled = numba.njit(error_model="numpy", nogil=True)
-# measured: a call that LLVM does not take into its caller writes the arrays in its tuples to memory, twice the time.
-inlined = numba.njit(error_model="numpy", nogil=True, forceinline=True)
 
 
 @compiled

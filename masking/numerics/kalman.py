@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.integrators import compiled, copy
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import copy
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
 from masking.numerics.variational import (
     Given,

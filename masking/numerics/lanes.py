@@ -13,7 +13,8 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled, copy
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import copy
 from masking.numerics.stop_codes import REACHED
 from masking.numerics.taylor import ALL_BUT_ROUNDING, obstacle, shortened
 

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import IntVector, Matrix, Vector
+from masking.numerics.compilation import compiled
 from masking.numerics.instances import BY_PARAMETER, BY_STATE, VALUE
-from masking.numerics.integrators import compiled, copy
+from masking.numerics.integrators import copy
 from masking.numerics.variational import take
 
 Kernel = Callable[..., Any]

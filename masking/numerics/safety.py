@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import IntVector, Matrix, Vector
-from masking.numerics.integrators import compiled
+from masking.numerics.compilation import compiled
 from masking.numerics.safety_tables import (
     AT_ZERO,
     BOUND,

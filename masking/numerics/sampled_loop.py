@@ -22,8 +22,9 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.compilation import compiled
 from masking.numerics.energy_balance import energy_balance
-from masking.numerics.integrators import compiled, copy, fault
+from masking.numerics.integrators import copy, fault
 from masking.numerics.sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.numerics.virtual_memory import follow_memory, notice_past, recall_past

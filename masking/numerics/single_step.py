@@ -9,7 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
-from masking.numerics.integrators import compiled, fault
+from masking.numerics.compilation import compiled
+from masking.numerics.integrators import fault
 from masking.numerics.sizes import Sizes
 from masking.numerics.stop_codes import NOT_FINITE, REACHED
 

@@ -12,14 +12,13 @@ from collections.abc import Callable
 from typing import Any
 
 from masking.numerics.arrays import Matrix, Vector
+from masking.numerics.compilation import compiled, inlined
 from masking.numerics.integrators import (
     MOST_STEPS,
     NEARLY_SINGULAR_PART,
     SMALLEST_STEP,
-    compiled,
     copy,
     fault,
-    inlined,
 )
 from masking.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 

@@ -28,7 +28,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
-from masking.numerics.integrators import compiled, held_late, inlined
+from masking.numerics.compilation import compiled, inlined
+from masking.numerics.integrators import held_late
 
 Kernel = Callable[..., Any]
 

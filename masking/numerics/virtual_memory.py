@@ -14,8 +14,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from masking.numerics.compilation import compiled
 from masking.numerics.events import jumps
-from masking.numerics.integrators import compiled, copy
+from masking.numerics.integrators import copy
 from masking.numerics.sizes import Sizes
 
 Kernel = Callable[..., Any]
