@@ -66,6 +66,17 @@ def test_a_bilinear_spring_has_half_a_period_of_each_stiffness(spring):
     assert model.simulate([0.0, 1.5 * math.pi / W])["x"][-1] == pytest.approx(1.0, abs=1e-7)
 
 
+def test_asymmetric_damping_has_half_a_swing_of_each_damping(spring):
+    more = 1.1
+    model = spring(parameters={"m": M, "k": K, "c": C}).attach("asymmetric_damping", "spring", c=more)
+    turns, x = 0.0, 1.0  # it goes down with the declared damping, and up with more
+    for damping in (C, C + more):
+        sigma = damping / (2.0 * M)
+        swing = math.pi / math.sqrt(W**2 - sigma**2)
+        turns, x = turns + swing, -x * math.exp(-sigma * swing)
+        assert model.simulate([0.0, turns])["x"][-1] == pytest.approx(x, rel=1e-6)
+
+
 def test_a_maxwell_element_takes_the_place_of_the_spring(spring):
     k, tau = 5.0, 0.7
     model = spring().attach("maxwell_element", "spring", k=k, tau=tau)

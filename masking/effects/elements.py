@@ -134,6 +134,16 @@ ELEMENTS: tuple[Effect, ...] = (
         joins=True,
     ),
     Effect(
+        "asymmetric_damping",
+        "The damping is larger, by c, in one direction than in the other.",
+        "c*max(d_rate, 0)",
+        {"c": EffectParameter("F*s/D", "what is added while the displacement grows", (-10.0, 10.0), 0.5)},
+        cause="a shock absorber with valves for compression and rebound, a check valve, a leaf that opens one way",
+        remedy="add it to the model, which then cancels it",
+        source="Wallaschek (1990), Int. J. Non-Linear Mech. 25(2-3), 299-308",
+        family="damping",
+    ),
+    Effect(
         "quadratic_damping",
         "A resistance that grows with the square of the rate of displacement.",
         "c*d_rate*abs(d_rate)",

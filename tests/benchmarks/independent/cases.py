@@ -31,6 +31,7 @@ LIKE: dict[str, tuple[str, ...]] = {  # names of one class
     "delay": ("delay", "actuator_delay", "actuator_lag"),
     "hardening_spring": ("hardening_spring", "polynomial_spring"),
     "quadratic_damping": ("quadratic_damping",),
+    "asymmetric_damping": ("asymmetric_damping",),
 }
 EFFECTS = tuple(LIKE)
 
@@ -229,6 +230,11 @@ def _drag(e: Drawn) -> Element:
     return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * v * abs(v))
 
 
+def _rebound(e: Drawn) -> Element:
+    more = float(e.random.uniform(0.05, 0.3)) * e.k * e.size / e.speed
+    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + more * max(v, 0.0))
+
+
 LAWS: Mapping[str, Callable[[Drawn], Element]] = {
     "play": _play,
     "play_with_friction": _dragged,
@@ -238,6 +244,7 @@ LAWS: Mapping[str, Callable[[Drawn], Element]] = {
     "maxwell_element": _maxwell,
     "hardening_spring": _cubic,
     "quadratic_damping": _drag,
+    "asymmetric_damping": _rebound,
 }
 
 
