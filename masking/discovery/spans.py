@@ -10,10 +10,14 @@ from scipy import signal
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.effects import Span
+from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
 REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
 SLOWEST, FASTEST = 0.05, 0.4  # tones: in Hz, one period in 20 s; of the sampling rate, as the smoother rolls off
+SAMPLED = 4.0  # samples in which the rms rate takes a place through the shortest pitch; bins of that
+MOST_PITCHES = 1000.0  # within the travel
+LINES = 4  # of a spectrum over displacement, for each pitch more within the travel
 WIDTH = 12  # lines on either side that are one tone: three of the record, just beyond the main lobe of the window
 OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
@@ -30,6 +34,7 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
     for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
         moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
         span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+        span = replace(span, pitches=_pitches(problem, moved, rate, motion.forces))
         stiffness = rig.stiffnesses.get(place.name, 0.0)
         stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
         found["element", place.name] = replace(span, stiffnesses=stiffnesses)
@@ -67,6 +72,37 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
         i = int(np.argmax(power))
         found.append(float(frequencies[i]))
         power[max(0, i - WIDTH) : i + WIDTH + 1] = 0.0
+    return tuple(found)
+
+
+def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -> tuple[float, ...]:
+    """Return the displacements over which latent forces repeat (c,), beside what is linear in displacement and rate.
+
+    Args:
+        problem: the record and the rig.
+        x: displacement of a place (m,).
+        rate: of it (m,).
+        forces: latent (m, c).
+    """
+    travel, passed = float(np.ptp(x)), float(np.sqrt((rate**2).mean())) * problem.dt
+    if not (travel > 0.0 and passed > 0.0 and np.isfinite(forces).all()):
+        return ()
+    most = min(travel / (SAMPLED * passed), MOST_PITCHES)
+    known = np.column_stack([np.ones(len(x)), (x - x.mean()) / travel, rate * problem.dt / passed])
+    left = forces - known @ decompositions.least_squares(known, forces)
+    many = 2 ** int(np.ceil(np.log2(SAMPLED * most + 2.0)))
+    at = np.minimum((x - x.min()) / travel * many, many - 1).astype(np.int64)
+    power = np.zeros(LINES * many // 2 + 1)
+    for column in left.T[left.var(axis=0) > 0.0]:
+        summed = np.bincount(at, column, many)
+        power += np.abs(np.fft.rfft(summed, LINES * many)) ** 2 / column.var()
+    cycles = np.arange(len(power)) / LINES
+    power = np.where((cycles >= 1.0) & (cycles <= most), power, 0.0)
+    found = list[float]()
+    while power.any() and len(found) < problem.rules.tones:
+        i = int(np.argmax(power))
+        found.append(travel / float(cycles[i]))
+        power[max(0, i - LINES) : i + LINES + 1] = 0.0
     return tuple(found)
 
 

@@ -445,6 +445,23 @@ ELEMENTS: tuple[Effect, ...] = (
         nested=("hardening_spring",),
     ),
     Effect(
+        "cogging",
+        "A force that repeats with the displacement: a sine of any phase.",
+        "a*sin(2*pi*d/pitch) + b*cos(2*pi*d/pitch)",
+        {
+            "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
+            "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),
+            "pitch": EffectParameter("D", "displacement after which it repeats", (1e-4, 10.0), 1e-2, None, POSITIVE),
+        },
+        cause="magnets and slots of a motor, teeth of a gear or a belt, the thread of a screw, a shaft that is bent",
+        remedy="let the controller cancel it, which needs its phase; a motor without iron has none",
+        source="Hanselman (2006), Brushless Permanent Magnet Motor Design, 2nd ed., ch. 6",
+        family="periodic force",
+        trials=tuple(Trial(starts.pitch(number), ("pitch",), ("a", "b")) for number in range(4)),
+        nested=("gravity_force",),
+        is_sum=True,
+    ),
+    Effect(
         "periodic_force",
         "A sinusoidal force that does not depend on the motion.",
         "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",

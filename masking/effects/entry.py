@@ -48,6 +48,7 @@ class Span:
         rate: root mean square of its rate.
         time: of the motion of the rig in s: displacement over rate, both in rms.
         tones: frequencies of the latent forces in Hz, the strongest first.
+        pitches: displacements over which the latent forces repeat, the strongest first.
         stiffnesses: values of a stiffness in the place of the element's own force, where it declares one.
     """
 
@@ -57,6 +58,7 @@ class Span:
     rate: float
     time: float = 1.0
     tones: tuple[float, ...] = ()
+    pitches: tuple[float, ...] = ()
     stiffnesses: tuple[float, ...] = ()
 
 

@@ -79,6 +79,11 @@ def tones(span: Span) -> list[Start]:
     return [{"nu": tone} for tone in span.tones]
 
 
+def pitch(number: int) -> Starts:
+    """Return a displacement over which the latent forces repeat: those near to each other are fitted each by itself."""
+    return lambda span: [{"pitch": one} for one in span.pitches[number : number + 1]]
+
+
 def levels(span: Span) -> list[Start]:
     """Return steps of a quantiser, near enough to each other: its effect has no slope that a fit could follow."""
     found: list[Start] = []
