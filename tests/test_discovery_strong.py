@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import integrate, signal
 
 import masking
 from masking.reports import discovery_text
@@ -169,3 +169,42 @@ def test_several_parameters_that_are_far_off_are_named_together(tmp_path):
     assert "50 % more than declared" in discovery_text.sentence(found)
     again = masking.simulate(tmp_path / "out" / "plant.yaml", tmp_path / "record.npz")
     assert again.chi["x"] == pytest.approx(1e-3, rel=0.05)
+
+
+MOTOR = """name: motor
+coordinates: {th: {unit: rad}}
+inputs: {i: {unit: A}}
+parameters:
+  J: {value: 0.002, unit: kg*m**2, std: 2e-5}
+  b: {value: 0.0011, unit: N*m*s/rad, std: 1e-4}
+  kt: {value: 0.05, unit: N*m/A, std: 1e-5}
+equations: {"J*th''": kt*i - b*th'}
+elements: {shaft: {displacement: th, unit: N*m, acts: {th: -1}}}
+"""
+
+
+def test_cogging_is_named_over_many_turns(tmp_path):
+    """Seven teeth pull at a shaft that turns some twenty times: its force repeats a hundred times within the travel."""
+    rate, rng = 200.0, np.random.default_rng(14)
+    times = np.arange(3000) / rate
+    current = 0.3 + sum(0.2 * np.sin(2.0 * np.pi * f * times + rng.uniform(0.0, 6.0)) for f in (0.1, 0.23, 0.57, 1.3))
+
+    def rates(t, y):
+        return [
+            y[1],
+            (0.05 * current[min(int(t * rate + 1e-9), 2999)] - 0.001 * y[1] - 4e-3 * np.sin(7.0 * y[0])) / 2e-3,
+        ]
+
+    state, angles = np.zeros(2), np.zeros(3000)
+    for i, t in enumerate(times):
+        angles[i] = state[0]
+        state = integrate.solve_ivp(rates, (t, t + 1.0 / rate), state, "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
+    assert np.ptp(angles) > 15.0 * 2.0 * np.pi
+    np.savez(tmp_path / "record.npz", t=times, i=current, th=angles + 1e-3 * rng.standard_normal(3000))
+    (tmp_path / "model.yaml").write_text(MOTOR)
+    found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
+    assert found.verdict == "named"
+    assert [(cause.name, cause.on) for cause in found.effects] == [("cogging", "shaft")]
+    values = {name: value for name, (value, _) in found.effects[0].parameters.items()}
+    assert values["pitch"] == pytest.approx(2.0 * np.pi / 7.0, rel=1e-3)
+    assert values["a"] == pytest.approx(4e-3, rel=0.03)

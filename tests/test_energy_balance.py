@@ -12,6 +12,7 @@ from masking.errors import DeclarationError
 from masking.numerics.energy_balance import energy_balance
 from masking.numerics.sizes import Sizes
 from masking.runs.experiment import Experiment
+from tests.kernels import called
 
 BALANCED = {"rate": "1 kHz", "model": "setup_springs", "observer": "disturbance", "homing": 3, "energy_balance": 0.3}
 
@@ -30,7 +31,7 @@ def momentum(t, e, p, g):
 @pytest.mark.parametrize("ratio", [-1e-3, 1e-3])
 def test_surplus_is_the_energy_that_the_virtual_system_does_not_give(ratio):
     """eta'' = -eta - 2 z eta' has the energy exp(-2 z t)/2; a filter with the motion's frequency halves each power."""
-    balance = energy_balance(virtual, momentum, Sizes(1, 2, 1, 1, 2, balanced=1))
+    balance = called(energy_balance(virtual, momentum, Sizes(1, 2, 1, 1, 2, balanced=1)))
     h, memory, o, g, p = 1e-3, np.zeros(8), np.empty(5), np.empty(1), np.array([0.3])
     turning = np.sqrt(1.0 - ratio**2)
     for t in h * np.arange(100_000):

@@ -14,6 +14,7 @@ from masking.errors import DeclarationError
 from masking.numerics.integrators import fault
 from masking.numerics.stop_codes import REACHED
 from masking.runs.experiment import Experiment
+from tests.kernels import called
 
 MANY = Path(__file__).parent.parent / "examples" / "many"
 
@@ -137,7 +138,7 @@ def test_pendula_on_a_beam_keep_their_energy():
 
     def rate(t, y):
         dy = np.empty(len(y))
-        assert fault.py_func(derivative(t, y, np.zeros(0), p, dy), 1.0) == REACHED
+        assert called(fault)(derivative(t, y, np.zeros(0), p, dy), 1.0) == REACHED
         return dy
 
     run = scipy.integrate.solve_ivp(rate, (0.0, 1.0), model.initial_state({}), "DOP853", rtol=1e-11, atol=1e-12)
@@ -160,7 +161,7 @@ def test_many_coordinates_are_masked(name, n):
         dy = np.empty(len(y))
         health = derivative(t, y, np.zeros(size), p, dy)
         first[0] = first[0] or health
-        assert fault.py_func(health, first[0]) == REACHED
+        assert called(fault)(health, first[0]) == REACHED
         return dy
 
     def free(t, y):

@@ -25,6 +25,7 @@ from masking.numerics import sampled_loop as sampling
 from masking.numerics.sizes import Sizes
 from masking.runs.experiment import Experiment
 from masking.runs.offline import run_twin
+from tests.kernels import called
 
 # The set-up in SI units (table B.1), the Duffing oscillators that it moves as (table 7.2), and their scales.
 W, Z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])
@@ -182,7 +183,7 @@ def test_prediction_makes_up_for_delay(samples):
 
 @cache
 def limiter():
-    return sampling.limiter(Sizes(1, 2, 1, 2, 0))
+    return called(sampling.limiter(Sizes(1, 2, 1, 2, 0)))
 
 
 finite = st.floats(-1e3, 1e3)
@@ -204,10 +205,10 @@ limits = st.fixed_dictionaries(
 )
 def test_no_command_exceeds_its_limits_and_none_is_cut_needlessly(demands, rows, h, time):
     table = np.array([[row["largest"], row["heating"], row["power"], time] for row in rows])
-    power, applied, reckoned = np.zeros(2), np.empty(2), np.zeros(2)
+    power, applied, reckoned, limit = np.zeros(2), np.empty(2), np.zeros(2), limiter()
     largest, heating, most = table[:, 0], table[:, 1], table[:, 2]
     for demanded in np.array(demands):
-        limiter()(demanded, table, power, h, applied)
+        limit(demanded, table, power, h, applied)
         # The mean power, P' = (r c^2 - P) / T, solved over h.
         kept = np.exp(-h / time)
         after = kept * reckoned + (1 - kept) * heating * applied**2

@@ -139,15 +139,16 @@ def rate_of(name: str) -> str:
 
 def library(kinds: Mapping[str, Effect]) -> NativeFunction:
     """Return the laws as machine code of their own, to which the kernels of every rig are linked."""
-
-    def build() -> Module:
-        module = Module("laws of effects", {})
-        zeros = [f"rows[{i}, {j}]" for i in range(2) for j in range(WIDTH)]
-        module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
-        return module
-
     made_from = {"laws": {name: effect.structure() for name, effect in kinds.items()}}
-    return store.load(store.key(made_from), build).function(LAW)
+    return store.load(store.key(made_from), lambda: printed(kinds)).function(LAW)
+
+
+def printed(kinds: Mapping[str, Effect]) -> Module:
+    """Return laws as a module of one function, which chooses by their number."""
+    module = Module("laws of effects", {})
+    zeros = [f"rows[{i}, {j}]" for i in range(2) for j in range(WIDTH)]
+    module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
+    return module
 
 
 def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:

@@ -453,7 +453,7 @@ ELEMENTS: tuple[Effect, ...] = (
             "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),
             "pitch": EffectParameter("D", "displacement after which it repeats", (1e-4, 10.0), 1e-2, None, POSITIVE),
         },
-        cause="magnets and slots of a motor, teeth of a gear or a belt, the thread of a screw, a shaft that is bent",
+        cause="magnets and iron of a motor, teeth of a gear or a belt, the thread of a screw, a shaft that is bent",
         remedy="let the controller cancel it, which needs its phase; a motor without iron has none",
         source="Hanselman (2006), Brushless Permanent Magnet Motor Design, 2nd ed., ch. 6",
         family="periodic force",

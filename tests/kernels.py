@@ -1,0 +1,8 @@
+"""Kernels as Python calls them: those of the package are LLVM code that only other kernels call."""
+
+import numba
+
+
+def called(kernel):
+    """Return a kernel compiled for Python, with what it calls."""
+    return numba.njit(error_model="numpy")(kernel.py_func)
