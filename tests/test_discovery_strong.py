@@ -4,6 +4,7 @@ Records are made here, by the classical Runge-Kutta method in plain Python, in e
 """
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -205,6 +206,9 @@ def test_cogging_is_named_over_many_turns(tmp_path):
     found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
     assert found.verdict == "named"
     assert [(cause.name, cause.on) for cause in found.effects] == [("cogging", "shaft")]
+    assert re.fullmatch(
+        r"Probabilities: cogging in shaft \d+ % and none of these \d+ %", discovery_text.sureness(found)
+    )
     values = {name: value for name, (value, _) in found.effects[0].parameters.items()}
     assert values["pitch"] == pytest.approx(2.0 * np.pi / 7.0, rel=1e-3)
     assert values["a"] == pytest.approx(4e-3, rel=0.03)

@@ -239,7 +239,7 @@ def summary(found: Discovery, files: Files | None) -> str:
     lines = [f"{discovery_text.sentence(found)}."]
     if discovery_text.beside(found):
         lines.append(f"{discovery_text.beside(found)}.")
-    further = (*discovery_text.whereabouts(found), discovery_text.intervals(found))
+    further = (discovery_text.sureness(found), *discovery_text.whereabouts(found), discovery_text.intervals(found))
     lines += [f"{sentence}." for sentence in further if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")

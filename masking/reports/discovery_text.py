@@ -163,6 +163,21 @@ def measured(found: Discovery) -> str:
     )
 
 
+def sureness(found: Discovery) -> str:
+    """Say how probable the last name, its alternatives and none of these are; '' where nothing has a name."""
+    if found.verdict == "unknown" and found.none_of_these:
+        return f"The probability that no name is right is {percent(found.none_of_these)}"
+    if found.verdict not in {"named", "ambiguous"} or not found.explanation.hypothesis.instances:
+        return ""
+    last = found.effects[len(found.explanation.hypothesis.instances) - 1]
+    said = {spoken(found, last.name, last.on): probability(found, last)}
+    for name, on, part in last.alternatives:
+        if part > SHOWN:
+            said.setdefault(spoken(found, name, on), part)
+    said["none of these"] = found.none_of_these
+    return f"Probabilities: {listed([f'{name} {percent(part)}' for name, part in said.items()])}"
+
+
 def is_open(found: Discovery) -> bool:
     """Return whether the record leaves open what is missing, among what has names of its own."""
     return found.verdict == "ambiguous" and len(alike(found)) > 1
