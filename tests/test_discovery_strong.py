@@ -135,7 +135,7 @@ elements: {strut: {displacement: x, unit: N, force: k*d + c*d_rate, acts: {x: -1
 """
 
 
-def shaken(folder, rates, seed):
+def shaken(folder, rates, seed, model=DAMPER):
     """Return what is found in 10 s of a linear system (s, s) whose second state is the rate of the mass of 0.3 kg."""
     rng, rate, n = np.random.default_rng(seed), 400.0, len(rates)
     command = signal.sosfilt(signal.butter(2, 15.0, fs=rate, output="sos"), rng.standard_normal(4000))
@@ -144,7 +144,7 @@ def shaken(folder, rates, seed):
     _, moved, _ = signal.dlsim(system, command)
     reading = moved[:, 0] + 1e-3 * moved.std() * rng.standard_normal(len(moved))
     np.savez(folder / "record.npz", t=np.arange(len(command)) / rate, u=command, x=reading)
-    (folder / "model.yaml").write_text(DAMPER)
+    (folder / "model.yaml").write_text(model)
     return masking.discover(folder / "record.npz", model=folder / "model.yaml", out=folder / "out")
 
 
@@ -170,6 +170,19 @@ def test_several_parameters_that_are_far_off_are_named_together(tmp_path):
     assert "50 % more than declared" in discovery_text.sentence(found)
     again = masking.simulate(tmp_path / "out" / "plant.yaml", tmp_path / "record.npz")
     assert again.chi["x"] == pytest.approx(1e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("known", [("m",), ("m", "c"), ("m", "k", "c")])
+def test_parameters_without_uncertainty_stay_as_they_are(tmp_path, known):
+    """The spring is a tenth stiffer than declared; where its stiffness is known, another spring is beside it."""
+    model = DAMPER
+    for name in known:
+        model = re.sub(rf"({name}: {{value: [0-9.]+)", r"\1, std: 0", model)
+    found = shaken(tmp_path, [[0.0, 1.0], [-990.0 / 0.3, -1.5 / 0.3]], 15, model)
+    assert not {*known} & {*found.problem.rig.names}
+    name, expected = ("linear_spring", 90.0) if "k" in known else ("k", 990.0)
+    assert [cause.name for cause in found.effects] == [name]
+    assert next(iter(found.effects[0].parameters.values()))[0] == pytest.approx(expected, rel=1e-3)
 
 
 MOTOR = """name: motor

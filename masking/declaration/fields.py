@@ -97,6 +97,14 @@ def _read_positive(value: object) -> float:
     raise refuse(f"must be greater than 0, not {number:g}")
 
 
+def _read_not_negative(value: object) -> float:
+    """Read a number that is not negative."""
+    number = _read_number(value)
+    if number >= 0.0:
+        return number
+    raise refuse(f"must be 0 or more, not {number:g}")
+
+
 def _read_truth(value: object) -> bool:
     """Read true or false."""
     if isinstance(value, bool):
@@ -180,6 +188,7 @@ _TEXT_OR_NUMBER = WithJsonSchema({"type": ["string", "number"]})
 TextField = Annotated[str, PlainValidator(_read_text), WithJsonSchema({"type": "string"})]
 Number = Annotated[float, PlainValidator(_read_number), WithJsonSchema({"type": "number"})]
 Positive = Annotated[float, PlainValidator(_read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+NotNegative = Annotated[float, PlainValidator(_read_not_negative), WithJsonSchema({"type": "number", "minimum": 0})]
 Truth = Annotated[bool, PlainValidator(_read_truth), WithJsonSchema({"type": "boolean"})]
 Natural = Annotated[int, PlainValidator(_read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
 Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]

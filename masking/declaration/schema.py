@@ -19,6 +19,7 @@ from masking.declaration.fields import (
     Formula,
     Name,
     Natural,
+    NotNegative,
     Number,
     Positive,
     Rate,
@@ -119,14 +120,14 @@ class Input(Block):
 class Parameter(Block):
     """A number with a name, or an expression over other parameters; `bounds` are the least and the largest value.
 
-    `std` is the standard deviation of a value that was identified, in its unit.
+    `std` is the standard deviation of the value, in its unit; 0 where it is known, so that it is not fitted.
     """
 
     value: Value
     unit: TextField = "1"
     meaning: TextField = ""
     bounds: tuple[Number | None, Number | None] = (None, None)
-    std: Positive | None = None
+    std: NotNegative | None = None
 
 
 class Output(Block):

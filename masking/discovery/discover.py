@@ -70,7 +70,7 @@ def discover(
         IntegrationError: the rig cannot be simulated along the record.
     """
     settings = settings or DiscoverySettings()
-    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or twin.equation_parameters())
+    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or twin.uncertain_parameters())
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
     train, unseen = record, validation

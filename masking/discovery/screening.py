@@ -287,7 +287,7 @@ class Screen:
         inertias = np.repeat([one.entry.is_inertia for _, one in jobs], [len(part) for part in made.columns])
         if inertias.any():
             others, ones = (part.T @ rows for part in self.single)
-            beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0), beyond)
+            beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0, initial=0.0), beyond)
         beyond, found = np.maximum(beyond, 0.0), []
         for (candidate, instance), part in zip(jobs, made.columns, strict=True):
             total = float(squares[part].sum())

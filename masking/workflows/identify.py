@@ -64,7 +64,7 @@ def identify(
     check_folder(out, "fit.json", "model.yaml", "plant.yaml", overwrite=overwrite)
     twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     twin.validate()
-    names = parameters or twin.equation_parameters()
+    names = parameters or twin.uncertain_parameters()
     train, held_out = ([Data.read(path, twin, hold, columns, dt) for path in paths] for paths in (records, validation))
     found: fits.Fit | KalmanFit
     if method == "kalman":

@@ -142,7 +142,7 @@ def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
 
 
 def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the parameters that may be off: all of the equations where none are named.
+    """Return the parameters that may be off: where none are named, all of the equations that are not known.
 
     Raises:
         DeclarationError: there is no such parameter in the equations.
@@ -152,7 +152,7 @@ def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
         if name not in known:
             message = f"the equations of {twin.base.name} hold no parameter '{name}'"
             raise DeclarationError(Problem(None, "parameters", message, nearest(name, known)))
-    return tuple(names) or known
+    return tuple(names) or twin.uncertain_parameters()
 
 
 def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
