@@ -21,7 +21,7 @@ from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, by_instance
 from masking.discovery.next_experiment import next_experiment
 from masking.discovery.noise import noise_of, steps_of
-from masking.discovery.prior import prior_of, train_validation_split
+from masking.discovery.prior import prior_of, train_validation_split, uncertain
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rival import beside_names
 from masking.discovery.rules import DecisionRules
@@ -70,7 +70,7 @@ def discover(
         IntegrationError: the rig cannot be simulated along the record.
     """
     settings = settings or DiscoverySettings()
-    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or twin.uncertain_parameters())
+    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or uncertain(twin))
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
     train, unseen = record, validation

@@ -39,6 +39,12 @@ class Prior:
         return replace(self, deviation=deviation)
 
 
+def uncertain(twin: Twin) -> tuple[str, ...]:
+    """Return the parameters of the equations that fits adjust by default: `std: 0` declares one as known."""
+    declared = twin.model.declaration.parameters
+    return tuple(n for n in twin.equation_parameters() if n not in declared or declared[n].std != 0.0)
+
+
 def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionRules = RULES) -> Prior:
     """Return the prior of the rig's parameters: declared values, standard deviations and bounds.
 

@@ -108,11 +108,6 @@ class Twin:
         own = self.base.parameters.keys() & self.parameter_names.keys()  # without the switches of effects
         return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 
-    def uncertain_parameters(self) -> tuple[str, ...]:
-        """Return those of the equations that are not declared as known, by `std: 0`: fits adjust them by default."""
-        declared = self.model.declaration.parameters
-        return tuple(n for n in self.equation_parameters() if n not in declared or declared[n].std != 0.0)
-
     def validate(self) -> None:
         """Refuse effects and allocation that do not fit the model.
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from masking.discovery import prior
 from masking.errors import ModelError
 from masking.estimation.fit import fit, independent
 from masking.plants.interface import Plant
@@ -114,14 +115,14 @@ def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
 def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
     """Give the models to fit, from the simplest to all that the plant file declares, with their parameters."""
     base = twin.as_model()
-    yield _Candidate("the model alone", base, base.uncertain_parameters())
+    yield _Candidate("the model alone", base, prior.uncertain(base))
     if model is not None:
         base = twin.as_model(model)
-        yield _Candidate(str(model), base, base.uncertain_parameters())
+        yield _Candidate(str(model), base, prior.uncertain(base))
     used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.entry.calibrated}
     if used:
         known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
         changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
         whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
         more = [f"{e.label}_{name}" for e in whole.effects for name in e.entry.calibrated if e.enabled]
-        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*whole.uncertain_parameters(), *more))
+        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*prior.uncertain(whole), *more))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from masking.discovery import prior
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.estimation import fit as fits
 from masking.estimation import kalman
@@ -64,7 +65,7 @@ def identify(
     check_folder(out, "fit.json", "model.yaml", "plant.yaml", overwrite=overwrite)
     twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     twin.validate()
-    names = parameters or twin.uncertain_parameters()
+    names = parameters or prior.uncertain(twin)
     train, held_out = ([Data.read(path, twin, hold, columns, dt) for path in paths] for paths in (records, validation))
     found: fits.Fit | KalmanFit
     if method == "kalman":

@@ -14,6 +14,7 @@ from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.instruments import Sensor
 from masking.declaration.schema import ModelDeclaration, PlantDeclaration
+from masking.discovery import prior
 from masking.discovery.settings import DiscoverySettings
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.estimation.data import Data
@@ -152,7 +153,7 @@ def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
         if name not in known:
             message = f"the equations of {twin.base.name} hold no parameter '{name}'"
             raise DeclarationError(Problem(None, "parameters", message, nearest(name, known)))
-    return tuple(names) or twin.uncertain_parameters()
+    return tuple(names) or prior.uncertain(twin)
 
 
 def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
