@@ -5,12 +5,14 @@ Records are made here, by the classical Runge-Kutta method in plain Python, in e
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import integrate, signal
 
 import masking
+from masking.discovery import freed
 from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
@@ -170,6 +172,14 @@ def test_several_parameters_that_are_far_off_are_named_together(tmp_path):
     assert "50 % more than declared" in discovery_text.sentence(found)
     again = masking.simulate(tmp_path / "out" / "plant.yaml", tmp_path / "record.npz")
     assert again.chi["x"] == pytest.approx(1e-3, rel=0.05)
+
+
+def test_no_parameter_is_named_where_a_fit_ended_elsewhere_and_none_is_far_off(tmp_path):
+    found = shaken(tmp_path, [[0.0, 1.0], [-900.0 / 0.3, -1.5 / 0.3]], seed=16)
+    assert found.verdict == "none"
+    base = found.search.base
+    elsewhere = replace(base, hypothesis=replace(base.hypothesis, cost=1e9))
+    assert freed.several(found.problem, elsewhere, []) == []
 
 
 @pytest.mark.parametrize("known", [("m",), ("m", "c"), ("m", "k", "c")])

@@ -28,6 +28,8 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
     size, rules = problem.record.readings.size, problem.rules
 
     def made(indices: Sequence[int]) -> Explanation | None:
+        if not indices:  # the fit within the priors ended elsewhere
+            return None
         names = tuple((problem.rig.names[i], "") for i in indices)
         free = Explanation("parameter", names, now.hypothesis).with_prior(problem)
         try:
