@@ -9,17 +9,15 @@ Source: as `fitting`; Golub and Pereyra (1973), SIAM J. Numer. Anal. 10(2), 413-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from scipy import optimize
 
 from masking.declaration.dictionary import MOST_PARAMETERS
-from masking.discovery import fitting
+from masking.discovery import explanation, fitting
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.free_law import KINDS, FreeLaw
@@ -27,7 +25,6 @@ from masking.discovery.grammar import MOST_SHAPES, Atom, atoms, evaluated
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tempered_fits import tempered
 from masking.effects import Effect, EffectParameter
-from masking.errors import IntegrationError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
@@ -363,18 +360,16 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
     both = float(np.log(problem.record.readings.size + validation.record.readings.size))
     every = forms(law, problem.record.readings.size)
 
-    def made(form: Form) -> ClosedForm | None:
+    def made(form: Form, rival: float) -> ClosedForm:
         every_one = (*others, instance(form, law))
-        with suppress(IntegrationError):
-            found = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start)
-            checked = fitting.validated(knowing(validation, every_one), found)
-            cost = found.cost + float(checked.squares @ validation.weights)
-            return ClosedForm(form, found, checked, cost + both * form.size + evidence * len(form.atoms))
-        return None
+        found = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start, rival=rival)
+        checked = fitting.validated(knowing(validation, every_one), found)
+        cost = found.cost + float(checked.squares @ validation.weights)
+        return ClosedForm(form, found, checked, cost + both * form.size + evidence * len(form.atoms))
 
     for many, fits in FITS.items():
-        with ThreadPoolExecutor(2) as pool:
-            found = [*pool.map(made, [one for one in every if len(one.atoms) == many][:fits])]
+        jobs = [partial(made, form) for form in every if len(form.atoms) == many][:fits]
+        found = explanation.fitted(jobs, np.inf, problem.work)
         best = min((one for one in (best, *found) if one is not None), key=lambda one: one.score, default=None)
         if best is not None and (problem.work.ends() or best.hypothesis.cost < known.cost + evidence):
             break

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -75,9 +76,10 @@ class Explanation:
 
 
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
+Fit = TypeVar("Fit")
 
 
-def fitted(jobs: Sequence[Job], rival: float, work: Work) -> list[Explanation | None]:
+def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> list[Fit | None]:
     """Return what fits give, two at once; None where the motion is not finite, or where the work ends before.
 
     Args:
@@ -86,13 +88,13 @@ def fitted(jobs: Sequence[Job], rival: float, work: Work) -> list[Explanation | 
         work: of the search; the first fits are made however much that is.
     """
 
-    def found(job: Job) -> Explanation | None:
+    def found(job: Callable[[float], Fit]) -> Fit | None:
         try:
             return job(rival)
         except IntegrationError:
             return None
 
-    made: list[Explanation | None] = []
+    made: list[Fit | None] = []
     with ThreadPoolExecutor(2) as pool:
         while len(made) < len(jobs) and not (made and work.ends()):
             made += pool.map(found, jobs[len(made) : len(made) + AT_ONCE])

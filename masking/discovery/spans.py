@@ -34,10 +34,11 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
     for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
         moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
         span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
-        span = replace(span, pitches=_pitches(problem, moved, rate, motion.forces))
         stiffness = rig.stiffnesses.get(place.name, 0.0)
         stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-        found["element", place.name] = replace(span, stiffnesses=stiffnesses)
+        found["element", place.name] = replace(
+            span, stiffnesses=stiffnesses, pitches=_pitches(problem, moved, rate, motion.forces)
+        )
     for where, names, table in (
         ("sensor", rig.twin.sensors, record.readings),
         ("actuator", rig.twin.actuators, record.commands),
