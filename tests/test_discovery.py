@@ -18,6 +18,8 @@ from masking.estimation.data import Data
 from masking.estimation.simulation import simulate
 from masking.records import readers
 from masking.records.recording import Recording
+from masking.reports import discovery_page
+from masking.reports.discovery_files import Origin
 from masking.rig.twin import Twin
 from masking.workflows import inputs
 from tests.benchmarks import hidden
@@ -181,6 +183,16 @@ def test_command_line(folder, capsys):
     assert json.loads((folder / "told.json").read_text())["verdict"] == "none"
     assert main(["discover", *where, "--parameters", "z9", "--json"]) == 2
     assert "hold no parameter 'z9'" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder):
+    (found, _), (other, _), out = discovered("friction"), discovered("none"), folder / "twice"
+    discovery_page.save(found, out, Origin({}))
+    (out / "models" / "mine.yaml").write_text("name: mine")
+    discovery_page.save(other, out, Origin({}))
+    left = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert left == {*json.loads((out / "discovery.json").read_text())["files"], "models/mine.yaml"}
+    assert not (out / "plant.yaml").exists()
 
 
 def test_an_interrupt_leaves_nothing(folder):

@@ -86,6 +86,21 @@ def equations(problem, instances=(), added=None, theta=None):
     return problem.equations(rig.start if theta is None else theta, np.zeros((1, 6)), instances, values)
 
 
+@pytest.mark.parametrize("interval", [0, 3000])
+def test_known_parameters_have_no_columns_and_change_nothing_else(problem, interval):
+    cut, rig = replace(problem, interval=interval), problem.rig
+    every = [*INSTANCES.values()]
+    start, added = np.zeros((cut.intervals, 6)), fitting.estimated(every)
+    free, fixed = (cut.equations(rig.start, start, every, added, frozen=frozen) for frozen in (False, True))
+    states = len(rig.start) + len(added)
+    np.testing.assert_array_equal(fixed.matrix[states:, states:], free.matrix[states:, states:])
+    np.testing.assert_array_equal(fixed.gradient[states:], free.gradient[states:])
+    np.testing.assert_array_equal(fixed.simulated, free.simulated)
+    assert not fixed.matrix[:states].any()
+    assert not fixed.gradient[:states].any()
+    assert np.abs(free.matrix[:states, :states]).any()
+
+
 def noisy(problem, instances, seed=0):
     """Return a problem whose record holds effects and noise."""
     told = equations(replace(problem, substeps=4), instances).simulated

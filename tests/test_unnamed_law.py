@@ -14,7 +14,17 @@ from scipy.interpolate import CubicSpline
 import masking
 from masking.declaration.expression import Expression
 from masking.declaration.quantities import quantity
-from masking.discovery import calibration, closed_form, grammar, harmonics, latent_force, laws, rival
+from masking.discovery import (
+    calibration,
+    closed_form,
+    fitting,
+    grammar,
+    harmonics,
+    latent_force,
+    laws,
+    rival,
+    unnamed,
+)
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.bases import Curve, Term, pieces
 from masking.discovery.coverage import Coverage
@@ -90,6 +100,16 @@ def test_a_law_without_a_name_is_found_in_its_closed_form(found):
     x, rate, made = along(discovery, discovery.law.instance)
     truth = np.array([rig.hidden(d, v) for d, v in zip(x, rate, strict=True)])
     assert np.abs(made - truth).max() < 0.01 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize("parts", [20, 200])
+def test_names_in_shorter_intervals_are_not_better_than_themselves(found, parts):
+    discovery, _, _ = found
+    named, short = discovery.explanation.hypothesis, replace(discovery.validation, interval=2000 // parts)
+    form = replace(discovery.law.form, hypothesis=named, validated=fitting.validated(short, named))
+    assert float(form.validated.squares @ short.weights) < 0.9 * float(discovery.after.squares @ short.weights)
+    law = replace(discovery.law, problem=short, form=form)
+    assert not unnamed.evidence(discovery, discovery.validation, discovery.after, law) > 0.0
 
 
 def test_the_tables_of_a_free_law_hold_its_force(found):

@@ -119,7 +119,7 @@ def fit(
     if is_fresh:  # the initial states that suit the parameters to begin from best count
         first = ended(begun, frozen=True)
         if first is not None and _better(first, found) is first:
-            found = _better(first, ended(Begun.at(first)))
+            found = _better(ended(Begun.at(first)), first)
     for fixed in (False, True) if is_fresh else (frozen,):
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
             nearer = _continued(problem, begun, frozen=fixed)
@@ -291,7 +291,7 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
         theta: parameters of the rig (k,).
         start: initial states of the shooting intervals (w, states).
     """
-    whole = _LeastSquares(problem, tuple(instances), start)
+    whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
     try:
         return whole.linearised(whole.unknowns(theta)).cost
     except IntegrationError:
@@ -416,7 +416,10 @@ class _LeastSquares:
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
         pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
         found = _joined(
-            [one.equations(theta, begin, self.instances, added, inner=begun) for one, begin, begun in pieces],
+            [
+                one.equations(theta, begin, self.instances, added, inner=begun, frozen=self.frozen)
+                for one, begin, begun in pieces
+            ],
             self.edges[1],
             len(inner) // len(self.records),
             [one.weights / self.problem.weights for one in self.records],

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from masking.codegen.graph import Node
 from masking.codegen.tangent import derivatives
@@ -37,6 +39,11 @@ class Instances:
     late: Array
     late_columns: IntVector
     states: int
+
+    def known(self) -> Instances:
+        """Return the same with all parameters known: none has a column."""
+        no_column = {name: np.full_like(getattr(self, name), -1) for name in ("estimated", "late_columns")}
+        return replace(self, **no_column)
 
 
 def followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:

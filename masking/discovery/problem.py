@@ -79,6 +79,7 @@ class EstimationProblem:
         added: Array | None = None,
         *,
         inner: Array | None = None,
+        frozen: bool = False,
     ) -> Equations:
         """Return the normal equations of the record at values of the parameters.
 
@@ -88,6 +89,7 @@ class EstimationProblem:
             instances: effects, one after the other.
             added: their free parameters (f,).
             inner: where their states begin (s,); at 0 where this is not given.
+            frozen: whether the parameters are known: their rows and columns are 0, which takes less time.
 
         Raises:
             IntegrationError: the motion is no longer finite.
@@ -97,7 +99,10 @@ class EstimationProblem:
         given = rig.instances(instances, np.concatenate([theta[len(rig.names) :], added]))
         states = given.states
         p, basis = rig.basis(theta, len(added) + states)
-        k, moving, intervals = basis.shape[1], rig.begins, self.intervals
+        every, moving, intervals = basis.shape[1], rig.begins, self.intervals
+        if frozen:
+            given, basis = given.known(), np.zeros((len(basis), states))
+        k = basis.shape[1]
         n, width = len(rig.twin.state_names), k + moving
         y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((COLUMN_ROWS * (n + states), width))
         y[n:] += 0.0 if inner is None else inner
@@ -115,9 +120,9 @@ class EstimationProblem:
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
             raise IntegrationError("the simulated motion is no longer finite")
-        matrix, gradient = np.zeros((k + intervals * moving,) * 2), np.zeros(k + intervals * moving)
+        matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)
         for i in range(intervals):
-            own = np.concatenate([np.arange(k), np.arange(k + i * moving, k + (i + 1) * moving)])
+            own = np.concatenate([np.arange(every - k, every), every + i * moving + np.arange(moving)])
             matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width]
             gradient[own] += gradients[i * width : (i + 1) * width]
         matrix += np.tril(matrix, -1).T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from masking.discovery.composites import share_a_place
 from masking.discovery.discovery import Discovery
 from masking.discovery.search import Tell
 from masking.discovery.unnamed import evidence, law_of
+from masking.errors import IntegrationError
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
 
@@ -43,7 +45,9 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     refused, above = found.verdict == "unknown", not found.is_at_noise_floor
     explained = not above if law is None else law.reaches(floor)
     if law is not None:
-        better = evidence(found, found.after, law, alone=above and explained) - rules.effect_evidence
+        with suppress(IntegrationError):
+            better = evidence(found, found.validation, found.after, law, alone=above and explained)
+            better -= rules.effect_evidence
         left = law.unexplained(found)
     none = calibration.none_of_these(
         left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained

@@ -189,7 +189,9 @@ def _deviation(rows: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
 
 
-def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
+def evidence(
+    found: Explained, validation: EstimationProblem, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False
+) -> float:
     """Return by how much the closed form of a law has a better score than the names in both records.
 
     It is no rival, and this is -inf, where it is known in other intervals, or where it leaves nearly all of what the
@@ -198,13 +200,16 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
 
     Args:
         found: the record with its explanation.
-        validated: that explanation on the validation record.
+        validation: the validation record.
+        validated: that explanation on it.
         law: the law without a name.
         alone: whether this law leaves no more than noise on unseen data, and the names leave more.
     """
     named, form = found.explanation.hypothesis, law.form
     if form is None or law.free.problem.interval != found.problem.interval:
         return -np.inf
+    if law.problem.interval != validation.interval:  # the law loses the motion in longer ones
+        alone, validated = False, fitting.validated(replace(validation, interval=law.problem.interval), named)
     numbers = [len(one.theta) + len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
     if (numbers[1] > numbers[0] and not alone) or form.validated.squares.shape != validated.squares.shape:
         return -np.inf
@@ -257,13 +262,12 @@ def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> Unna
             others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
             again = free_law.fit(found, others) if others else None
             law = again if again is not None and again.score < law.score else law
-        if law.hypothesis.cost > ALIKE * problem.record.readings.size:
+        if law.hypothesis.cost > ALIKE * problem.record.readings.size and not problem.work.ends():
             further = further_places.of(problem.rig, law.place.name, spans.time(found.search.motion))
             again = free_law.fit(found, [one for one in law.hypothesis.instances if one.effect not in KINDS], further)
             law = again if again is not None and again.score < law.score else law
-        validation = _followed(law.of(validation), law)
         try:
-            validated = fitting.validated(validation, law.hypothesis)
+            validation, validated = _followed(law.of(validation), law)
             base = found.search.base.hypothesis
             declared = replace(base, theta=problem.prior.mean)
             plain = replace(validation, rig=problem.rig, prior=problem.prior)
@@ -292,18 +296,23 @@ def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> Unna
     return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
 
 
-def _followed(validation: EstimationProblem, law: FreeLaw) -> EstimationProblem:
-    """Return the validation record in the longest shooting intervals in which a law follows the motion.
+def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationProblem, Hypothesis]:
+    """Return the validation record in the longest shooting intervals in which a law follows the motion, and the law.
 
     A chaotic motion is lost whatever the law, since any difference grows.
+
+    Raises:
+        IntegrationError: the motion is not finite.
     """
-    size = len(validation.record)
-    for samples in (law.problem.interval, *(n for part in PARTS if (n := size // part) > FEWEST)):
+    size, kept = len(validation.record), law.problem.interval
+    for samples in (kept, *(n for part in PARTS if (n := size // part) > FEWEST)):
         part = replace(validation, interval=samples)
         with suppress(IntegrationError):
-            if fitting.validated(part, law.hypothesis).cost < fitting.STUCK * validation.record.readings.size:
-                return part
-    return replace(validation, interval=law.problem.interval)
+            found = fitting.validated(part, law.hypothesis)
+            if found.cost < fitting.STUCK * validation.record.readings.size:
+                return part, found
+    part = replace(validation, interval=kept)
+    return part, fitting.validated(part, law.hypothesis)
 
 
 def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, validation: EstimationProblem) -> float:

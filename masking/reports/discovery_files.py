@@ -6,6 +6,7 @@ Everything is written into a folder of its own, read again as `masking check` re
 from __future__ import annotations
 
 import importlib.metadata
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -68,6 +69,8 @@ def save(
 ) -> Files:
     """Write a discovery into a folder, made if need be; nothing is left half written.
 
+    Those of an earlier discovery there that are not written again are deleted.
+
     Args:
         found: the discovery.
         folder: where to write.
@@ -86,14 +89,28 @@ def save(
     if files.model is not None and files.plant is not None:
         contents[files.model] = model_files.text(model(found, files.model.parent, origin))
         contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
-    contents[files.numbers] = json_text(as_dict(found, lies or out, origin))
+    written = sorted(str(path.relative_to(out)) for path in (*contents, files.numbers))
+    contents[files.numbers] = json_text(as_dict(found, lies or out, origin) | {"files": written})
+    earlier = _of_earlier(out)
     with html.staged(out) as made:
         html.write({made / path.relative_to(out): content for path, content in contents.items()})
         if files.model is not None:
             Model(registry.load_model(made / files.model.relative_to(out))).validate()
             registry.check_plant_file(made / PLANT)
             Twin.load(made / PLANT).validate()
+    for path in earlier - {*contents}:
+        path.unlink(missing_ok=True)
     return files
+
+
+def _of_earlier(out: Path) -> set[Path]:
+    """Return the files of the discovery that a folder holds, if any."""
+    try:
+        names = json.loads((out / NUMBERS).read_text(encoding="utf-8")).get("files", ())
+        every = {out / name for name in names}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return set()  # none, or no file of ours
+    return {path for path in every if path.resolve().is_relative_to(out.resolve())}
 
 
 def paths(found: Discovery, out: Path) -> Files:
