@@ -28,7 +28,7 @@ from masking.effects import EFFECTS, FORCE, OFFSET, Effect
 from masking.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
 from masking.numerics.arrays import Array, IntVector
 from masking.numerics.instances import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
-from masking.numerics.rig_sizes import PortSizes
+from masking.numerics.rig_sizes import PortSizes, whole_lanes
 from masking.rig.twin import LoweredTwin, Twin
 
 if TYPE_CHECKING:
@@ -349,7 +349,7 @@ class AugmentedModel:
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
         most = len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES
-        width = max(most, self.affected, 2 * len(self._seats), MOST_COLUMNS)
+        width = whole_lanes(max(most, self.affected, 2 * len(self._seats), self.sizes.added_rows, MOST_COLUMNS))
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
 
         def factories() -> dict[str, tuple[Any, ...]]:

@@ -16,7 +16,7 @@ from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.sensitivity import spans
 from masking.numerics.arrays import Array
-from masking.numerics.rig_sizes import COLUMN_ROWS
+from masking.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,8 @@ class EstimationProblem:
             given, basis = given.known(), np.zeros((len(basis), states))
         k = basis.shape[1]
         n, width = len(rig.twin.state_names), k + moving
-        y, derivatives = np.full(n + states, NEARLY_ZERO), np.zeros((COLUMN_ROWS * (n + states), width))
+        y = np.full(n + states, NEARLY_ZERO)
+        derivatives = np.zeros((COLUMN_ROWS * (n + states), whole_lanes(width)))
         y[n:] += 0.0 if inner is None else inner
         self.work.add(len(record) * self.substeps, len(y) + width)
         derivatives[n : n + states, k - states : k] = np.eye(states)
@@ -125,7 +126,7 @@ class EstimationProblem:
             own = np.concatenate([np.arange(every - k, every), every + i * moving + np.arange(moving)])
             matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width]
             gradient[own] += gradients[i * width : (i + 1) * width]
-        matrix += np.tril(matrix, -1).T
+        matrix = np.tril(matrix) + np.tril(matrix, -1).T
         return Equations(matrix, gradient, squares, simulated, record.residuals(simulated, late))
 
     def tempering(self, residuals: Array) -> float:

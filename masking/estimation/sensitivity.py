@@ -25,7 +25,7 @@ from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array, IntMatrix
-from masking.numerics.rig_sizes import COLUMN_ROWS, RigSizes
+from masking.numerics.rig_sizes import COLUMN_ROWS, RigSizes, whole_lanes
 from masking.records.hold import Hold
 from masking.rig.twin import LoweredTwin, Twin
 
@@ -160,7 +160,7 @@ class Sensitivity:
     @cached_property
     def kernels(self) -> Kernels:
         """Return the compiled functions; from the cache on disk where they have been made before."""
-        sizes, width = self.sizes, max(self.states + len(self._compiled), *self.widths)
+        sizes, width = self.sizes, whole_lanes(max(self.states + len(self._compiled), *self.widths))
 
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
@@ -190,8 +190,8 @@ class Sensitivity:
 
     @property
     def widths(self) -> tuple[int, ...]:
-        """Return the lengths of state, affected entries, readings and commands."""
-        return self.states, len(self.affected), len(self.twin.sensors), len(self.twin.actuators)
+        """Return the lengths of state, affected entries, readings that are added at once, and commands."""
+        return self.states, len(self.affected), self.sizes.added_rows, len(self.twin.actuators)
 
     def simulate(
         self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
@@ -273,7 +273,7 @@ class Sensitivity:
         y, simulated, derivatives = (
             np.empty(states),
             np.empty((count, len(squares))),
-            np.zeros((COLUMN_ROWS * states, size)),
+            np.zeros((COLUMN_ROWS * states, whole_lanes(size))),
         )
         status = self.kernels.normal(
             count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, np.arange(states),
@@ -283,7 +283,7 @@ class Sensitivity:
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
-        matrix += np.tril(matrix, -1).T
+        matrix = np.tril(matrix) + np.tril(matrix, -1).T
         return NormalEquations(matrix, gradient, squares, simulated, y)
 
 

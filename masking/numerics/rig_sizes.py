@@ -15,6 +15,13 @@ STATES, COORDINATES, SENSORS, PLACES, CHANNELS, IS_FED, READ_ROWS = range(7)
 
 
 COLUMN_ROWS = 6  # of the columns of each state: its own, those of the four stages of a step, and one between them
+TOGETHER = 4  # samples whose rows are added to the normal equations at once: measured, a matrix waits for its memory
+LANES = 8  # columns that a loop takes at once: measured, what remains takes longer, one by one
+
+
+def whole_lanes(columns: int) -> int:
+    """Return a number of columns, rounded up to those that loops take at once; what is added stays 0."""
+    return -(-columns // LANES) * LANES
 
 
 @dataclass(frozen=True)
@@ -42,9 +49,14 @@ class RigSizes:
         return 2 * self.states + 6
 
     @property
+    def added_rows(self) -> int:
+        """Return the rows of readings that are added to the normal equations at once."""
+        return TOGETHER * self.sensors
+
+    @property
     def work_rows(self) -> int:
         """Return the rows of work space of the normal equations."""
-        return 1 + self.sensors + 3 + self.read_rows + self.moving_rows
+        return 1 + self.added_rows + 5 + self.read_rows + self.moving_rows
 
 
 @dataclass(frozen=True)

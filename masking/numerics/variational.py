@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
 from masking.numerics.compilation import compiled, inlined
 from masking.numerics.integrators import held_late
+from masking.numerics.rig_sizes import LANES, TOGETHER
 
 Kernel = Callable[..., Any]
 
@@ -270,20 +271,19 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
         `accumulate(count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings,
         weights, matrix, gradient, squares, simulated, read_work, work) -> status`, which is 1 if the motion is no
         longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
-        (intervals, n), where the states `free` may have any value, each with a column of S at the end; each shooting
-        interval has `width` rows of `matrix` (J^T W J, its lower triangle) and entries of `gradient` (J^T W r).
-        `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number counts
-        for nothing. States beyond n go on from one interval to the next. `columns` has `COLUMN_ROWS` rows for each
-        state: the first are the columns, the others work space. `read_work` is work space of `read`.
+        (intervals, n), where the states `free` may have any value, each with a column of S behind those of the basis;
+        columns beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J;
+        above its diagonal, entries mean nothing) and entries of `gradient` (J^T W r). `squares` gets squared residuals
+        (sensors,), `simulated` the readings. A reading that is not a number counts for nothing. States beyond n go on
+        from one interval to the next. `columns` has `COLUMN_ROWS` rows for each state: the first are the columns, the
+        others work space. `read_work` is work space of `read`.
     """
     advance = runge_kutta_4(flow)
 
     @inlined
-    def restart(window, free, starts, y, columns):
-        width = columns.shape[1]
-        first = width - free.size
+    def restart(window, first, free, starts, y, columns):
         for i in range(columns.shape[0]):
-            for j in range(first, width):
+            for j in range(first, columns.shape[1]):
                 columns[i, j] = 0.0
         for i in range(starts.shape[1]):
             is_free = window == 0
@@ -297,35 +297,54 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
             columns[free[i], first + i] = 1.0
 
     @inlined
+    def add(at, width, rows, weighted, residuals, matrix, gradient):
+        for i in range(width):
+            last = min((i // LANES + 1) * LANES, width)
+            for m in range(0, rows.shape[0], 4):
+                first, second, third, fourth = rows[m], rows[m + 1], rows[m + 2], rows[m + 3]
+                a, b = weighted[m] * first[i], weighted[m + 1] * second[i]
+                c, d = weighted[m + 2] * third[i], weighted[m + 3] * fourth[i]
+                if a == 0.0 and b == 0.0 and c == 0.0 and d == 0.0:
+                    continue
+                total = gradient[at + i] + a * residuals[m] + b * residuals[m + 1]
+                gradient[at + i] = total + c * residuals[m + 2] + d * residuals[m + 3]
+                for j in range(last):
+                    total = matrix[at + i, j] + a * first[j] + b * second[j]
+                    matrix[at + i, j] = total + c * third[j] + d * fourth[j]
+        weighted[: rows.shape[0]] = 0.0
+
+    @inlined
     def accumulate(
         count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights, matrix,
         gradient, squares, simulated, read_work, work,
     ):  # fmt: skip
-        channels, width, h, sensors = commands.shape[1], columns.shape[1], dt / substeps, readings.shape[1]
+        channels, h, sensors = commands.shape[1], dt / substeps, readings.shape[1]
+        first = given.basis.shape[1]
+        width = first + free.size
         columns, stages = take(columns, y.size)
-        rows, work = take(work, sensors)
-        vectors, work = take(work, 3)
+        rows, work = take(work, TOGETHER * sensors)
+        vectors, work = take(work, 5)
         s, u, end = vectors[0], vectors[1][:channels], vectors[2][:channels]
+        weighted, residuals = vectors[3], vectors[4]
+        held = 0
         for index in range(count):
             t, window = index * dt, index // interval
             if index == window * interval:
-                restart(window, free, starts, y, columns)
-            read(t, dt, y, columns, commands, index, is_linear, given, s, rows, read_work)
+                restart(window, first, free, starts, y, columns)
+            now = held * sensors
+            read(t, dt, y, columns, commands, index, is_linear, given, s, rows[now : now + sensors], read_work)
             for o in range(sensors):
                 if not math.isfinite(s[o]):
                     return 1
                 simulated[index, o] = s[o]
                 residual = readings[index, o] - s[o]
-                if math.isnan(residual):
-                    continue
-                squares[o] += residual * residual
-                for i in range(width):
-                    weighted = weights[o] * rows[o, i]
-                    if weighted != 0.0:
-                        at = window * width + i
-                        gradient[at] += weighted * residual
-                        for j in range(i + 1):
-                            matrix[at, j] += weighted * rows[o, j]
+                if not math.isnan(residual):
+                    squares[o] += residual * residual
+                    weighted[now + o], residuals[now + o] = weights[o], residual
+            held += 1
+            if held == TOGETHER or index + 1 == min((window + 1) * interval, count):
+                add(window * width, width, rows, weighted, residuals, matrix, gradient)
+                held = 0
             for step in range(substeps):
                 drive(commands, index, step, substeps, dt, is_linear, given, u, end)
                 advance(t + step * h, y, columns, stages, u, end, given, h, work)
