@@ -223,6 +223,17 @@ def test_a_key_that_was_renamed_is_refused_with_its_new_name(folder, load, name,
         load(write(folder, "old.yaml", text))
 
 
+def test_the_first_of_many_problems_are_listed(folder):
+    wrong = "".join(f"unknown_{i}: 1\n" for i in range(5000))
+    (folder / "model.yaml").write_text(f"name: x\ncoordinates: [x]\nequations: {{x: -x}}\n{wrong}")
+    with pytest.raises(DeclarationError) as refused:
+        registry.load_model(folder / "model.yaml")
+    lines = str(refused.value).splitlines()
+    assert len(lines) <= 200
+    assert any("the key 'unknown_0' is not known" in line for line in lines)
+    assert "further problems are not listed" in lines[-1]
+
+
 def test_message_with_caret(folder):
     path = write(folder, "m.yaml", MODEL.replace("w*x2'", "w*x9'"))
     with pytest.raises(DeclarationError) as caught:

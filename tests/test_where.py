@@ -394,7 +394,7 @@ def test_what_is_said_of_friction(discoveries):
     found = discoveries("friction")
     (told,) = discovery_text.whereabouts(found)
     assert told.startswith("All of the model error is at spring1: 9")
-    assert "of its energy follows the rate, alike in both directions; it takes " in told
+    assert "of its energy follows the rate, equal and opposite in both directions; it takes " in told
     assert told.endswith("µW/kg out of the motion")
     lost = replace(found, verdict="unknown")
     assert discovery_text.whereabouts(lost) == []
@@ -406,7 +406,7 @@ def test_a_quadratic_spring_is_even(discoveries):
     assert best.decomposition.parts.displacement > 0.9
     assert best.decomposition.parts.odd < 0.05
     assert best.harmonics.even > 0.95
-    assert "the same way on both sides" in place_text.portrayed(best)
+    assert "the same on both sides" in place_text.portrayed(best)
 
 
 def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):

@@ -17,6 +17,7 @@ from masking.declaration.strict_yaml import Node, Places
 from masking.errors import DeclarationError, Problem, nearest
 
 D = TypeVar("D", bound=Declaration)
+MOST_LISTED = 100  # keys and values that the schema refuses, each with its mend: nobody reads more
 
 
 def read(
@@ -40,13 +41,16 @@ def read(
         refused: what the reader of YAML refused.
 
     Raises:
-        DeclarationError: lists every problem in the order of the file.
+        DeclarationError: lists the problems in the order of the file, of keys and values the first `MOST_LISTED`.
     """
     problems: list[Problem] = []
     whole, errors = _validate(kind, data)
     declaration = whole
     if errors:
-        problems = list(_translate(kind, errors, places))
+        problems = list(_translate(kind, errors[:MOST_LISTED], places))
+        more = len(errors) - MOST_LISTED
+        if more > 0:
+            problems.append(Problem(problems[-1].place, "", f"{more} further problems are not listed"))
         declaration = _validate(kind, _repaired(data, errors))[0]
     if declaration is not None:
         declaration._places = places

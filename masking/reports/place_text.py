@@ -29,20 +29,14 @@ def portrayed(place: LocatedForce) -> str:
         return "it is hardly beyond its deviation"
     if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
         return "it hardly changes"
-    follows = [
-        (much(part), what)
-        for part, what in (
-            (parts.displacement, "the displacement"),
-            (parts.rate, "the rate"),
-            (parts.both, "displacement and rate together"),
-        )
-        if part > NOTABLE
-    ]
+    each = {"the displacement": parts.displacement, "the rate": parts.rate, "displacement and rate together": parts.both}
+    most_first = sorted(each.items(), key=lambda pair: -pair[1])
+    follows = [(much(part), what) for what, part in most_first if part > NOTABLE]
     sentences = []
     if follows:
         (first, what), *others = follows
         said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
-        sentences.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd)}")
+        sentences.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd, what)}")
     if parts.neither > NOTABLE:
         sentences.append(
             f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
@@ -66,11 +60,18 @@ def loss(place: LocatedForce) -> str:
     return f"{watts} ({work(size / cycle, place.units)} per cycle of {quantity(cycle, 'Hz', 2)})"
 
 
-def symmetry(odd: float) -> str:
-    """Say how alike a force is in both directions, by the part of it that turns round with the motion."""
-    if odd > ALIKE:
-        return "alike in both directions"
-    return "the same way on both sides" if odd < 1.0 - ALIKE else "different in the two directions"
+def symmetry(odd: float, of: str) -> str:
+    """Say how alike a force is in both directions, by the part of it that turns round with the motion.
+
+    Args:
+        odd: that part of its energy.
+        of: what it follows most.
+    """
+    sides = "sides" if of == "the displacement" else "directions"
+    if ALIKE >= odd >= 1.0 - ALIKE:
+        return f"different {'on' if sides == 'sides' else 'in'} the two {sides}"
+    at = f"{'on' if sides == 'sides' else 'in'} both {sides}"
+    return f"equal and opposite {at}" if odd > ALIKE else f"the same {at}"
 
 
 def regions(place: LocatedForce) -> list[str]:
