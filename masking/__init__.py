@@ -17,7 +17,17 @@ Each verb of the command line is a function here: `catalogue` (its `list`), `sho
     True
 """
 
+from typing import Any
+
 import lazy_loader as lazy
 
 # The names and their modules stand in `__init__.pyi`, which type checkers read too; each loads when it is used.
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+_loaded, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - takes as long as all other imports here
+
+        return version("masking")
+    return _loaded(name)

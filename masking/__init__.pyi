@@ -32,3 +32,5 @@ from .workflows.stability import stability as stability
 from .workflows.sweep import load_sweep as load_sweep
 from .workflows.sweep import merge_sweeps as merge_sweeps
 from .workflows.sweep import sweep as sweep
+
+__version__: str

@@ -317,7 +317,8 @@ def test_progress_is_written_in_lines_where_there_is_no_terminal(monkeypatch, ca
         bar.tell("screening", 0.2)  # too soon after the beginning
         monkeypatch.setattr(progress, "APART", -1.0)
         bar.tell("fitting", 0.3)
-    assert capsys.readouterr().err == " 30%  fitting\n"
+        bar.tell("screening once more", 0.2)  # a search that begins anew
+    assert capsys.readouterr().err == " 30%  fitting\n 30%  screening once more\n"
 
 
 def test_export_says_what_was_written_and_what_is_wrong(capsys, short, tmp_path):

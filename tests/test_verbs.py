@@ -4,6 +4,7 @@ import inspect
 import subprocess
 import sys
 from dataclasses import fields
+from importlib.metadata import version
 
 import pytest
 
@@ -57,4 +58,5 @@ def test_the_package_loads_nothing_before_it_is_used():
 
 def test_every_name_of_the_package_is_there():
     assert all(getattr(masking, name) is not None for name in masking.__all__)
+    assert masking.__version__ == version("masking")
     assert "list" not in masking.__all__

@@ -34,7 +34,7 @@ class Bar:
     """
 
     def __init__(self, text: str) -> None:
-        self._written = time.monotonic()
+        self._written, self._most = time.monotonic(), 0.0
         self._bar = tqdm.tqdm(total=1.0, desc=text, delay=1.0, leave=False, disable=None, bar_format=_FORM)
 
     def __call__(self, part: float) -> None:
@@ -46,15 +46,16 @@ class Bar:
 
         Where standard error is no terminal it is a line, every `APART` seconds at most.
         """
+        self._most = max(self._most, part)
         if self._bar.disable:
             now = time.monotonic()
             if now - self._written > APART:
                 self._written = now
                 with contextlib.suppress(OSError):
-                    print(f"{part:4.0%}  {text}", file=sys.stderr, flush=True)
+                    print(f"{self._most:4.0%}  {text}", file=sys.stderr, flush=True)
             return
         self._bar.set_description(text, refresh=False)
-        self(max(part, self._bar.n))
+        self(self._most)
 
     def say(self, text: str) -> None:
         """Print a line above the bar."""

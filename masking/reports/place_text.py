@@ -29,7 +29,11 @@ def portrayed(place: LocatedForce) -> str:
         return "it is hardly beyond its deviation"
     if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
         return "it hardly changes"
-    each = {"the displacement": parts.displacement, "the rate": parts.rate, "displacement and rate together": parts.both}
+    each = {
+        "the displacement": parts.displacement,
+        "the rate": parts.rate,
+        "displacement and rate together": parts.both,
+    }
     most_first = sorted(each.items(), key=lambda pair: -pair[1])
     follows = [(much(part), what) for what, part in most_first if part > NOTABLE]
     sentences = []
