@@ -103,13 +103,16 @@ def test_a_law_without_a_name_is_found_in_its_closed_form(found):
 
 
 @pytest.mark.parametrize("parts", [20, 200])
-def test_names_in_shorter_intervals_are_not_better_than_themselves(found, parts):
+def test_names_and_a_law_are_compared_in_the_same_intervals(found, parts):
+    """In shorter intervals, names are not better than themselves."""
     discovery, _, _ = found
     named, short = discovery.explanation.hypothesis, replace(discovery.validation, interval=2000 // parts)
     form = replace(discovery.law.form, hypothesis=named, validated=fitting.validated(short, named))
-    assert float(form.validated.squares @ short.weights) < 0.9 * float(discovery.after.squares @ short.weights)
     law = replace(discovery.law, problem=short, form=form)
-    assert not unnamed.evidence(discovery, discovery.validation, discovery.after, law) > 0.0
+    matched = rival._in_intervals_of(law, discovery)
+    assert float(matched.after.squares @ short.weights) < 0.9 * float(discovery.after.squares @ short.weights)
+    assert matched.simulation_error.validation[0]["q1"] < discovery.simulation_error.validation[0]["q1"]
+    assert not unnamed.evidence(matched, matched.after, law) > 0.0
 
 
 def test_the_tables_of_a_free_law_hold_its_force(found):

@@ -251,17 +251,18 @@ def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
     return np.where(variance < 1.0 - 1e-9, found, 0.0)[: len(problem.rig.names)]
 
 
-def validated(problem: EstimationProblem, hypothesis: Hypothesis) -> Hypothesis:
+def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Return a hypothesis on a validation record: only its initial state is estimated, from growing parts if need be.
 
     Args:
         problem: of the record.
         hypothesis: to validate.
+        rival: as in `fit`.
 
     Raises:
         IntegrationError: the motion is not finite.
     """
-    fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True)
+    fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
     found, record = fitted(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:
         return found

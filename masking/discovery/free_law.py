@@ -34,7 +34,7 @@ NEGLIGIBLE = 1e-9  # of its standard deviation: a force that is not seen at all
 BEND = 0.3  # of the largest force: standard deviation of a bend between neighbouring pieces before the record
 SIDE = 5  # pieces of each side of a surface
 MOST_FORMS = 3  # forms that are fitted
-ROUNDS = 25  # of a fit
+ROUNDS, FIRST_ROUNDS = 25, 8  # of a fit, and of those in shorter shooting intervals before it
 PARTS, FEWEST = (60, 12), 20  # of a record in a shooting interval to begin with, and samples in it
 NEARER = (2.0, 1.4, 1.2, 1.1, 1.05, 1.025)  # times the best relaxation time: those that are tried next
 FAR = 3.0  # deviations of the prior
@@ -184,9 +184,9 @@ def fit(
         theta = found.explanation.hypothesis.theta
         starts = [start for ground in _grounds(found) for start in _at(ground, theta, known)]
     best: FreeLaw | None = None
-    noise = float(found.record.readings.size)
+    noise, marks = float(found.record.readings.size), dict[int, float]()
     for one in _ranked(starts)[:MOST_FORMS]:
-        law = _fitted(one, known)
+        law = _fitted(one, known, marks)
         if law is not None and (best is None or law.score < best.score):
             best = law
         if found.problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
@@ -378,11 +378,16 @@ def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> t
     return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
 
 
-def _fitted(one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
+def _fitted(one: _Start, known: Sequence[EffectInstance], marks: dict[int, float]) -> FreeLaw | None:
     """Return a form with effects elsewhere, fitted to the record from where the smoothed motion is.
 
     Shooting intervals grow from a fraction of the record to those of the problem: with the first factors the simulated
     motion would lose the record. If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept.
+
+    Args:
+        one: the form, to first order.
+        known: effects elsewhere.
+        marks: the least cost of a form in shooting intervals of so many samples; one that costs far more is given up.
     """
     problem = one.ground.problem
     instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))
@@ -396,12 +401,16 @@ def _fitted(one: _Start, known: Sequence[EffectInstance]) -> FreeLaw | None:
     for samples in (*(n for part in PARTS if FEWEST < (n := len(problem.record) // part) < most), most):
         stage = replace(problem, interval=0 if samples == len(problem.record) else samples)
         start = np.ascontiguousarray(one.ground.motion.states[::samples][: stage.intervals])
+        rounds, mark = ROUNDS if samples == most else FIRST_ROUNDS, LOST * marks.get(samples, np.inf)
         try:
-            fitted = fitting.fit(stage, instances, theta=theta, start=start, rounds=ROUNDS, penalty=whole)
+            fitted = fitting.fit(stage, instances, theta=theta, start=start, rounds=rounds, rival=mark, penalty=whole)
         except IntegrationError:
             break
+        if fitted.cost > mark:
+            return None
         if best is not None and fitted.cost > LOST * max(best.hypothesis.cost, noise):
             break
         instances, theta = fitted.instances, fitted.theta
+        marks[samples] = min(fitted.cost, marks.get(samples, np.inf))
         best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, whole, stage, one.ground.further)
     return best

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from masking.discovery import calibration, verdict
+from masking.discovery import calibration, fitting, verdict
 from masking.discovery.composites import share_a_place
 from masking.discovery.discovery import Discovery
 from masking.discovery.search import Tell
-from masking.discovery.unnamed import evidence, law_of
+from masking.discovery.unnamed import UnnamedLaw, evidence, law_of
 from masking.errors import IntegrationError
+from masking.estimation.simulation import relative
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
 
@@ -33,7 +33,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps, OPEN)
         none = 0.0 if law is None else 1.0 if law.reaches(floor) else calibration.REFUSED
-        return replace(found, law=law, none_of_these=none)
+        return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
     law, left, better = None, _left(found), -np.inf
     size, rules = found.problem.record.readings.size, found.problem.rules
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
@@ -41,13 +41,13 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
-        law = law_of(found, found.validation, substeps, OPEN if is_open else NAMED)
+        law = law_of(found, found.validation, substeps, OPEN if found.verdict == "unknown" else NAMED)
     refused, above = found.verdict == "unknown", not found.is_at_noise_floor
     explained = not above if law is None else law.reaches(floor)
+    matched = _in_intervals_of(law, found)
     if law is not None:
-        with suppress(IntegrationError):
-            better = evidence(found, found.validation, found.after, law, alone=above and explained)
-            better -= rules.effect_evidence
+        alone = not matched.is_at_noise_floor and explained
+        better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
         left = law.unexplained(found)
     none = calibration.none_of_these(
         left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
@@ -58,8 +58,27 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
     effects = (*found.effects[:at], last, *found.effects[at + 1 :])
     answer = "unknown" if none > calibration.LIKELIER else found.verdict
-    kept = law if answer == "unknown" else None
-    return replace(found, verdict=answer, law=kept, none_of_these=none, effects=effects)
+    of, kept = (matched, law) if answer == "unknown" else (found, None)
+    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
+    """Return a discovery with its errors on unseen data in the shooting intervals in which a law follows these.
+
+    It is as it was where there is no law, or where the model does not move on from one interval to the next.
+    """
+    if law is None or law.problem.interval == found.validation.interval:
+        return found
+    validation, sensors = replace(found.validation, interval=law.problem.interval), found.twin.sensors
+    try:
+        made = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
+    except IntegrationError:
+        return found
+    before, after, adjusted = (relative(sensors, [validation.record], one.squares) for one in made)
+    errors = replace(found.simulation_error, validation=(before, after), adjusted=adjusted)
+    return replace(
+        found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors
+    )
 
 
 def _errs(found: Discovery) -> float:

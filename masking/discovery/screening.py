@@ -104,7 +104,7 @@ class Screen:
         along: Along | None = None,
     ) -> None:
         self.rig, self.record, self.base, self.motion = problem.rig, problem.record, base, motion
-        self.rules, self.bounds = problem.rules, problem.prior
+        self.rules, self.bounds, self.work = problem.rules, problem.prior, problem.work
         self.along: Along = {} if along is None else along
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
         self.thin, self.every = thinning(problem)
@@ -416,6 +416,7 @@ class Screen:
         found = np.empty((self.blocks, sensors * many))
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
+        self.work.add(self.blocks * every, many)
         rig.kernels.respond(
             self.blocks * every, self.thin / record.rate, every, self.interval_samples, rig.equations.meta["is_direct"],
             at.astype(np.int64),

@@ -189,9 +189,7 @@ def _deviation(rows: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
 
 
-def evidence(
-    found: Explained, validation: EstimationProblem, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False
-) -> float:
+def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
     """Return by how much the closed form of a law has a better score than the names in both records.
 
     It is no rival, and this is -inf, where it is known in other intervals, or where it leaves nearly all of what the
@@ -200,18 +198,15 @@ def evidence(
 
     Args:
         found: the record with its explanation.
-        validation: the validation record.
-        validated: that explanation on it.
+        validated: that explanation on the validation record, in the shooting intervals of the law.
         law: the law without a name.
         alone: whether this law leaves no more than noise on unseen data, and the names leave more.
     """
     named, form = found.explanation.hypothesis, law.form
     if form is None or law.free.problem.interval != found.problem.interval:
         return -np.inf
-    if law.problem.interval != validation.interval:  # the law loses the motion in longer ones
-        alone, validated = False, fitting.validated(replace(validation, interval=law.problem.interval), named)
     numbers = [len(one.theta) + len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
-    if (numbers[1] > numbers[0] and not alone) or form.validated.squares.shape != validated.squares.shape:
+    if (numbers[1] > numbers[0] and not alone) or len(form.validated.start) != len(validated.start):
         return -np.inf
     penalty = float(np.log(named.residuals.size + validated.residuals.size))
     costs = [
@@ -304,12 +299,12 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
     Raises:
         IntegrationError: the motion is not finite.
     """
-    size, kept = len(validation.record), law.problem.interval
+    size, kept, most = len(validation.record), law.problem.interval, fitting.STUCK * validation.record.readings.size
     for samples in (kept, *(n for part in PARTS if (n := size // part) > FEWEST)):
         part = replace(validation, interval=samples)
         with suppress(IntegrationError):
-            found = fitting.validated(part, law.hypothesis)
-            if found.cost < fitting.STUCK * validation.record.readings.size:
+            found = fitting.validated(part, law.hypothesis, most)
+            if found.cost < most:
                 return part, found
     part = replace(validation, interval=kept)
     return part, fitting.validated(part, law.hypothesis)

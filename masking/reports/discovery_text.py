@@ -127,7 +127,7 @@ def unnamed(found: Discovery) -> str:
     name, after = worst(found), law.error[1]
     does = "explains the record" if law.closed else "explains a part of it"
     alone, noise = found.simulation_error.adjusted[name], found.simulation_error.validation_noise_floor[name]
-    short = law.problem.interval and law.problem.interval != found.validation.interval
+    short = law.problem.interval and law.problem.interval != found.problem.interval
     seconds = law.problem.interval / law.problem.record.rate
     within = f" in shooting intervals of {quantity(seconds, 's', 2)}, beyond which the motion is lost" if short else ""
     return (
