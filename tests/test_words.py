@@ -144,7 +144,7 @@ def test_a_delay_of_the_only_actuator_is_told_once():
         for actuators in (("force",), ("force", "torque"))
     )
     assert discovery_text.alike(one) == ["a delay of force"]
-    assert discovery_text.probability(one, last) == 1.0
+    assert discovery_text.likely(one, last) == {"a delay of force": 1.0}
     assert not discovery_text.is_open(one)
     assert discovery_text.alike(two) == ["a delay of all actuators", "a delay of force"]
     assert discovery_text.labelled(two, "delay", "force") == "Delay of force"

@@ -89,7 +89,7 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
 
 def _tiles(found: Discovery) -> Iterator[Tile]:
     for one in found.effects[:3] if found.verdict != "unknown" else ():
-        sure = discovery_text.probability(found, one)
+        sure = discovery_text.likely(found, one)[discovery_text.spoken(found, one.name, one.on)]
         probability = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
         yield Tile(discovery_text.labelled(found, one.name, one.on), probability, "probability")
     errors, worst = found.simulation_error, discovery_text.worst(found)

@@ -169,11 +169,7 @@ def sureness(found: Discovery) -> str:
         return f"The probability that no name is right is {percent(found.none_of_these)}"
     if found.verdict not in {"named", "ambiguous"} or not found.explanation.hypothesis.instances:
         return ""
-    last = found.effects[len(found.explanation.hypothesis.instances) - 1]
-    said = {spoken(found, last.name, last.on): probability(found, last)}
-    for name, on, part in last.alternatives:
-        if part > SHOWN:
-            said.setdefault(spoken(found, name, on), part)
+    said = likely(found, found.effects[len(found.explanation.hypothesis.instances) - 1])
     said["none of these"] = found.none_of_these
     return f"Probabilities: {listed([f'{name} {percent(part)}' for name, part in said.items()])}"
 
@@ -185,15 +181,17 @@ def is_open(found: Discovery) -> bool:
 
 def alike(found: Discovery) -> list[str]:
     """Name what the last cause may be; a delay of the only actuator is that of all of them."""
-    last = found.effects[-1]
-    others = [spoken(found, name, on) for name, on, probability in last.alternatives if probability > SHOWN]
-    return list(dict.fromkeys([spoken(found, last.name, last.on), *others]))
+    return [*likely(found, found.effects[-1])]
 
 
-def probability(found: Discovery, named: Named) -> float:
-    """Return the probability of a cause, with that of alternatives that are the same."""
-    label = spoken(found, named.name, named.on)
-    return named.probability + sum(p for name, on, p in named.alternatives if spoken(found, name, on) == label)
+def likely(found: Discovery, cause: Named) -> dict[str, float]:
+    """Return a cause and its alternatives in words with their probabilities, those that are the same together."""
+    said = {spoken(found, cause.name, cause.on): cause.probability}
+    for name, on, part in cause.alternatives:
+        label = spoken(found, name, on)
+        if part > SHOWN or label in said:
+            said[label] = said.get(label, 0.0) + part
+    return said
 
 
 def offered(found: Discovery) -> list[Named]:
