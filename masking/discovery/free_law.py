@@ -387,7 +387,7 @@ def _fitted(one: _Start, known: Sequence[EffectInstance], marks: dict[int, float
     Args:
         one: the form, to first order.
         known: effects elsewhere.
-        marks: the least cost of a form in shooting intervals of so many samples; one that costs far more is given up.
+        marks: by the samples of shooting intervals, the least cost of a form; one that costs far more is given up.
     """
     problem = one.ground.problem
     instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))
