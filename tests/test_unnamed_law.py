@@ -136,6 +136,14 @@ def test_the_written_model_reproduces_what_is_promised(found):
     assert "law without a name" in (folder / "found" / "discovery.html").read_text()
 
 
+def test_a_law_that_may_be_none_is_called_so(found):
+    discovery, _, _ = found
+    assert "there may be none" not in discovery_text.sentence(discovery)
+    law = replace(discovery.law)
+    law.__dict__["coverage"] = replace(discovery.law.coverage, band=1.2)
+    assert "there may be none" in discovery_text.sentence(replace(discovery, law=law))
+
+
 def test_the_page_begins_with_measured_before_and_after_the_law(found, monkeypatch):
     discovery, _, folder = found
     drawn = {}

@@ -25,6 +25,7 @@ LOST = 0.9  # part of a reading that is left, from which the model is said not t
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
 EXCHANGED = "Unseen data alone show it: it was estimated from these, and validated by the others"
+HARDLY_A_FORCE = "Along the record, two of its standard deviations are as large as the force: there may be none"
 EARLY = (
     "The search ended early, after as much work as it may do: a part of the record, or fewer --parameters, leave more"
 )
@@ -130,10 +131,11 @@ def unnamed(found: Discovery) -> str:
     short = law.problem.interval and law.problem.interval != found.problem.interval
     seconds = law.problem.interval / law.problem.record.rate
     within = f" in shooting intervals of {quantity(seconds, 's', 2)}, beyond which the motion is lost" if short else ""
+    unsure = f". {HARDLY_A_FORCE}" if 1.0 <= law.coverage.band < np.inf else ""
     return (
         f"A law without a name in {law.place} {does}: {form(found, law)}. The validation error of {name} is "
         f"{percent(after[name])} with it{within}, and {percent(alone)} with adjusted parameters alone; the noise floor "
-        f"is {percent(noise)}"
+        f"is {percent(noise)}{unsure}"
     )
 
 
