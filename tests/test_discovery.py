@@ -193,6 +193,11 @@ def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder):
     left = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert left == {*json.loads((out / "discovery.json").read_text())["files"], "models/mine.yaml"}
     assert not (out / "plant.yaml").exists()
+    for named in (["models", ".", "../friction/train/manifest.json"], [7], None):  # no list of ours
+        (out / "discovery.json").write_text(json.dumps({"files": named}))
+        discovery_page.save(other, out, Origin({}))
+    assert (out / "models" / "mine.yaml").exists()
+    assert (folder / "friction" / "train" / "manifest.json").exists()
 
 
 def test_an_interrupt_leaves_nothing(folder):

@@ -99,7 +99,7 @@ def save(
             registry.check_plant_file(made / PLANT)
             Twin.load(made / PLANT).validate()
     for path in earlier - {*contents}:
-        path.unlink(missing_ok=True)
+        path.unlink()
     return files
 
 
@@ -110,7 +110,7 @@ def _of_earlier(out: Path) -> set[Path]:
         every = {out / name for name in names}
     except (OSError, ValueError, AttributeError, TypeError):
         return set()  # none, or no file of ours
-    return {path for path in every if path.resolve().is_relative_to(out.resolve())}
+    return {path for path in every if path.is_file() and path.resolve().is_relative_to(out.resolve())}
 
 
 def paths(found: Discovery, out: Path) -> Files:
