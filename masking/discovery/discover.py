@@ -35,7 +35,6 @@ from masking.discovery.work import Work
 from masking.effects import ROUNDING
 from masking.errors import IntegrationError, MaskingError
 from masking.estimation.data import NOT_LATE, Data
-from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
@@ -190,13 +189,13 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
         other = fitting.fit(problem)
         size = found.record.readings.size
         if other.cost - size < problem.rules.first_order_hold_fraction * (known.cost - size):
-            return _chi(problem, other)
+            return problem.errors(other.squares)
     return None
 
 
 def _loses_phase(found: Discovery) -> bool:
     """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
-    left = relative(found.twin.sensors, [found.record], found.search.base.hypothesis.squares)
+    left = found.problem.errors(found.search.base.hypothesis.squares)
     return found.verdict == "unknown" and max(left.values()) > found.problem.rules.phase_loss
 
 
@@ -259,11 +258,11 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
     unexplained = left / excess if excess > 0.0 else 0.0
     errors = SimulationError(
-        (_chi(problem, declared.hypothesis), _chi(problem, chosen.hypothesis)),
-        (_chi(validation, before), _chi(validation, after)),
-        _floor(problem),
-        _floor(validation),
-        _chi(validation, adjusted),
+        (problem.errors(declared.hypothesis.squares), problem.errors(chosen.hypothesis.squares)),
+        (validation.errors(before.squares), validation.errors(after.squares)),
+        problem.noise_floor,
+        validation.noise_floor,
+        validation.errors(adjusted.squares),
     )
     scored = _scored(rivals, problem, tempering)
     decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
@@ -321,7 +320,7 @@ def _no_worse(
         cost = float(after.squares @ validation.weights)
         if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
             return rivals, chosen, after, withheld
-        withheld = withheld or Withheld(chosen.names, _chi(validation, after))
+        withheld = withheld or Withheld(chosen.names, validation.errors(after.squares))
     return offered[-1], offered[-1][0], before, withheld
 
 
@@ -469,11 +468,3 @@ def _causes(
     others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > LISTED)
     causes = [Named(*name, values, 1.0) for name, values in zip(chosen.names, estimates, strict=True)]
     return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))
-
-
-def _chi(problem: EstimationProblem, hypothesis: Hypothesis) -> dict[str, float]:
-    return relative(problem.rig.twin.sensors, [problem.record], hypothesis.squares)
-
-
-def _floor(problem: EstimationProblem) -> dict[str, float]:
-    return relative(problem.rig.twin.sensors, [problem.record], len(problem.record) * problem.sigma**2)

@@ -42,8 +42,8 @@ class Instances:
 
     def known(self) -> Instances:
         """Return the same with all parameters known: none has a column."""
-        no_column = {name: np.full_like(getattr(self, name), -1) for name in ("estimated", "late_columns")}
-        return replace(self, **no_column)
+        estimated, late_columns = np.full_like(self.estimated, -1), np.full_like(self.late_columns, -1)
+        return replace(self, estimated=estimated, late_columns=late_columns)
 
 
 def followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:

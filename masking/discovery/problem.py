@@ -15,6 +15,7 @@ from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.sensitivity import spans
+from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 
@@ -65,6 +66,15 @@ class EstimationProblem:
     def weights(self) -> Array:
         """Return the weights of squared residuals (sensors,)."""
         return np.asarray(self.sigma**-2.0)
+
+    @property
+    def noise_floor(self) -> dict[str, float]:
+        """Return the relative error of each sensor that the noise alone makes."""
+        return self.errors(len(self.record) * self.sigma**2)
+
+    def errors(self, squares: Array) -> dict[str, float]:
+        """Return the relative error of each sensor, by name, from squared residuals (sensors,)."""
+        return relative(self.rig.twin.sensors, [self.record], squares)
 
     @property
     def dt(self) -> float:

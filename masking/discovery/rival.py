@@ -12,7 +12,6 @@ from masking.discovery.discovery import Discovery
 from masking.discovery.search import Tell
 from masking.discovery.unnamed import UnnamedLaw, evidence, law_of
 from masking.errors import IntegrationError
-from masking.estimation.simulation import relative
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
 
@@ -69,12 +68,12 @@ def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
     """
     if law is None or law.problem.interval == found.validation.interval:
         return found
-    validation, sensors = replace(found.validation, interval=law.problem.interval), found.twin.sensors
+    validation = replace(found.validation, interval=law.problem.interval)
     try:
         made = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
     except IntegrationError:
         return found
-    before, after, adjusted = (relative(sensors, [validation.record], one.squares) for one in made)
+    before, after, adjusted = (validation.errors(one.squares) for one in made)
     errors = replace(found.simulation_error, validation=(before, after), adjusted=adjusted)
     return replace(
         found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors

@@ -33,7 +33,6 @@ from masking.discovery.latent_force import Explained
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tabulated import tabulated
 from masking.errors import IntegrationError
-from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 
 MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
@@ -281,13 +280,8 @@ def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> Unna
             return None
     if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
-    twin, rules = found.twin, problem.rules
-    errors = (
-        relative(twin.sensors, [problem.record], fitted.squares),
-        relative(twin.sensors, [validation.record], validated.squares),
-    )
-    floor = relative(twin.sensors, [validation.record], len(validation.record) * validation.sigma**2)
-    closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), rules)
+    errors, floor = (problem.errors(fitted.squares), validation.errors(validated.squares)), validation.noise_floor
+    closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), problem.rules)
     return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
 
 

@@ -300,7 +300,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel) -> Kernel:
     def add(at, width, rows, weighted, residuals, matrix, gradient):
         for i in range(width):
             last = min((i // LANES + 1) * LANES, width)
-            for m in range(0, rows.shape[0], 4):
+            for m in range(0, rows.shape[0], TOGETHER):
                 first, second, third, fourth = rows[m], rows[m + 1], rows[m + 2], rows[m + 3]
                 a, b = weighted[m] * first[i], weighted[m + 1] * second[i]
                 c, d = weighted[m + 2] * third[i], weighted[m + 3] * fourth[i]
