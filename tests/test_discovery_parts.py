@@ -16,7 +16,7 @@ from masking.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
 from masking.discovery.explanation import Explanation, occam
-from masking.discovery.ground import Ground
+from masking.discovery.ground import Ground, View
 from masking.discovery.noise import steps_of
 from masking.discovery.places import opened, places
 from masking.discovery.prior import prior_of
@@ -407,6 +407,6 @@ def test_a_simpler_law_takes_the_place_of_one_that_is_no_better(problem):
     two = two.at_step(record.rig.mobilities["spring1"], record.dt / record.substeps)
     names = ("asymmetric_friction", "spring1"), ("stop", "spring2")
     richer = Explanation("effects", names, fitting.fit(record, (two, hidden[1])))
-    found = Search(record)._reduced(richer, Ground(base, None, motion, every))
+    found = Search(record)._reduced(richer, Ground(base, [View(base.hypothesis, motion)], every))
     assert {*found.names} == {("dry_friction", "spring1"), ("stop", "spring2")}
     assert found.hypothesis.added[0] == pytest.approx(0.05, rel=0.01)

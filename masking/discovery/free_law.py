@@ -8,7 +8,6 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.bases import FEW, Curve, Term, pieces
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.further_places import NOUNS, FurtherPlaces
+from masking.discovery.ground import views
 from masking.discovery.latent_force import Explained, directions, projected
 from masking.discovery.places import Place
 from masking.discovery.problem import EstimationProblem
@@ -215,13 +215,10 @@ class _Ground:
 
 def _grounds(found: Explained) -> Iterator[_Ground]:
     """Give the model as it was fitted, and as it is declared where the fit went far from that."""
-    problem, base = found.problem, found.search.base.hypothesis
+    search = found.search
     places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
-    yield _Ground(problem, base, found.search.motion, places)
-    if (np.abs(base.theta - problem.prior.mean) > FAR * problem.prior.deviation).any():
-        with suppress(IntegrationError):
-            declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
-            yield _Ground(problem, declared, smooth(problem, declared.theta, declared.start), places)
+    for view in views(found.problem, search.base.hypothesis, search.motion, FAR):
+        yield _Ground(found.problem, view.hypothesis, view.motion, places)
 
 
 def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:

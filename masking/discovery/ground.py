@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,9 +15,45 @@ from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Along, Score, Screen
-from masking.discovery.smoothing import Motion
+from masking.discovery.smoothing import Motion, smooth
+from masking.errors import IntegrationError
 
 FAR = 10.0  # deviations of its prior by which no parameter is off: it then stands for what is missing
+
+
+@dataclass(frozen=True)
+class View:
+    """The model without causes as a fit of it, and the motion that is smoothed with its parameters.
+
+    Args:
+        hypothesis: the fit.
+        motion: smoothed record.
+        along: what candidates do along the motion.
+    """
+
+    hypothesis: Hypothesis
+    motion: Motion
+    along: Along = field(default_factory=dict)
+
+
+def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: float = FAR) -> tuple[View, ...]:
+    """Return the model as it was fitted, and as it is declared where that is far from it.
+
+    Parameters of the fit then stand for what is missing, and what is not seen of its motion is wrong by as much.
+
+    Args:
+        problem: the record and the rig.
+        fit: of the model within the priors of its parameters.
+        motion: smoothed with these.
+        far: deviations of its prior from which a parameter is far off.
+    """
+    off = np.abs(fit.theta - problem.prior.mean) / problem.prior.deviation
+    if not (off > far).any():
+        return (View(fit, motion),)
+    with suppress(IntegrationError):
+        declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
+        return View(fit, motion), View(declared, smooth(problem, declared.theta, declared.start))
+    return (View(fit, motion),)
 
 
 @dataclass(frozen=True)
@@ -25,17 +62,23 @@ class Ground:
 
     Args:
         base: the model, its parameters fitted within their priors.
-        declared: the model as declared, where the fit is far from it.
-        motion: smoothed record.
+        views: of it; the second one, if any, as it is declared.
         every: candidates.
-        along: what they do along the motion.
     """
 
     base: Explanation
-    declared: Hypothesis | None
-    motion: Motion
+    views: Sequence[View]
     every: Sequence[Candidate]
-    along: Along = field(default_factory=dict)
+
+    @property
+    def declared(self) -> Hypothesis | None:
+        """Return the model as it is declared, where the fit is far from it."""
+        return self.views[1].hypothesis if len(self.views) > 1 else None
+
+    @property
+    def motion(self) -> Motion:
+        """Return the motion that is smoothed with the parameters of the fit."""
+        return self.views[0].motion
 
     def screen(
         self,
@@ -45,7 +88,7 @@ class Ground:
         *,
         taken: bool = False,
     ) -> Screen:
-        """Return a screen of a fit, with what effects that were found explain taken out.
+        """Return a screen of a fit along the motion of the nearest view, with what effects explain taken out.
 
         Args:
             problem: the record and the rig.
@@ -53,7 +96,13 @@ class Ground:
             found: the effects.
             taken: whether these are in the fit already.
         """
-        return Screen(problem, looked_at, self.motion, found, taken=taken, along=self.along)
+
+        def distance(view: View) -> float:
+            off = (view.hypothesis.theta - looked_at.theta) / problem.prior.deviation
+            return float(off @ off)
+
+        near = min(self.views, key=distance)
+        return Screen(problem, looked_at, near.motion, found, taken=taken, along=near.along)
 
     def screened(self, problem: EstimationProblem, now: Explanation) -> tuple[Screen, list[Score]]:
         """Return the screen in which a candidate takes most, of the model or of what is found, and the scores.
@@ -65,8 +114,7 @@ class Ground:
             now: what is found.
         """
         instances, size = now.hypothesis.instances, problem.record.readings.size
-        looked_at = [one for one in (self.base.hypothesis, self.declared) if one is not None]
-        screens = [self.screen(problem, one, instances) for one in looked_at]
+        screens = [self.screen(problem, view.hypothesis, instances) for view in self.views]
         if now.cost < max(problem.rules.small_residual * size, screens[0].total):
             screens = [self.screen(problem, now.hypothesis, instances, taken=True)]
         scored = [(screen, screen.scores(self.every)) for screen in screens]
@@ -78,16 +126,3 @@ class Ground:
                 if gain > best[id(score.candidate)].gain:
                     best[id(score.candidate)] = replace(score, gain=gain)
         return screen, sorted(best.values(), key=lambda score: -score.gain)
-
-
-def far_off(problem: EstimationProblem, fit: Hypothesis) -> Hypothesis | None:
-    """Return the model as declared, where a fit is far from it: its parameters then stand for what is missing.
-
-    Args:
-        problem: the record and the rig.
-        fit: of the model within the priors of its parameters.
-    """
-    off = np.abs(fit.theta - problem.prior.mean) / problem.prior.deviation
-    if not (off > FAR).any():
-        return None
-    return fitting.fit(problem, theta=problem.prior.mean, frozen=True)

@@ -15,13 +15,14 @@ from functools import cached_property, partial
 import numpy as np
 
 from masking.discovery import fitting, freed, nesting, shooting, unscreened, verdict
+from masking.discovery.addition import Addition, in_steps, ready
 from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.candidates import Candidate, candidates
+from masking.discovery.candidates import candidates
 from masking.discovery.composites import are_composite
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import Hypothesis
-from masking.discovery.ground import Ground, far_off
+from masking.discovery.ground import Ground, views
 from masking.discovery.pairs import pairs_first
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
@@ -31,12 +32,10 @@ from masking.discovery.spans import spans
 from masking.discovery.verdict import Key
 from masking.discovery.work import Work
 from masking.errors import IntegrationError
-from masking.numerics.arrays import Array
 
 Tell = Callable[[str, float], None]
 Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of a parameter by -1 and less
 
-LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
 FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
 
 
@@ -116,7 +115,7 @@ class Search:
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
         every = list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt))
-        ground = Ground(base, far_off(self.problem, plain), motion, every)
+        ground = Ground(base, views(self.problem, plain, motion), every)
         search = self.finer(substeps or self.problem.substeps)
         found = search._searched(ground)
         while found.problem and found.problem.substeps > search.problem.substeps:
@@ -199,8 +198,8 @@ class Search:
         except IntegrationError:
             return (), [], now
         found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
-        added = partial(partial, self._added, now, screen, None)  # of some scores, and then of the cost of a rival
-        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=added), likeliest
+        adding = Addition(self.problem, now, screen, ground.declared)
+        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=adding.job), likeliest
 
     def _steps_of(self, base: Explanation, best: Explanation) -> int:
         """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
@@ -240,13 +239,16 @@ class Search:
         def is_far(number: int) -> bool:
             return number in known and known[number].cost > far
 
-        chosen, variants = self._worth_a_fit(now, scores, screen, max(gains, default=0.0))
+        best = max([*gains, *(score.gain for score in scores)], default=0.0)
+        chosen, variants = self._worth_a_fit(now, scores, screen, screen.total - best)
         repeated = [score for score in scores if id(score.candidate) in known and all(score is not p for p in chosen)]
         chosen += repeated
 
+        adding = Addition(self.problem, now, screen, ground.declared)
+
         def added(score: Score) -> tuple[int, Job]:
             number = id(score.candidate)
-            return number, partial(self._added, now, screen, known.get(number), (score,))
+            return number, adding.job((score,), known.get(number))
 
         jobs = [added(score) for score in chosen]
         if parameters:
@@ -258,6 +260,12 @@ class Search:
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += self._noted(some, self.problem.work, rival, made)
+        rival = min(e.hypothesis.cost for e in (now, *found))
+        if found and rival / screen.every > self._worth(screen, screen.total - best):
+            # Screens expect too much here: others than those that they put first may be right.
+            others, variants = self._worth_a_fit(now, scores, screen, np.inf)
+            more = [added(p) for p in others if all(p is not one for one in chosen)]
+            found += self._noted([(n, job) for n, job in more if not is_far(n)], self.problem.work, rival, made)
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
             found += unscreened.fits(self.problem, now, found, ground, noted)
@@ -272,8 +280,11 @@ class Search:
         found += self._noted(again, self.problem.work, rival, made)
         found += self._simpler(found)
         found = [e for e in found if self._is_possible(e)]
-        if not found:
-            return [], now
+        return self._compared(now, found) if found else ([], now)
+
+    def _compared(self, now: Explanation, found: Sequence[Explanation]) -> tuple[list[Explanation], Explanation]:
+        """Return those of explanations that are distinct, the best first, and the likeliest; none if by chance."""
+        rules = self.rules
         tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[Key, ...], Explanation] = {}
         for explanation in sorted(found, key=lambda e: e.score(tempering)):
@@ -311,11 +322,10 @@ class Search:
         return better
 
     def _worth_a_fit(
-        self, now: Explanation, scores: Sequence[Score], screen: Screen, gain: float
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, left: float
     ) -> tuple[list[Score], list[Score]]:
-        """Return scores whose candidates are fitted, and of other shapes of nested models; a parameter takes `gain`."""
-        best, rules = max([score.gain for score in scores], default=0.0), self.rules
-        most = self._worth(screen, screen.total - max(best, gain))
+        """Return scores whose candidates are fitted, and of other shapes of nested models; the best leaves `left`."""
+        rules, most = self.rules, self._worth(screen, left)
         chosen: list[Score] = []
         for score in scores:
             pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
@@ -384,7 +394,7 @@ class Search:
     def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
         """Return a fit with an effect in the place of one."""
         names, others = best.without(i)
-        found = self._fit((self._ready(score), *others), best.hypothesis, rival)
+        found = self._fit((ready(self.problem, score), *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_possible(self, explanation: Explanation) -> bool:
@@ -430,7 +440,7 @@ class Search:
         if len(best.hypothesis.instances) < 2:
             return best
         tempering = self.problem.tempering(best.hypothesis.residuals)
-        simpler = nesting.simpler(best, ground.every, self._in_steps)
+        simpler = nesting.simpler(best, ground.every, partial(in_steps, self.problem))
         jobs = [partial(self._refitted, best, names, instances) for names, instances in simpler]
         for fewer in fitted(jobs, best.hypothesis.cost, self.problem.work):
             if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
@@ -445,46 +455,6 @@ class Search:
 
     def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
         return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
-
-    def _added(
-        self, now: Explanation, screen: Screen, known: Explanation | None, scores: Sequence[Score], rival: float
-    ) -> Explanation:
-        """Return a fit with more effects, from parameters as they are, declared or screened, or as it is known.
-
-        Where that ends worse than without them, as where a resonance is sharp, it begins again with less of them.
-        """
-        here, ready = (now.hypothesis.theta, now.hypothesis.start), tuple(map(self._ready, scores))
-        names, unique = (*now.names, *(p.candidate.key for p in scores)), min(p.unique for p in scores)
-
-        def cost(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> float:
-            return fitting.cost(self.problem, (*now.hypothesis.instances, *instances), *at)
-
-        def begun(instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> Explanation:
-            every = (*now.hypothesis.instances, *instances)
-            found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
-            return Explanation("effects", names, found, unique)
-
-        if known is None:
-            around, declared = screen.around([score.instance for score in scores]), (self.problem.prior.mean, here[1])
-            found = begun(ready, min((here, around, declared), key=partial(cost, ready)))
-        else:
-            found = replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
-        if found.hypothesis.cost <= now.hypothesis.cost:
-            return found
-        less = ([instance.with_factors_times(part) for instance in ready] for part in LESS)
-        better = (begun(instances, here) for instances in less if cost(instances, here) < now.hypothesis.cost)
-        return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
-
-    def _ready(self, score: Score) -> EffectInstance:
-        """Return the instance of a score that a fit begins with, not excluded."""
-        every = (score.instance, *score.candidate.instances[::-1])
-        first = next((one for one in every if not is_excluded(self.problem, [one])), score.instance)
-        return self._in_steps(first, score.candidate)
-
-    def _in_steps(self, instance: EffectInstance, candidate: Candidate) -> EffectInstance:
-        """Return an instance, with the step of integration if it sticks."""
-        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
-        return instance.at_step(rig.mobilities[instance.at], step) if candidate.sticks else instance
 
     def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
         names = ((self.problem.rig.names[index], ""),)

@@ -1,0 +1,101 @@
+"""Addition: fits with one or two more effects than an explanation has, from the parameters that suit them best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+
+from masking.discovery import fitting
+from masking.discovery.augmented_model import EffectInstance
+from masking.discovery.candidates import Candidate
+from masking.discovery.exclusion import is_excluded
+from masking.discovery.explanation import Explanation, Job
+from masking.discovery.fitting import Hypothesis
+from masking.discovery.problem import EstimationProblem
+from masking.discovery.screening import Score, Screen
+from masking.discovery.tempered_fits import approached
+from masking.errors import IntegrationError
+from masking.numerics.arrays import Array
+
+LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
+
+
+@dataclass(frozen=True)
+class Addition:
+    """More effects in an explanation.
+
+    Args:
+        problem: the record and the rig.
+        now: the explanation.
+        screen: of what it leaves.
+        declared: the model as it is declared, where its fit is far from that; else None.
+    """
+
+    problem: EstimationProblem
+    now: Explanation
+    screen: Screen
+    declared: Hypothesis | None
+
+    def job(self, scores: Sequence[Score], known: Explanation | None = None) -> Job:
+        """Return the fit with the effects of scores; `known` is the same in larger steps of integration."""
+        begin = partial(self._fitted, tuple(scores)) if known is None else partial(self._repeated, known)
+        return partial(self._or_with_less, tuple(scores), begin)
+
+    def _or_with_less(self, scores: Sequence[Score], begin: Job, rival: float) -> Explanation:
+        """Return a fit; where that ends worse than without the effects, it begins again with less of them.
+
+        A resonance may be so sharp.
+        """
+        found, now = begin(rival), self.now.hypothesis
+        if found.hypothesis.cost <= now.cost:
+            return found
+        less = ([ready(self.problem, score).with_factors_times(part) for score in scores] for part in LESS)
+        here = now.theta, now.start
+        better = (self._begun(scores, some, here, rival) for some in less if self._cost(some, here) < now.cost)
+        return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
+
+    def _fitted(self, scores: Sequence[Score], rival: float) -> Explanation:
+        """Return a fit from parameters as they are, declared or screened, whatever costs least.
+
+        Where the parameters are far from what is declared, the effects are approached from that, too.
+        """
+        made, now = [ready(self.problem, score) for score in scores], self.now.hypothesis
+        around, mean = self.screen.around([score.instance for score in scores]), self.problem.prior.mean
+        at = min(((now.theta, now.start), around, (mean, now.start)), key=partial(self._cost, made))
+        found = self._begun(scores, made, at, rival)
+        with suppress(IntegrationError):
+            if self.declared is not None:
+                near = approached(self.problem, (*now.instances, *made), self.declared)
+                fitted = fitting.fit(self.problem, near.instances, theta=near.theta, start=near.start, rival=rival)
+                found = min(found, replace(found, hypothesis=fitted), key=lambda e: e.hypothesis.cost)
+        return found
+
+    def _repeated(self, known: Explanation, rival: float) -> Explanation:
+        return replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))
+
+    def _begun(
+        self, scores: Sequence[Score], instances: Sequence[EffectInstance], at: tuple[Array, Array], rival: float
+    ) -> Explanation:
+        """Return the fit from parameters and initial states."""
+        every = (*self.now.hypothesis.instances, *instances)
+        found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
+        names = (*self.now.names, *(score.candidate.key for score in scores))
+        return Explanation("effects", names, found, min(score.unique for score in scores))
+
+    def _cost(self, instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> float:
+        return fitting.cost(self.problem, (*self.now.hypothesis.instances, *instances), *at)
+
+
+def ready(problem: EstimationProblem, score: Score) -> EffectInstance:
+    """Return the instance of a score that a fit begins with, not excluded."""
+    every = (score.instance, *score.candidate.instances[::-1])
+    first = next((one for one in every if not is_excluded(problem, [one])), score.instance)
+    return in_steps(problem, first, score.candidate)
+
+
+def in_steps(problem: EstimationProblem, instance: EffectInstance, candidate: Candidate) -> EffectInstance:
+    """Return an instance, with the step of integration if it sticks."""
+    rig, step = problem.rig, problem.dt / problem.substeps
+    return instance.at_step(rig.mobilities[instance.at], step) if candidate.sticks else instance
