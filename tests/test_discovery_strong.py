@@ -235,3 +235,42 @@ def test_cogging_is_named_over_many_turns(tmp_path):
     values = {name: value for name, (value, _) in found.effects[0].parameters.items()}
     assert values["pitch"] == pytest.approx(2.0 * np.pi / 7.0, rel=1e-3)
     assert values["a"] == pytest.approx(4e-3, rel=0.03)
+
+
+PAIR = """name: two carriages
+coordinates: {x1: {unit: m}, x2: {unit: m}}
+parameters:
+  m1: {value: 2, unit: kg}
+  m2: {value: 3, unit: kg}
+  k1: {value: 900, unit: N/m}
+  k2: {value: 2500, unit: N/m}
+  c1: {value: 0.2, unit: N*s/m}
+  c2: {value: 0.3, unit: N*s/m}
+equations: {"m1*x1''": 0, "m2*x2''": 0}
+elements:
+  coupling: {displacement: x1 - x2, unit: N, force: k1*d + c1*d_rate, acts: {x1: -1, x2: 1}}
+  ground: {displacement: x2, unit: N, force: k2*d + c2*d_rate, acts: {x2: -1}}
+"""
+
+
+@pytest.mark.parametrize("drag", [300.0, 60.0])
+def test_strong_damping_is_found_in_a_free_decay_of_which_one_of_two_masses_is_seen(tmp_path, drag):
+    """The parameters of the model alone would run to a tenth of their values, since masses have no scale here."""
+    times, rng = np.arange(3000) / 100.0, np.random.default_rng(17)
+
+    def rates(t, y):
+        x1, x2, v1, v2 = y
+        pull = 909.0 * (x1 - x2) + 0.2 * (v1 - v2) + drag * (v1 - v2) * abs(v1 - v2)
+        return [v1, v2, -pull / 1.98, (pull - 2480.0 * x2 - 0.3 * v2) / 3.0]
+
+    found = integrate.solve_ivp(rates, (0.0, 30.0), [0.05, -0.03, 0.0, 0.0], t_eval=times, rtol=1e-10, atol=1e-13)
+    readings = found.y[3]
+    readings = readings + 2e-3 * readings.std() * rng.standard_normal(len(times))
+    np.savez(tmp_path / "record.npz", t=times, v2=readings)
+    (tmp_path / "model.yaml").write_text(PAIR)
+    plant = 'name: bench\nmodel: model.yaml\nsensors: {v2: {measures: "x2\'", unit: m/s}}\n'
+    (tmp_path / "plant.yaml").write_text(plant)
+    found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml")
+    assert found.verdict == "named"
+    assert [(cause.name, cause.on) for cause in found.effects] == [("quadratic_damping", "coupling")]
+    assert next(iter(found.effects[0].parameters.values()))[0] == pytest.approx(drag, rel=0.05)

@@ -261,7 +261,7 @@ class Search:
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += self._noted(some, self.problem.work, rival, made)
         rival = min(e.hypothesis.cost for e in (now, *found))
-        if found and rival / screen.every > self._worth(screen, screen.total - best):
+        if found and ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best):
             # Screens expect too much here: others than those that they put first may be right.
             others, variants = self._worth_a_fit(now, scores, screen, np.inf)
             more = [added(p) for p in others if all(p is not one for one in chosen)]
@@ -269,6 +269,7 @@ class Search:
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
             found += unscreened.fits(self.problem, now, found, ground, noted)
+            found += unscreened.nearest(self.problem, now, found, ground, noted)
             found += freed.several(self.problem, now, found)
         if not found:
             return [], now

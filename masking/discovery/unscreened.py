@@ -4,7 +4,8 @@ Along a motion that sticks no law has the force that holds it, and where a senso
 such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
 these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
 place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range,
-and at each state the bounds that hold it.
+and at each state the bounds that hold it. Where all of these leave much, every other law is approached from what is
+declared, since along a wrong motion of what is not seen any law may look best; those that come nearest are fitted.
 """
 
 from __future__ import annotations
@@ -12,15 +13,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
+
+import numpy as np
 
 from masking.discovery import exclusion, fitting, verdict
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
-from masking.discovery.explanation import Explanation, Job
+from masking.discovery.explanation import Explanation, Job, fitted
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.ground import Ground
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tempered_fits import approached
+from masking.discovery.verdict import Key
 from masking.discovery.work import Work
 from masking.errors import IntegrationError
 
@@ -30,9 +35,12 @@ FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place stic
 MUCH = 1e-3  # of what the model without a law leaves beyond noise
 WORSE = 10.0  # times what another law leaves: with two levels, friction may leave far less than with one
 SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
-PART = 0.5  # of what a search may simulate
+PART = 0.5  # of what a search may simulate, for the first laws; the others have as much
 SHARE = 0.2  # of that, after which a law begins at no further start
+NEAREST = 3  # laws that are fitted of those that are approached
 FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
+
+Noted = Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]]
 
 
 def fits(
@@ -40,7 +48,7 @@ def fits(
     now: Explanation,
     found: Sequence[Explanation],
     ground: Ground,
-    noted: Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]],
+    noted: Noted,
 ) -> list[Explanation]:
     """Return fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
 
@@ -81,6 +89,42 @@ def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[E
     least = min(one.cost for one in (now, *found))
     left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
     return left > MUCH * excess
+
+
+def nearest(
+    problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
+) -> list[Explanation]:
+    """Return fits of the laws that come nearest when each is approached from the model as declared.
+
+    There are none where that is near to its fit, or where other fits leave little.
+
+    Args:
+        problem: the record and the rig.
+        now: the model without a law.
+        found: other fits.
+        ground: of the search.
+        noted: makes fits, with the numbers of their candidates.
+    """
+    begun = ground.declared
+    if begun is None or not _leaves_much(problem, now, found):
+        return []
+    problem, known = problem.apart(PART), {one.names[-1] for one in found}
+    others = [one for one in ground.every if one.factors and not one.sticks and one.key not in known]
+    first = dict[Key, Candidate]()
+    for score in ground.screen(problem, begun, ()).scores(others):
+        first.setdefault(score.candidate.key, score.candidate)
+
+    def near(candidate: Candidate, rival: float) -> Hypothesis:
+        return approached(problem, candidate.instances[:1], begun)
+
+    def fit(key: Key, known: Hypothesis, rival: float) -> Explanation:
+        made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
+        return Explanation("effects", (key,), made)
+
+    made = fitted([partial(near, one) for one in first.values()], np.inf, problem.work)
+    pairs = [(key, one) for key, one in zip(first, made, strict=True) if one is not None]
+    pairs.sort(key=lambda pair: pair[1].cost)
+    return noted([(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]], problem.work)
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
