@@ -38,6 +38,7 @@ from masking.estimation.data import NOT_LATE, Data
 from masking.numerics.arrays import Array
 from masking.rig.twin import Twin
 
+FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
 LISTED = 1e-4  # probability from which an alternative is listed: less is never chosen
 
 
@@ -106,7 +107,7 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
             if _explains_more(found, again):
                 found, substeps, doubt = again, steps, other
     found = _with_directed(found, substeps, found.validation.record, found.validation.sigma, say)
-    found = replace(beside_names(found, substeps, say), unit=doubt)
+    found = _stated(replace(beside_names(found, substeps, say), unit=doubt))
     return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
 
 
@@ -177,6 +178,25 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
     left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
     is_directed = any(one.at in directed.places(problem) for one in again.explanation.hypothesis.instances)
     return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
+
+
+def _stated(found: Discovery) -> Discovery:
+    """Return a discovery with the errors of its effects in finer steps of integration, as others simulate them."""
+    known, errors = found.explanation.hypothesis, found.simulation_error
+    if not known.instances:
+        return found
+    stated = list[dict[str, float]]()
+    for part, start in ((found.problem, known.start), (found.validation, found.after.start)):
+        fine = replace(part, substeps=FINER * part.substeps)
+        try:
+            with threadpool_limits(1):
+                made = fitting.fit(fine, known.instances, theta=known.theta, start=start, frozen=True)
+        except IntegrationError:
+            return found
+        stated.append(fine.errors(made.squares))
+    estimation, validation = stated
+    pairs = (errors.estimation[0], estimation), (errors.validation[0], validation)
+    return replace(found, simulation_error=replace(errors, estimation=pairs[0], validation=pairs[1]))
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
