@@ -260,7 +260,10 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert calibration.none_of_these(calibration.HALF) == pytest.approx(0.5 * (1.0 + calibration.LEAST))
     assert calibration.none_of_these(0.0, refused=True) > calibration.LIKELIER
     assert calibration.none_of_these(0.0, shared=True) == calibration.SHARED
-    assert calibration.none_of_these(0.0, above=True) == calibration.ABOVE
+    assert calibration.none_of_these(0.0, above=1.2) == calibration.ABOVE
+    grown = [calibration.none_of_these(0.0, above=error) for error in (1.2, 1.6, 2.0, 5.0, 50.0)]
+    assert grown == sorted(grown)
+    assert grown[-1] == calibration.LIKELIER
     assert calibration.none_of_these(1.0, explained=False) == calibration.REFUSED
 
 

@@ -18,7 +18,7 @@ HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 SHARPNESS = 3.0  # s
 REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
 SHARED = 0.3  # at least, where two forces of one place are named: together they imitate many a single law
-ABOVE = 0.25  # at least, where unseen data are not at the noise floor: of 19 such random records, 14 were right
+ABOVE = 0.25  # at least, where unseen data are not at the noise floor; more where the error is above EXPLAINED times it
 EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
 CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
@@ -30,7 +30,7 @@ def none_of_these(
     *,
     refused: bool = False,
     shared: bool = False,
-    above: bool = False,
+    above: float = 0.0,
     explained: bool = True,
 ) -> float:
     """Return the probability that none of the names is right.
@@ -40,12 +40,14 @@ def none_of_these(
         better: score by which a closed form is better than the names, beyond what is asked of an effect.
         refused: whether the names are refused for what they leave.
         shared: whether two of them are forces of one place.
-        above: whether they leave more than the noise floor on unseen data.
+        above: error that they leave on unseen data, over the noise; 0 where that is the noise floor. A name that leaves
+            several times the noise is as likely wrong as right, since something else is missing.
         explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
     found = max(found, (1.0 - LEAST) * float(special.expit(0.5 * better)))
-    found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, ABOVE if above else 0.0)
+    beyond = min(LIKELIER, 1.0 - (1.0 - ABOVE) * min(1.0, EXPLAINED / above)) if above else 0.0
+    found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, beyond)
     return found if explained else min(found, REFUSED)
 
 

@@ -41,7 +41,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if found.verdict == "unknown" else NAMED)
-    refused, above = found.verdict == "unknown", not found.is_at_noise_floor
+    refused, above = found.verdict == "unknown", 0.0 if found.is_at_noise_floor else _errs(found)
     explained = not above if law is None else law.reaches(floor)
     matched = _in_intervals_of(law, found)
     if law is not None:
