@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,11 +11,8 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.exclusion import is_excluded
 from masking.discovery.explanation import Explanation, Job
-from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.screening import Score, Screen
-from masking.discovery.tempered_fits import approached
-from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
@@ -30,13 +26,11 @@ class Addition:
         problem: the record and the rig.
         now: the explanation.
         screen: of what it leaves.
-        declared: the model as it is declared, where its fit is far from that; else None.
     """
 
     problem: EstimationProblem
     now: Explanation
     screen: Screen
-    declared: Hypothesis | None
 
     def job(self, scores: Sequence[Score], known: Explanation | None = None) -> Job:
         """Return the fit with the effects of scores; `known` is the same in larger steps of integration."""
@@ -57,20 +51,11 @@ class Addition:
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
     def _fitted(self, scores: Sequence[Score], rival: float) -> Explanation:
-        """Return a fit from parameters as they are, declared or screened, whatever costs least.
-
-        Where the parameters are far from what is declared, the effects are approached from that, too.
-        """
+        """Return a fit from parameters as they are, declared or screened, whatever costs least."""
         made, now = [ready(self.problem, score) for score in scores], self.now.hypothesis
         around, mean = self.screen.around([score.instance for score in scores]), self.problem.prior.mean
         at = min(((now.theta, now.start), around, (mean, now.start)), key=partial(self._cost, made))
-        found = self._begun(scores, made, at, rival)
-        with suppress(IntegrationError):
-            if self.declared is not None:
-                near = approached(self.problem, (*now.instances, *made), self.declared)
-                fitted = fitting.fit(self.problem, near.instances, theta=near.theta, start=near.start, rival=rival)
-                found = min(found, replace(found, hypothesis=fitted), key=lambda e: e.hypothesis.cost)
-        return found
+        return self._begun(scores, made, at, rival)
 
     def _repeated(self, known: Explanation, rival: float) -> Explanation:
         return replace(known, hypothesis=fitting.repeated(self.problem, known.hypothesis, rival))

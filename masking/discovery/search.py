@@ -198,7 +198,7 @@ class Search:
         except IntegrationError:
             return (), [], now
         found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
-        adding = Addition(self.problem, now, screen, ground.declared)
+        adding = Addition(self.problem, now, screen)
         return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=adding.job), likeliest
 
     def _steps_of(self, base: Explanation, best: Explanation) -> int:
@@ -244,7 +244,7 @@ class Search:
         repeated = [score for score in scores if id(score.candidate) in known and all(score is not p for p in chosen)]
         chosen += repeated
 
-        adding = Addition(self.problem, now, screen, ground.declared)
+        adding = Addition(self.problem, now, screen)
 
         def added(score: Score) -> tuple[int, Job]:
             number = id(score.candidate)

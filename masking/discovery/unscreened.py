@@ -88,7 +88,7 @@ def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[E
     size = problem.record.readings.size
     least = min(one.cost for one in (now, *found))
     left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
-    return left > MUCH * excess
+    return left > MUCH * excess and not verdict.reaches_noise(least, size, problem.rules)
 
 
 def nearest(
@@ -108,8 +108,7 @@ def nearest(
     begun = ground.declared
     if begun is None or not _leaves_much(problem, now, found):
         return []
-    problem, known = problem.apart(PART), {one.names[-1] for one in found}
-    others = [one for one in ground.every if one.factors and not one.sticks and one.key not in known]
+    problem, others = problem.apart(PART), [one for one in ground.every if one.factors and not one.sticks]
     first = dict[Key, Candidate]()
     for score in ground.screen(problem, begun, ()).scores(others):
         first.setdefault(score.candidate.key, score.candidate)
