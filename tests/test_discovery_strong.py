@@ -266,11 +266,19 @@ def test_strong_damping_is_found_in_a_free_decay_of_which_one_of_two_masses_is_s
     found = integrate.solve_ivp(rates, (0.0, 30.0), [0.05, -0.03, 0.0, 0.0], t_eval=times, rtol=1e-10, atol=1e-13)
     readings = found.y[3]
     readings = readings + 2e-3 * readings.std() * rng.standard_normal(len(times))
-    np.savez(tmp_path / "record.npz", t=times, v2=readings)
     (tmp_path / "model.yaml").write_text(PAIR)
     plant = 'name: bench\nmodel: model.yaml\nsensors: {v2: {measures: "x2\'", unit: m/s}}\n'
     (tmp_path / "plant.yaml").write_text(plant)
-    found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml")
+    np.savez(tmp_path / "unseen.npz", t=times[2000:], v2=readings[2000:])
+    np.savez(tmp_path / "record.npz", t=times[:2000], v2=readings[:2000])
+    found = masking.discover(
+        tmp_path / "record.npz",
+        plant=tmp_path / "plant.yaml",
+        validation=tmp_path / "unseen.npz",
+        out=tmp_path / "out",
+    )
     assert found.verdict == "named"
     assert [(cause.name, cause.on) for cause in found.effects] == [("quadratic_damping", "coupling")]
     assert next(iter(found.effects[0].parameters.values()))[0] == pytest.approx(drag, rel=0.05)
+    again = masking.simulate(tmp_path / "out" / "plant.yaml", tmp_path / "record.npz")
+    assert again.chi["v2"] == pytest.approx(found.simulation_error.estimation[1]["v2"], rel=0.02)

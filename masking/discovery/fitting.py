@@ -21,12 +21,11 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
-from masking.estimation.simulation import FIRST_READINGS, PARTS
+from masking.estimation.simulation import FIRST_READINGS, PARTS, STUCK
 from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit leaves decides nothing
-STUCK = 4.0  # cost per reading of a validation from which another initial state is sought
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)

@@ -118,6 +118,9 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     rig.kernels.motions(len(record), 1.0 / record.rate, rig.sizes.coordinates, rig.latent, p, states, acting, placed)
     parts = (part[:, : len(rig.places)] for part in np.split(placed, 3, axis=1))
     displacement, rate, acceleration = (np.ascontiguousarray(part) for part in parts)
+    with np.errstate(over="ignore"):
+        if not all(np.isfinite(np.linalg.norm(table)) for table in (states, displacement, rate)):
+            raise IntegrationError("the record cannot be followed: the smoothed motion is no longer finite")
     return Motion(
         np.ascontiguousarray(states[:, :n]), states[:, n:], np.where(seen, gains.deviation, np.inf),
         innovations / np.sqrt(np.diag(gains.spread)), displacement, rate, acceleration,

@@ -33,6 +33,7 @@ from masking.discovery.latent_force import Explained
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.tabulated import tabulated
 from masking.errors import IntegrationError
+from masking.estimation.simulation import STUCK
 from masking.numerics.arrays import Array
 
 MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
@@ -293,7 +294,7 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
     Raises:
         IntegrationError: the motion is not finite.
     """
-    size, kept, most = len(validation.record), law.problem.interval, fitting.STUCK * validation.record.readings.size
+    size, kept, most = len(validation.record), law.problem.interval, STUCK * validation.record.readings.size
     for samples in (kept, *(n for part in PARTS if (n := size // part) > FEWEST)):
         part = replace(validation, interval=samples)
         with suppress(IntegrationError):

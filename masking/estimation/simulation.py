@@ -21,6 +21,7 @@ from masking.rig.twin import Twin
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
 PARTS = (1 / 64, 1 / 8)
 FIRST_READINGS = 20  # readings that the initial state is guessed from
+STUCK = 4.0  # cost per reading from which another initial state is sought
 ROUNDS = 25  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)
 SETTLED = 1e-9  # fraction of the cost that a step must take off
@@ -157,7 +158,8 @@ def nearest(
 ) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
-    Internal states begin about as far from where they are declared as their size says.
+    Internal states begin about as far from where they are declared as their size says. In a short first part, what no
+    sensor reads may go anywhere: where much more than noise is left, it is sought from longer ones, too.
 
     Args:
         sensing: the twin.
@@ -170,16 +172,22 @@ def nearest(
     Raises:
         IntegrationError: the motion is not finite.
     """
-    first = first_start(sensing, record) if start is None else start
-    for part in PARTS if start is None else ():
-        if part * len(record) >= FIRST_READINGS:
-            beginning = record.first(part * len(record) / record.rate)
-            with suppress(IntegrationError):
-                first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
-    try:
-        return _nearest(sensing, theta, record, weights, first, steps=steps)
-    except IntegrationError:
-        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
+    begun = first_start(sensing, record) if start is None else start
+    found = list[tuple[Array, NormalEquations]]()
+    for parts in (PARTS[i:] for i in range(len(PARTS) + 1)) if start is None else ((),):
+        first = begun
+        for part in parts:
+            if part * len(record) >= FIRST_READINGS:
+                beginning = record.first(part * len(record) / record.rate)
+                with suppress(IntegrationError):
+                    first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
+        with suppress(IntegrationError):
+            found.append(_nearest(sensing, theta, record, weights, first, steps=steps))
+            if float(found[-1][1].squares @ weights) < STUCK * record.readings.size:
+                break
+    if not found:
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+    return min(found, key=lambda one: float(one[1].squares @ weights))
 
 
 def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
