@@ -39,7 +39,8 @@ class View:
 def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: float = FAR) -> tuple[View, ...]:
     """Return the model as it was fitted, and as it is declared where that is far from it.
 
-    Parameters of the fit then stand for what is missing, and what is not seen of its motion is wrong by as much.
+    Parameters of the fit then stand for what is missing, and what is not seen of its motion is wrong by as much. Where
+    the record cannot be followed with the declared ones, the motion is that of the fit.
 
     Args:
         problem: the record and the rig.
@@ -48,12 +49,13 @@ def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: floa
         far: deviations of its prior from which a parameter is far off.
     """
     off = np.abs(fit.theta - problem.prior.mean) / problem.prior.deviation
-    if not (off > far).any():
-        return (View(fit, motion),)
-    with suppress(IntegrationError):
-        declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
-        return View(fit, motion), View(declared, smooth(problem, declared.theta, declared.start))
-    return (View(fit, motion),)
+    found = [View(fit, motion)]
+    if (off > far).any():
+        with suppress(IntegrationError):
+            declared = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
+            found.append(View(declared, motion))
+            found[1] = View(declared, smooth(problem, declared.theta, declared.start))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
