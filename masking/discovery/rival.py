@@ -37,7 +37,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     size, rules = found.problem.record.readings.size, found.problem.rules
     is_open = found.verdict == "unknown" or (calibration.matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
-    leaves_more = found.explanation.cost > (1.0 + rules.screen_resolution) * size or _errs(found) > rules.noise_floor
+    leaves_more = max(found.explanation.cost / size, _errs(found) ** 2) > 1.0 + rules.screen_resolution
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if found.verdict == "unknown" else NAMED)
