@@ -194,9 +194,8 @@ def _stated(found: Discovery) -> Discovery:
         except IntegrationError:
             return found
         stated.append(fine.errors(made.squares))
-    estimation, validation = stated
-    pairs = (errors.estimation[0], estimation), (errors.validation[0], validation)
-    return replace(found, simulation_error=replace(errors, estimation=pairs[0], validation=pairs[1]))
+    estimation, validation = (errors.estimation[0], stated[0]), (errors.validation[0], stated[1])
+    return replace(found, simulation_error=replace(errors, estimation=estimation, validation=validation))
 
 
 def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:

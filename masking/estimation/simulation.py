@@ -174,13 +174,13 @@ def nearest(
     """
     begun = first_start(sensing, record) if start is None else start
     found = list[tuple[Array, NormalEquations]]()
-    for parts in (PARTS[i:] for i in range(len(PARTS) + 1)) if start is None else ((),):
+    usable = [part for part in PARTS if start is None and part * len(record) >= FIRST_READINGS]
+    for parts in (usable[i:] for i in range(len(usable) + 1)):
         first = begun
         for part in parts:
-            if part * len(record) >= FIRST_READINGS:
-                beginning = record.first(part * len(record) / record.rate)
-                with suppress(IntegrationError):
-                    first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
+            beginning = record.first(part * len(record) / record.rate)
+            with suppress(IntegrationError):
+                first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
         with suppress(IntegrationError):
             found.append(_nearest(sensing, theta, record, weights, first, steps=steps))
             if float(found[-1][1].squares @ weights) < STUCK * record.readings.size:
