@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, optimize
 
 from masking.errors import IntegrationError
-from masking.estimation.least_squares import NO_BOUNDS, Arrow, Box, Damping, Dense, Linearised, minimise
+from masking.estimation.least_squares import NO_BOUNDS, Box, Damping, Dense, Linearised, minimise
 
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
 SETTINGS = {"rounds": 100, "tolerance": lambda at: 1e-14 * max(at.cost, 1e-300)}
@@ -88,17 +88,19 @@ def test_blocks_are_eliminated_without_changing_the_step(damping):
     rng = np.random.default_rng(4)
     k, b, count = 3, 2, 5
     whole, gradient = np.zeros((k + b * count,) * 2), np.zeros(k + b * count)
-    blocks = []
     for i in range(count):
         j, y = rng.standard_normal((30, k + b)), rng.standard_normal(30)
         own = np.r_[0:k, k + i * b : k + (i + 1) * b]
         whole[np.ix_(own, own)] += j.T @ j
         gradient[own] += j.T @ y
-        blocks.append((j[:, k:].T @ j[:, k:], j[:, k:].T @ j[:, :k], j[:, k:].T @ y))
-    arrow = Arrow(whole[:k, :k], gradient[:k], blocks)
-    for found, expected in zip(arrow.step(damping), Dense(whole, gradient).step(damping), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
-    np.testing.assert_allclose(arrow.information(), linalg.inv(linalg.inv(whole)[:k, :k]), rtol=1e-9)
+    fixed = np.arange(len(gradient)) == 1
+    for known in (None, fixed):
+        condensed = Dense(whole, gradient, known, shared=k, block=b)
+        for found, expected in zip(condensed.step(damping), Dense(whole, gradient, known).step(damping), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+    inverse = linalg.inv(whole)[:k, :k]
+    np.testing.assert_allclose(condensed.information(), linalg.inv(inverse), rtol=1e-9)
+    np.testing.assert_allclose(condensed.covariance(), inverse, rtol=1e-9)
 
 
 def test_a_step_goes_part_of_the_way_to_a_bound_and_doubles_at_most_what_is_positive():

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from masking.declaration.units import dimension_of, factor_of
-from masking.discovery import fitting
+from masking.discovery import fitting, initial_states
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.verdict import Key
@@ -33,6 +33,7 @@ USUAL = (
 )
 TIMES = ("ms", "us")
 SAMPLES = 4000  # of the record that are simulated
+ROUNDS = 12  # of the fit of their initial state
 SLOW = 500  # steps of integration between samples, some periods of the fastest motion, from which a clock is doubted
 STEPS = 64  # of integration between samples at most
 FAR = 3.0  # times what is declared, from which a gain or a parameter is far off: the least factor between usual units
@@ -219,10 +220,12 @@ def _is_other(unit: str, declared: str) -> bool:
 
 def _simulated(problem: EstimationProblem) -> Hypothesis | None:
     """Return the model as declared, its initial state fitted; None if its motion is not finite."""
+    mean = problem.prior.mean
     try:
-        return fitting.fit(problem, frozen=True)
+        begun = fitting.Begun((), mean, initial_states.first(problem, mean))
     except IntegrationError:
         return None
+    return fitting.solved(problem, begun, rounds=ROUNDS, frozen=True)
 
 
 def _error(found: Hypothesis | None, problem: EstimationProblem) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from masking.display import fragments, symbols
 from masking.errors import RecordError
 from masking.estimation.data import Data
-from masking.estimation.least_squares import Arrow, Box, Damping, Linearised, minimise
+from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
 from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, noise_alone, relative, validated
 from masking.numerics import decompositions
@@ -274,23 +274,25 @@ class _Problem:
         mean = np.mean([np.mean(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
         return np.asarray(np.maximum(np.sqrt(mean), 1e-300))
 
-    def linearised(self, x: Array) -> Linearised[Arrow, Array]:
+    def linearised(self, x: Array) -> Linearised[Dense, Array]:
         """Return the problem, with the sums of squares (sensors,), at parameters and free initial states (n,)."""
-        k, at, theta = self.k, self.k + self.free, x[: self.k]
-        matrix, gradient, blocks = np.zeros((k, k)), np.zeros(k), []
+        k, at, theta, many = self.k, self.k + self.free, x[: self.k], len(self.free)
+        matrix, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         squares, weights = np.zeros(len(self.sigma)), self.sigma**-2
         basis = self.sensitivity.basis(theta)
         moving = np.split(x[k:], len(self.pieces))
-        for piece, start, begun, substeps in zip(self.pieces, self.starts, moving, self.substeps, strict=True):
+        each = zip(self.pieces, self.starts, moving, self.substeps, strict=True)
+        for number, (piece, start, begun, substeps) in enumerate(each):
             y = start.copy()
             y[self.free] = begun
             late = self.sensitivity.later(theta, piece)
             found = self.sensitivity.normal_equations(basis, y, late, weights, substeps)
-            matrix += found.matrix[:k, :k]
-            gradient += found.gradient[:k]
-            blocks.append((found.matrix[np.ix_(at, at)], found.matrix[at, :k], found.gradient[at]))
+            own, used = np.r_[:k, k + number * many : k + (number + 1) * many], np.r_[:k, at]
+            matrix[np.ix_(own, own)] += found.matrix[np.ix_(used, used)]
+            gradient[own] += found.gradient[used]
             squares += found.squares
-        return Linearised(float((squares / self.sigma**2).sum()), Arrow(matrix, gradient, blocks), squares)
+        equations = Dense(matrix, gradient, shared=k, block=max(1, many))
+        return Linearised(float((squares / self.sigma**2).sum()), equations, squares)
 
     def unknowns(self, theta: Array) -> Array:
         """Return parameters (k,) with the first guess of the free initial states (n,)."""

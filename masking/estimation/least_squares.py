@@ -7,9 +7,8 @@ Source: Nocedal and Wright, Numerical Optimization (2006), section 10.3; Marquar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -50,12 +49,16 @@ class Dense:
         gradient: J^T W r (n,), of the residuals r.
         fixed: unknowns that are not estimated (n,); none by default.
         resistance: what a step adds to the diagonal of the matrix (n,); nothing by default.
+        shared: unknowns (s) that alone connect the others, which are in blocks and all estimated; all by default.
+        block: unknowns in each block.
     """
 
     matrix: Array
     gradient: Array
     fixed: NDArray[np.bool_] | None = None
     resistance: Array | None = None
+    shared: int | None = None
+    block: int = 1
 
     @property
     def is_finite(self) -> bool:
@@ -83,60 +86,28 @@ class Dense:
         step[free] = 0.0
         right = (self.gradient - self.matrix @ step)[free]
         matrix = self.matrix if self.resistance is None else self.matrix + np.diag(self.resistance)
-        step[free] = _scaled_solution(matrix[np.ix_(free, free)], right, damping)
+        shared = None if self.shared is None else int((free < self.shared).sum())
+        step[free] = _scaled_solution(matrix[np.ix_(free, free)], right, damping, shared, self.block)
         return step, float(self.gradient @ step)
 
     def covariance(self) -> Array:
-        """Return the covariance of the unknowns (n, n), infinite where the equations cannot be inverted."""
-        scale = _scale(self.matrix)
+        """Return the covariance of the shared unknowns (s, s), infinite where the equations cannot be inverted."""
+        scale = _scale(self.matrix)[: self.shared]
         try:
-            inverse = decompositions.inverse(self.matrix / np.outer(scale, scale), SINGULAR, hermitian=True)
+            scaled = self.information() / np.outer(scale, scale)
+            inverse = decompositions.inverse(scaled, SINGULAR, hermitian=True)
         except IntegrationError:
-            return np.full(self.matrix.shape, np.inf)
+            return np.full((len(scale), len(scale)), np.inf)
         return np.asarray(inverse / np.outer(scale, scale))
 
-
-@dataclass(frozen=True)
-class Arrow:
-    """Normal equations of shared unknowns, and of blocks that only these connect, such as initial states of records.
-
-    Args:
-        matrix: of the shared unknowns (k, k).
-        gradient: of these (k,).
-        blocks: of each block its matrix (b, b), the products with the shared unknowns (b, k) and its gradient (b,).
-    """
-
-    matrix: Array
-    gradient: Array
-    blocks: Sequence[tuple[Array, Array, Array]]
-
-    @property
-    def is_finite(self) -> bool:
-        """Tell whether all numbers are finite: those of a motion that runs away are not."""
-        return all(np.isfinite(part).all() for part in (self.matrix, self.gradient, *chain(*self.blocks)))
-
-    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
-        """Return the step of all unknowns (k + b + b ...,), and the reduction of the cost that it should give."""
-        matrix, gradient, inverses = self._condensed(damping)
-        shared = Dense(matrix, gradient).step(0.0, given)[0]
-        pairs = zip(inverses, self.blocks, strict=True)
-        steps = [inverse @ (slope - cross @ shared) for inverse, (_, cross, slope) in pairs]
-        gain = self.gradient @ shared + sum(slope @ s for (_, _, slope), s in zip(self.blocks, steps, strict=True))
-        return np.concatenate([shared, *steps]), float(gain)
-
     def information(self) -> Array:
-        """Return the information on the shared unknowns (k, k) if the others are unknown: the Schur complement."""
-        return self._condensed(0.0)[0]
-
-    def _condensed(self, damping: float) -> tuple[Array, Array, list[Array]]:
-        matrix, gradient = self.matrix + damping * np.diag(np.diag(self.matrix)), self.gradient.copy()
-        inverses: list[Array] = []
-        for square, cross, slope in self.blocks:
-            inverse = decompositions.inverse(square + damping * np.diag(np.diag(square)), hermitian=True)
-            inverses.append(inverse)
-            matrix -= cross.T @ inverse @ cross
-            gradient -= cross.T @ inverse @ slope
-        return matrix, gradient, inverses
+        """Return the information on the shared unknowns (s, s) if the others are unknown: the Schur complement."""
+        if self.shared is None:
+            return self.matrix
+        scale = _scale(self.matrix)
+        scaled, right = self.matrix / np.outer(scale, scale), np.zeros(len(scale))
+        shared = scale[: self.shared]
+        return _condensed(scaled, right, self.shared, self.block)[0] * np.outer(shared, shared)
 
 
 E = TypeVar("E", bound=NormalEquations)
@@ -305,10 +276,29 @@ def _scale(matrix: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
 
 
-def _scaled_solution(matrix: Array, right: Array, damping: float) -> Array:
-    """Return the damped solution (n,) with a diagonal scaled to 1."""
+def _scaled_solution(matrix: Array, right: Array, damping: float, shared: int | None = None, block: int = 1) -> Array:
+    """Return the damped solution (n,) with a diagonal scaled to 1, of blocks after shared unknowns where there are."""
     if not len(right):
         return right
     scale = _scale(matrix)
-    scaled = matrix / np.outer(scale, scale) + damping * np.eye(len(right))
-    return decompositions.least_squares(scaled, right / scale, SINGULAR) / scale
+    scaled, given = matrix / np.outer(scale, scale) + damping * np.eye(len(right)), right / scale
+    if shared is None:
+        return decompositions.least_squares(scaled, given, SINGULAR) / scale
+    condensed, left, others = _condensed(scaled, given, shared, block)
+    first = decompositions.least_squares(condensed, left, SINGULAR)
+    return np.concatenate([first, (others[..., -1] - others[..., :-1] @ first).ravel()]) / scale
+
+
+def _condensed(matrix: Array, right: Array, shared: int, block: int) -> tuple[Array, Array, Array]:
+    """Return equations of the shared unknowns alone: their matrix (s, s) and right side (s,).
+
+    The last of what is returned (w, b, s + 1) are, of each block with unknowns x = d - C y for the shared ones y, C
+    and d. Source: Bock (1981).
+    """
+    count = (len(right) - shared) // block
+    each, cross = np.arange(count), matrix[shared:, :shared].reshape(count, block, shared)
+    squares = matrix[shared:, shared:].reshape(count, block, count, block)[each, :, each]
+    sides = np.concatenate([cross, right[shared:].reshape(count, block, 1)], axis=2)
+    others = decompositions.inverse(squares, SINGULAR, hermitian=True) @ sides
+    taken = np.tensordot(cross, others, axes=([0, 1], [0, 1]))
+    return matrix[:shared, :shared] - taken[:, :-1], right[:shared] - taken[:, -1], others
