@@ -8,7 +8,7 @@ import pytest
 
 import masking
 from masking.errors import IntegrationError
-from masking.estimation.least_squares import Dense
+from masking.estimation.least_squares import System
 from masking.numerics import decompositions as made
 
 PACKAGE = Path(masking.__file__).parent
@@ -52,7 +52,7 @@ def test_equations_that_cannot_be_inverted_have_an_infinite_covariance():
     """An unknown that nothing depends on but another's equation: scaled by its diagonal of 0, it overflows."""
     matrix = np.array([[1.0, 1e200], [1e200, 0.0]])
     with np.errstate(over="ignore"):
-        assert np.isinf(Dense(matrix, np.zeros(2)).covariance()).all()
+        assert np.isinf(System(matrix, np.zeros(2)).covariance()).all()
 
 
 @pytest.mark.parametrize("function", FUNCTIONS.values(), ids=FUNCTIONS)

@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, optimize
 
 from masking.errors import IntegrationError
-from masking.estimation.least_squares import NO_BOUNDS, Box, Damping, Dense, Linearised, minimise
+from masking.estimation.least_squares import NO_BOUNDS, Box, Damping, Linearised, System, minimise
 
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
 SETTINGS = {"rounds": 100, "tolerance": lambda at: 1e-14 * max(at.cost, 1e-300)}
@@ -16,7 +16,7 @@ def problem(residuals, jacobian):
 
     def linearised(x):
         r, j = residuals(x), jacobian(x)
-        return Linearised(float(r @ r), Dense(j.T @ j, j.T @ r), r)
+        return Linearised(float(r @ r), System(j.T @ j, j.T @ r), r)
 
     return linearised
 
@@ -68,7 +68,7 @@ def test_a_linear_problem_takes_one_step():
 def test_a_prior_is_a_measurement_of_the_unknowns_and_the_covariance_that_of_both():
     rng = np.random.default_rng(2)
     j, y, mean, deviation = rng.standard_normal((20, 3)), rng.standard_normal(20), np.ones(3), np.array([0.1, 2.0, 1.0])
-    dense = Dense(j.T @ j, j.T @ y).with_prior(mean, deviation)
+    dense = System(j.T @ j, j.T @ y).with_prior(mean, deviation)
     stacked = np.vstack([j, np.diag(1.0 / deviation)])
     expected = np.linalg.lstsq(stacked, np.concatenate([y, mean / deviation]), rcond=None)[0]
     np.testing.assert_allclose(dense.step(0.0)[0], expected, rtol=1e-10)
@@ -78,7 +78,7 @@ def test_a_prior_is_a_measurement_of_the_unknowns_and_the_covariance_that_of_bot
 def test_unknowns_that_are_fixed_stay():
     rng = np.random.default_rng(3)
     j, y = rng.standard_normal((20, 3)), rng.standard_normal(20)
-    step, _ = Dense(j.T @ j, j.T @ y, np.array([False, True, False])).step(0.0)
+    step, _ = System(j.T @ j, j.T @ y, np.array([False, True, False])).step(0.0)
     assert step[1] == 0.0
     np.testing.assert_allclose(step[[0, 2]], np.linalg.lstsq(j[:, [0, 2]], y, rcond=None)[0], rtol=1e-10)
 
@@ -95,8 +95,8 @@ def test_blocks_are_eliminated_without_changing_the_step(damping):
         gradient[own] += j.T @ y
     fixed = np.arange(len(gradient)) == 1
     for known in (None, fixed):
-        condensed = Dense(whole, gradient, known, shared=k, block=b)
-        for found, expected in zip(condensed.step(damping), Dense(whole, gradient, known).step(damping), strict=True):
+        condensed = System(whole, gradient, known, shared=k, block=b)
+        for found, expected in zip(condensed.step(damping), System(whole, gradient, known).step(damping), strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
     inverse = linalg.inv(whole)[:k, :k]
     np.testing.assert_allclose(condensed.information(), linalg.inv(inverse), rtol=1e-9)

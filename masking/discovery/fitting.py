@@ -20,7 +20,7 @@ from masking.discovery.augmented_model import EffectInstance, Equations
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import RULES, DecisionRules
 from masking.errors import IntegrationError
-from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
+from masking.estimation.least_squares import Box, Damping, Linearised, System, minimise
 from masking.estimation.simulation import FIRST_READINGS, PARTS, STUCK
 from masking.numerics.arrays import Array
 
@@ -394,7 +394,7 @@ class _LeastSquares:
             slow = slow + 1 if now > rival and now - tried < rules.hopeless_fraction * (now - rival) else 0
             return slow == rules.hopeless_steps
 
-        def tolerance(at: Linearised[Dense, Equations]) -> float:
+        def tolerance(at: Linearised[Equations]) -> float:
             return CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
 
         prior, effects = self.problem.prior, bounds(self.instances)
@@ -415,7 +415,7 @@ class _LeastSquares:
             made.at.equations.covariance()[:shared, :shared], found.residuals, rules, made.converged,
         )  # fmt: skip
 
-    def linearised(self, x: Array) -> Linearised[Dense, Equations]:
+    def linearised(self, x: Array) -> Linearised[Equations]:
         """Return the problem at the unknowns (n,)."""
         theta, added, inner, start = self.parts(x)
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
@@ -439,7 +439,7 @@ class _LeastSquares:
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
         cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
-        equations = Dense(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
+        equations = System(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
         if len(self.start) > 1 and self.free:
             equations = replace(equations, shared=last, block=len(self.free))
         return Linearised(cost, equations.with_prior(off, deviation), found)

@@ -22,7 +22,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
 from masking.discovery.thinning import thinned, thinning
 from masking.errors import IntegrationError
-from masking.estimation.least_squares import Dense
+from masking.estimation.least_squares import System
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array, IntVector
 
@@ -261,7 +261,7 @@ class Screen:
                 gain = 2.0 * float(right[0]) - float(gram[0, 0])
                 if gain > least:
                     best[key] = replace(best[key], instance=instances[key], gain=max(gain, 0.0))
-                    step, _ = Dense(gram[1:, 1:], right[1:] - gram[1:, 0]).step(damping)
+                    step, _ = System(gram[1:, 1:], right[1:] - gram[1:, 0]).step(damping)
                     instances[key] = _stepped(instances[key], step)
                     going.append(candidate)
             active, damping = going, damping / 10.0

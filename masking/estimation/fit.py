@@ -17,7 +17,7 @@ import numpy as np
 from masking.display import fragments, symbols
 from masking.errors import RecordError
 from masking.estimation.data import Data
-from masking.estimation.least_squares import Box, Damping, Dense, Linearised, minimise
+from masking.estimation.least_squares import Box, Damping, Linearised, System, minimise
 from masking.estimation.sensitivity import Sensitivity
 from masking.estimation.simulation import first_start, noise_alone, relative, validated
 from masking.numerics import decompositions
@@ -274,7 +274,7 @@ class _Problem:
         mean = np.mean([np.mean(piece.readings**2, axis=0) for piece in self.pieces], axis=0)
         return np.asarray(np.maximum(np.sqrt(mean), 1e-300))
 
-    def linearised(self, x: Array) -> Linearised[Dense, Array]:
+    def linearised(self, x: Array) -> Linearised[Array]:
         """Return the problem, with the sums of squares (sensors,), at parameters and free initial states (n,)."""
         k, at, theta, many = self.k, self.k + self.free, x[: self.k], len(self.free)
         matrix, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
@@ -291,7 +291,7 @@ class _Problem:
             matrix[np.ix_(own, own)] += found.matrix[np.ix_(used, used)]
             gradient[own] += found.gradient[used]
             squares += found.squares
-        equations = Dense(matrix, gradient, shared=k, block=max(1, many))
+        equations = System(matrix, gradient, shared=k, block=max(1, many))
         return Linearised(float((squares / self.sigma**2).sum()), equations, squares)
 
     def unknowns(self, theta: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,25 +24,9 @@ HELD = 1e-9  # of a step: a bound that takes more of it determines it
 GROWTH = 2.0  # times its size that a positive value may take in a step
 
 
-class NormalEquations(Protocol):
-    """Normal equations that a damped step can be found from."""
-
-    @property
-    def is_finite(self) -> bool:
-        """Tell whether all numbers are finite: those of a motion that runs away are not."""
-
-    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
-        """Return the step of all unknowns (n,), and the reduction of the cost that it should give.
-
-        Args:
-            damping: relative to the diagonal.
-            given: steps of the first unknowns that bounds determine (b,); not a number where they do not.
-        """
-
-
 @dataclass(frozen=True)
-class Dense:
-    """Normal equations as one matrix.
+class System:
+    """Normal equations that a damped step can be found from.
 
     Args:
         matrix: J^T W J (n, n).
@@ -65,7 +49,7 @@ class Dense:
         """Tell whether all numbers are finite: those of a motion that runs away are not."""
         return bool(np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
 
-    def with_prior(self, off: Array, deviation: Array) -> Dense:
+    def with_prior(self, off: Array, deviation: Array) -> System:
         """Return the equations with a normal prior.
 
         Args:
@@ -76,7 +60,12 @@ class Dense:
         return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
 
     def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
-        """Return the step of all unknowns (n,), and the reduction of the cost that it should give."""
+        """Return the step of all unknowns (n,), and the reduction of the cost that it should give.
+
+        Args:
+            damping: relative to the diagonal.
+            given: steps of the first unknowns that bounds determine (b,); not a number where they do not.
+        """
         step = np.full(len(self.gradient), np.nan)
         if given is not None:
             step[: len(given)] = given
@@ -110,12 +99,11 @@ class Dense:
         return _condensed(scaled, right, self.shared, self.block)[0] * np.outer(shared, shared)
 
 
-E = TypeVar("E", bound=NormalEquations)
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Linearised(Generic[E, T]):
+class Linearised(Generic[T]):
     """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed.
 
     Raises:
@@ -123,7 +111,7 @@ class Linearised(Generic[E, T]):
     """
 
     cost: float
-    equations: E
+    equations: System
     found: T
 
     def __post_init__(self) -> None:
@@ -196,26 +184,26 @@ class Damping:
 
 
 @dataclass(frozen=True)
-class Minimum(Generic[E, T]):
+class Minimum(Generic[T]):
     """Where the method ended: values (n,), the problem there, rounds, and whether it stopped by itself."""
 
     x: Array
-    at: Linearised[E, T]
+    at: Linearised[T]
     rounds: int
     converged: bool
 
 
 def minimise(
-    linearise: Callable[[Array], Linearised[E, T]],
+    linearise: Callable[[Array], Linearised[T]],
     x: Array,
     box: Box,
     damping: Damping,
     *,
     rounds: int,
-    tolerance: Callable[[Linearised[E, T]], float],
+    tolerance: Callable[[Linearised[T]], float],
     is_hopeless: Callable[[float, float], bool] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Minimum[E, T]:
+) -> Minimum[T]:
     """Minimise a sum of squares by the Levenberg-Marquardt method.
 
     Args:
@@ -232,7 +220,7 @@ def minimise(
         IntegrationError: the problem has no value at x.
     """
 
-    def attempted(values: Array) -> Linearised[E, T]:
+    def attempted(values: Array) -> Linearised[T]:
         try:
             return linearise(values)
         except (IntegrationError, ModelError):

@@ -11,7 +11,7 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.estimation.data import NOT_LATE, Data
-from masking.estimation.least_squares import NO_BOUNDS, Damping, Dense, Linearised, minimise
+from masking.estimation.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
 from masking.estimation.sensitivity import NormalEquations, Sensitivity
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
@@ -228,10 +228,10 @@ def _nearest(
     first, basis = start.copy(), sensing.basis(theta)
     substeps, at = steps or twin.substeps(record.rate), len(theta) + free
 
-    def linearised(x: Array) -> Linearised[Dense, NormalEquations]:
+    def linearised(x: Array) -> Linearised[NormalEquations]:
         first[free] = x
         made = sensing.normal_equations(basis, first, record, weights, substeps)
-        equations = Dense(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(rest[free] - x, reach)
+        equations = System(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(rest[free] - x, reach)
         off = (x - rest[free]) / reach
         return Linearised(float(weights @ made.squares + off @ off), equations, made)
 
