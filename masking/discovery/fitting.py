@@ -44,7 +44,6 @@ class Hypothesis:
         covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
         residuals: of each sample (m, sensors).
         rules: the thresholds that it was fitted by.
-        is_settled: whether the fit ended by itself.
     """
 
     instances: tuple[EffectInstance, ...]
@@ -55,7 +54,6 @@ class Hypothesis:
     covariance: Array
     residuals: Array
     rules: DecisionRules = RULES
-    is_settled: bool = True
 
     @property
     def creeping(self) -> Hypothesis:
@@ -97,8 +95,8 @@ def fit(
 ) -> Hypothesis:
     """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
 
-    If the simulated motion loses phase with the record after some rounds, the fit begins again from those in shorter
-    intervals, which grow. Where no initial states are given, those that suit the values to begin from best count.
+    If the simulated motion loses phase with the record, the fit begins again from those in shorter intervals, which
+    grow. Where no initial states are given, those that suit the values to begin from best count.
 
     Args:
         problem: the record and the rig.
@@ -116,8 +114,7 @@ def fit(
     x = problem.prior.mean if theta is None else theta
     begun = Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
     ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty)
-    few, is_fresh = min(rounds, continuation.ROUNDS), start is None and not frozen
-    found = trial = ended(begun, frozen=frozen, rounds=few)
+    found, is_fresh = ended(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
         first = ended(begun, frozen=True)
         if first is not None and _better(first, found) is first:
@@ -126,8 +123,6 @@ def fit(
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
             nearer = _continued(problem, begun, frozen=fixed)
             found = _better(found, ended(nearer, frozen=frozen) if nearer else None)
-    if trial is not None and found is trial and rounds > few and not trial.is_settled:
-        found = _better(ended(Begun.at(trial), frozen=frozen, rounds=rounds - few), trial)
     if found is None:
         raise IntegrationError("the simulated motion is no longer finite")
     return found
@@ -412,7 +407,7 @@ class _LeastSquares:
         values = [instance.with_values(instance.free, part) for instance, part in parts]
         return Hypothesis(
             tuple(values), theta, start, made.at.cost, found.squares,
-            made.at.equations.covariance()[:shared, :shared], found.residuals, rules, made.converged,
+            made.at.equations.covariance()[:shared, :shared], found.residuals, rules,
         )  # fmt: skip
 
     def linearised(self, x: Array) -> Linearised[Equations]:
