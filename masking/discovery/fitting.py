@@ -435,6 +435,8 @@ class _LeastSquares:
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
         cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
         equations = System(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
+        if len(self.start) > 1 and self.free:
+            equations = replace(equations, shared=last, block=len(self.free))
         return Linearised(cost, equations.with_prior(off, deviation), found)
 
 

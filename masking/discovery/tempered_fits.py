@@ -15,9 +15,12 @@ from masking.errors import IntegrationError
 from masking.numerics.arrays import Array
 
 NEARER = 0.7  # of what effects left before, to go on with their approach
+ROUNDS = 12  # of each fit on the way
 
 
-def approached(problem: EstimationProblem, instances: Sequence[EffectInstance], known: Hypothesis) -> Hypothesis:
+def approached(
+    problem: EstimationProblem, instances: Sequence[EffectInstance], known: Hypothesis, *, once: bool = False
+) -> Hypothesis:
     """Return effects on the way from what is known of a rig: what they leave counts as noise, while that goes down.
 
     Far from the values of an effect, parameters of the rig take whatever value stands best for it, and none leads from
@@ -27,6 +30,7 @@ def approached(problem: EstimationProblem, instances: Sequence[EffectInstance], 
         problem: the record and the rig.
         instances: effects with values to begin from.
         known: the rig's parameters and initial states to begin from.
+        once: whether they end where what they leave would count for less.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
@@ -35,11 +39,13 @@ def approached(problem: EstimationProblem, instances: Sequence[EffectInstance], 
     found, now = None, fitting.cost(problem, instances, known.theta, known.start)
     while 1.0 < now / size < NEARER * left:
         left = now / size
-        made = fitting.solved(replace(problem, sigma=np.sqrt(left) * problem.sigma), begun)
+        made = fitting.solved(replace(problem, sigma=np.sqrt(left) * problem.sigma), begun, rounds=ROUNDS)
         if made is None:
             break
         now = fitting.cost(problem, made.instances, made.theta, made.start)
         begun, found = fitting.Begun.at(made), replace(made, cost=now)
+        if once:
+            break
     if found is None:
         raise IntegrationError("the simulated motion is no longer finite")
     return found

@@ -37,7 +37,8 @@ WORSE = 10.0  # times what another law leaves: with two levels, friction may lea
 SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
 PART = 0.5  # of what a search may simulate, for the first laws; the others have as much
 SHARE = 0.2  # of that, after which a law begins at no further start
-NEAREST = 3  # laws that are fitted of those that are approached
+BEGUN = 12  # laws that are approached further, those that come nearest at once
+NEAREST = 3  # of these, laws that are fitted
 FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
 
 Noted = Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]]
@@ -113,17 +114,26 @@ def nearest(
     for score in ground.screen(problem, begun, ()).scores(others):
         first.setdefault(score.candidate.key, score.candidate)
 
-    def near(candidate: Candidate, rival: float) -> Hypothesis:
-        return approached(problem, candidate.instances[:1], begun)
+    def begin(candidate: Candidate, rival: float) -> Hypothesis:
+        return approached(problem, candidate.instances[:1], begun, once=True)
+
+    def near(known: Hypothesis, rival: float) -> Hypothesis:
+        return approached(problem, known.instances, known)
 
     def fit(key: Key, known: Hypothesis, rival: float) -> Explanation:
         made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
         return Explanation("effects", (key,), made)
 
-    made = fitted([partial(near, one) for one in first.values()], np.inf, problem.work)
-    pairs = [(key, one) for key, one in zip(first, made, strict=True) if one is not None]
-    pairs.sort(key=lambda pair: pair[1].cost)
+    pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))[:BEGUN]
+    keys, jobs = [key for key, _ in pairs], [partial(near, one) for _, one in pairs]
+    pairs = _by_cost(keys, fitted(jobs, np.inf, problem.work))
     return noted([(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]], problem.work)
+
+
+def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tuple[Key, Hypothesis]]:
+    """Return fits that were made, with the causes of each, that of least cost first."""
+    pairs = [(key, one) for key, one in zip(keys, made, strict=True) if one is not None]
+    return sorted(pairs, key=lambda pair: pair[1].cost)
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
