@@ -125,8 +125,9 @@ def nearest(
         return Explanation("effects", (key,), made)
 
     pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))[:BEGUN]
-    keys, jobs = [key for key, _ in pairs], [partial(near, one) for _, one in pairs]
-    pairs = _by_cost(keys, fitted(jobs, np.inf, problem.work))
+    farther = fitted([partial(near, one) for _, one in pairs], np.inf, problem.work)
+    # One that is at the noise already, or that the work ends before, stays where it is.
+    pairs = _by_cost([key for key, _ in pairs], [made or one for made, (_, one) in zip(farther, pairs, strict=True)])
     return noted([(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]], problem.work)
 
 
