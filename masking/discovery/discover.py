@@ -213,9 +213,9 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
 
 
 def _loses_phase(found: Discovery) -> bool:
-    """Return whether nothing is found by simulating the whole record in one, whose motion the model does not follow."""
+    """Return whether hardly anything is found by simulating the whole record in one, whose motion is not followed."""
     left = found.problem.errors(found.search.base.hypothesis.squares)
-    return found.verdict == "unknown" and max(left.values()) > found.problem.rules.phase_loss
+    return _near(found) is None and max(left.values()) > found.problem.rules.phase_loss
 
 
 def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:

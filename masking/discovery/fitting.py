@@ -7,10 +7,10 @@ is estimated. Source: as `masking.estimation.least_squares`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from masking.numerics.arrays import Array
 MOST_ROUNDS = 40
 CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit leaves decides nothing
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
+BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
@@ -96,7 +97,8 @@ def fit(
     """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
 
     If the simulated motion loses phase with the record, the fit begins again from those in shorter intervals, which
-    grow. Where no initial states are given, those that suit the values to begin from best count.
+    grow, unless initial states are given and nothing else is estimated. Where none are given, those that suit the
+    values to begin from best count.
 
     Args:
         problem: the record and the rig.
@@ -113,15 +115,21 @@ def fit(
     """
     x = problem.prior.mean if theta is None else theta
     begun = Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
-    ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty)
+    shortest = cache(partial(_in_shortest, problem, begun))
+
+    def is_behind() -> bool:
+        return shortest(frozen)[1] > BEHIND * rival
+
+    ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty, is_behind=is_behind)
     found, is_fresh = ended(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
         first = ended(begun, frozen=True)
         if first is not None and _better(first, found) is first:
             found = _better(ended(Begun.at(first)), first)
-    for fixed in (False, True) if is_fresh else (frozen,):
+    known = frozen and start is not None  # near the states that are given
+    for fixed in (False, True) if is_fresh else () if known else (frozen,):
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
-            nearer = _continued(problem, begun, frozen=fixed)
+            nearer = _continued(problem, shortest(fixed), frozen=fixed, most=BEHIND * rival)
             found = _better(found, ended(nearer, frozen=frozen) if nearer else None)
     if found is None:
         raise IntegrationError("the simulated motion is no longer finite")
@@ -159,11 +167,16 @@ def solved(
     frozen: bool = False,
     rival: float = np.inf,
     penalty: Array | None = None,
+    is_behind: Callable[[], bool] | None = None,
 ) -> Hypothesis | None:
-    """Return a fit; None if the motion is not finite from where it begins."""
+    """Return a fit; None if the motion is not finite from where it begins.
+
+    Args as in `fit`, but for:
+        is_behind: whether no fit comes near the rival; asked once, where this one is far from it after many rounds.
+    """
     whole = _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen, penalty=penalty)
     try:
-        return whole.solve(begun.theta.copy(), rounds, rival)
+        return whole.solve(begun.theta.copy(), rounds, rival, is_behind)
     except IntegrationError:
         return None
 
@@ -175,27 +188,47 @@ def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | No
     return other if other.cost < one.cost else one
 
 
-def _continued(problem: EstimationProblem, begun: Begun, *, frozen: bool) -> Begun | None:
-    """Return where a fit in growing shooting intervals ends; None if the intervals cannot be shorter."""
-    stages = [*continuation.stages(problem), problem]
-    if len(stages) == 1:
+def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> tuple[Begun, float]:
+    """Return a fit to the first of a record in the shortest intervals, and what it costs; 0 if there are none."""
+    stage = next(continuation.stages(problem), problem)
+    return (begun, 0.0) if stage is problem else _in_part(next(continuation.parts(stage)), begun, frozen=frozen)
+
+
+def _in_part(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
+    """Return a fit to a part of a record in short intervals, whose initial states are guessed, and what it costs."""
+    samples = max(4, min(20, part.interval_samples // continuation.LINE))
+    return _at_stage(part, replace(begun, start=initial_states.first(part, begun.theta, samples)), frozen=frozen)
+
+
+def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
+    """Return a fit in short intervals and what it costs; where it begins, and 0, if the motion is not finite there."""
+    found = solved(part, begun, rounds=continuation.ROUNDS, frozen=frozen)
+    return (begun, 0.0) if found is None else (Begun.at(found), found.cost)
+
+
+def _continued(problem: EstimationProblem, first: tuple[Begun, float], *, frozen: bool, most: float) -> Begun | None:
+    """Return where a fit in growing shooting intervals ends; None if the intervals cannot be shorter.
+
+    Args:
+        problem: the record and the rig.
+        first: the fit to the first of the record in the shortest intervals, and what it costs.
+        frozen: whether only initial states are estimated.
+        most: what it may cost: the least cost grows with the intervals, so that it ends, with None, at the first of
+            them in which it costs more.
+    """
+    stages, (begun, least) = [*continuation.stages(problem), problem], first
+    if len(stages) == 1 or least > most:
         return None
-    states = list[Array]()
-    for part in continuation.parts(stages[0]):  # the parameters are those of the first
-        guess = initial_states.first(part, begun.theta, max(4, min(20, part.interval_samples // continuation.LINE)))
-        found = solved(part, replace(begun, start=guess), rounds=continuation.ROUNDS, frozen=frozen or bool(states))
-        states.append(guess if found is None else found.start)
-        begun = begun if found is None else Begun.at(found)
-    every = np.concatenate(states)
+    others = itertools.islice(continuation.parts(stages[0]), 1, None)  # the parameters are those of the first
+    every = np.concatenate([begun.start, *(_in_part(part, begun, frozen=True)[0].start for part in others)])
     for before, stage in itertools.pairwise(stages):
         every = continuation.grown(every, before, stage)
         if stage is not problem:
             part = next(continuation.parts(stage))
-            found = solved(
-                part, replace(begun, start=every[: part.intervals]), rounds=continuation.ROUNDS, frozen=frozen
-            )
-            if found is not None:
-                begun, every[: part.intervals] = Begun.at(found), found.start
+            begun, least = _at_stage(part, replace(begun, start=every[: part.intervals]), frozen=frozen)
+            if least > most:
+                return None
+            every[: part.intervals] = begun.start
     return replace(begun, start=every)
 
 
@@ -233,21 +266,6 @@ def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.in
     """
     begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
     return fit(problem, begun, theta=known.theta, start=known.start, rounds=REPEATED, rival=rival)
-
-
-def freed_scores(problem: EstimationProblem, known: Hypothesis) -> Array:
-    """Return what setting each parameter of the model free would take off the cost, to first order.
-
-    Args:
-        problem: the record and the rig.
-        known: a fit.
-    """
-    prior = problem.prior
-    pull = (known.theta - prior.mean) / prior.deviation
-    variance = np.diag(known.covariance)[: len(pull)] / prior.deviation**2
-    # The parameter's own prior term, and what the others give once it is gone.
-    found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
-    return np.where(variance < 1.0 - 1e-9, found, 0.0)[: len(problem.rig.names)]
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
@@ -380,14 +398,16 @@ class _LeastSquares:
         start[:, self.free] = moving.reshape(len(start), -1)
         return theta, added, inner, start
 
-    def solve(self, theta: Array, rounds: int, rival: float) -> Hypothesis:
-        """Return the fitted hypothesis, from values of the rig's parameters (k,)."""
-        rules, slow = self.problem.rules, 0
+    def solve(self, theta: Array, rounds: int, rival: float, is_behind: Callable[[], bool] | None = None) -> Hypothesis:
+        """Return the fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`."""
+        rules, slow, steps = self.problem.rules, 0, 0
 
         def is_hopeless(now: float, tried: float) -> bool:
-            nonlocal slow
+            nonlocal slow, steps
+            steps += 1
             slow = slow + 1 if now > rival and now - tried < rules.hopeless_fraction * (now - rival) else 0
-            return slow == rules.hopeless_steps
+            is_far = steps == continuation.ROUNDS and now > BEHIND * rival
+            return slow == rules.hopeless_steps or (is_far and is_behind is not None and is_behind())
 
         def tolerance(at: Linearised[Equations]) -> float:
             return CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)

@@ -9,8 +9,10 @@ import numpy as np
 
 from masking.discovery import fitting, verdict
 from masking.discovery.explanation import Explanation
+from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.errors import IntegrationError
+from masking.numerics.arrays import Array
 
 MOVED = 3.0  # deviations of its prior from which a parameter is one of those that are off
 
@@ -33,7 +35,7 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
         names = tuple((problem.rig.names[i], "") for i in indices)
         free = Explanation("parameter", names, now.hypothesis).with_prior(problem)
         try:
-            fit = fitting.fit(free)
+            fit = fitting.fit(free, rival=float(size))
         except IntegrationError:
             return None
         return Explanation("parameter", names, fit) if verdict.reaches_noise(fit.cost, size, rules) else None
@@ -58,3 +60,18 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
             left.remove(i)
             best = fewer
     return [] if best is None else [best]
+
+
+def scores(problem: EstimationProblem, known: Hypothesis) -> Array:
+    """Return what setting each parameter of the model free would take off the cost, to first order.
+
+    Args:
+        problem: the record and the rig.
+        known: a fit.
+    """
+    prior = problem.prior
+    pull = (known.theta - prior.mean) / prior.deviation
+    variance = np.diag(known.covariance)[: len(pull)] / prior.deviation**2
+    # The parameter's own prior term, and what the others give once it is gone.
+    found: Array = pull**2 / np.maximum(1.0 - variance, 1e-12)
+    return np.where(variance < 1.0 - 1e-9, found, 0.0)[: len(problem.rig.names)]

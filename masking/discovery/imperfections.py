@@ -89,7 +89,8 @@ class _Trial:
         if not laws or verdict.reaches_noise(found[0].cost, size, rules):
             return False
         wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
-        for made in fitted([partial(_beside, wider, one) for one in laws[:TRIED]], float(size), wider.work):
+        most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
+        for made in fitted([partial(_beside, wider, one) for one in laws[:TRIED]], most, wider.work):
             if made is not None:
                 left = verdict.excess_cost(made.cost, size)
                 self.is_likely |= left < rules.unexplained_fraction * alone

@@ -143,7 +143,7 @@ class Search:
         tried, passed_over = tuple[Score, ...](), tuple[tuple[Explanation, ...], ...]()
         now = settled = steps[-1][0] if steps else base
         number = len(steps)
-        while number < self.rules.most_effects and not (steps and self.problem.work.ends()):
+        while number < self.rules.most_effects and not (number > 1 and self.problem.work.ends()):
             if self._is_composite(now):
                 # One more law would leave it composite; another one in the place of these may not.
                 if now is settled:
@@ -230,7 +230,7 @@ class Search:
 
         There are none where the best is no better than chance.
         """
-        rules, gains = self.rules, fitting.freed_scores(self.problem, now.hypothesis)
+        rules, gains = self.rules, freed.scores(self.problem, now.hypothesis)
         known = self._known(now, scores, screen, ground, parameters=parameters)
         made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
         made.clear()
