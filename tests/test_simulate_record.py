@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy import integrate
 
 import masking
 from masking import cli
@@ -118,3 +119,42 @@ equations: {{"x''": "-{w**2}*(x - min(max(x, -{gap / 2}), {gap / 2}))"}}
 """)
     made = masking.simulate(tmp_path / "gap.yaml", tmp_path / "flight.csv", columns=["t", "x"])
     assert made.residual.std() == pytest.approx(1e-6, rel=0.1)
+
+
+@pytest.mark.parametrize("start", [0.01, -0.01])
+def test_a_sensor_without_sign_begins_on_either_side(tmp_path, start):
+    """At rest it reads next to nothing, so that a line through its first readings ends where the spring runs away."""
+    times, first = np.arange(2000) / RATE, [0.004, start, 0.0, 0.0]
+
+    def rates(t, y):
+        between = 60.0 * (y[1] - y[0])
+        return [y[2], y[3], -100.0 * y[0] + between - 0.2 * y[2], -80.0 * y[1] - between - 3e8 * y[1] ** 5 - 0.2 * y[3]]
+
+    made = integrate.solve_ivp(rates, (0.0, times[-1]), first, t_eval=times, rtol=1e-10, atol=1e-13).y
+    noise = NOISE * np.random.default_rng(1).standard_normal((2, len(times)))
+    table = np.column_stack([times, made[0] + noise[0], 0.01 * made[1] + 0.99 * np.abs(made[1]) + noise[1]])
+    np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="t,s1,s2", comments="")
+    (tmp_path / "model.yaml").write_text(
+        "name: pair\n"
+        "coordinates: {x1: {unit: m}, x2: {unit: m}}\n"
+        "parameters:\n"
+        "  a: {value: 100, unit: s**-2}\n"
+        "  b: {value: 80, unit: s**-2}\n"
+        "  c: {value: 60, unit: s**-2}\n"
+        "  d: {value: 0.2, unit: 1/s}\n"
+        "  k: {value: 3e8, unit: m**-4*s**-2}\n"
+        "equations:\n"
+        '  "x1\'\'": "-a*x1 + c*(x2 - x1) - d*x1\'"\n'
+        '  "x2\'\'": "-b*x2 - c*(x2 - x1) - k*x2**5 - d*x2\'"\n'
+    )
+    (tmp_path / "rig.yaml").write_text(
+        "name: rig\n"
+        "model: model.yaml\n"
+        "sensors:\n"
+        "  s1: {measures: x1, gain: {value: 1, unit: m/m}, unit: m}\n"
+        "  s2: {measures: x2, gain: {value: 1, unit: m/m}, unit: m}\n"
+        "effects:\n"
+        "  magnitude: {effect: sensor_magnitude, at: s2, parameters: {r: 0.99}}\n"
+    )
+    found = masking.simulate(tmp_path / "rig.yaml", tmp_path / "decay.csv")
+    assert found.residual.std(axis=0) == pytest.approx([NOISE, NOISE], rel=0.05)

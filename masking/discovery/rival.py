@@ -57,7 +57,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
     effects = (*found.effects[:at], last, *found.effects[at + 1 :])
     answer = "unknown" if none > calibration.LIKELIER else found.verdict
-    of, kept = (matched, law) if answer == "unknown" else (found, None)
+    is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
+    of, kept = (matched, law) if is_written else (found, None)
     return replace(of, verdict=answer, law=kept, none_of_these=none, effects=effects)
 
 
@@ -78,6 +79,13 @@ def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
     return replace(
         found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors
     )
+
+
+def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
+    """Return whether a law leaves more on unseen data than the names do, in intervals that are no shorter."""
+    left, length = float(law.validated.squares @ law.problem.weights), law.problem.interval_samples
+    fair = [one for one in found if one.validation.interval_samples >= length]
+    return any(left > one.after.squares @ one.validation.weights for one in fair)
 
 
 def _errs(found: Discovery) -> float:
