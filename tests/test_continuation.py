@@ -124,3 +124,18 @@ def test_phase_is_lost_where_a_simulation_is_out_of_step(models):
     assert not continuation.loses_phase(asked, late)
     late = readings - np.roll(readings, 4, axis=0)  # 36 degrees
     assert continuation.loses_phase(asked, late)
+
+
+def test_a_fit_that_short_intervals_rule_out_ends_early(models):
+    """A linear spring cannot follow one that hardens, even over a period; the law of the record can, from far off."""
+    case = {"seconds": 70.0, "off": 0.1, "noise": 1e-3, "driven": False}
+    done = dict[float, float]()
+    for factor in (np.inf, 1.0):
+        asked = problem(models["pendulum"], "Duffing", **case)
+        fitting.fit(asked, rival=factor * asked.record.readings.size)
+        done[factor] = asked.work.done
+    assert done[1.0] < 0.5 * done[np.inf]
+    asked = problem(models["Duffing"], "Duffing", **case)
+    size = asked.record.readings.size
+    found = fitting.fit(asked, rival=float(size))
+    assert float(found.squares @ asked.weights) < (1.0 + 5.0 / np.sqrt(size)) * size
