@@ -1,9 +1,11 @@
 """What all tests share: one cache of compiled models, and models declared in place."""
 
+import gc
 import os
 import shutil
 import signal
 import tempfile
+import warnings
 
 import hypothesis
 import pytest
@@ -28,6 +30,14 @@ def pytest_configure(config):
     if "MASKING_CACHE" not in os.environ:  # workers inherit the folder from the process that starts them
         os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item):
+    """Free what a failed try of a test has left open, such as a socket, before another test is blamed for it."""
+    if getattr(item, "execution_count", 1) > 1:
+        with warnings.catch_warnings(action="ignore", category=ResourceWarning):
+            gc.collect()
 
 
 def declare(**parts) -> Model:
