@@ -121,8 +121,9 @@ equations: {{"x''": "-{w**2}*(x - min(max(x, -{gap / 2}), {gap / 2}))"}}
     assert made.residual.std() == pytest.approx(1e-6, rel=0.1)
 
 
+@pytest.mark.parametrize("parts", [(0.0, 0.99), (0.0, 1.0), (1.0, 1.0)], ids=["one in part", "one", "both"])
 @pytest.mark.parametrize("start", [0.01, -0.01])
-def test_a_sensor_without_sign_begins_on_either_side(tmp_path, start):
+def test_sensors_without_sign_begin_on_either_side(tmp_path, start, parts):
     """At rest it reads next to nothing, so that a line through its first readings ends where the spring runs away."""
     times, first = np.arange(2000) / RATE, [0.004, start, 0.0, 0.0]
 
@@ -132,7 +133,8 @@ def test_a_sensor_without_sign_begins_on_either_side(tmp_path, start):
 
     made = integrate.solve_ivp(rates, (0.0, times[-1]), first, t_eval=times, rtol=1e-10, atol=1e-13).y
     noise = NOISE * np.random.default_rng(1).standard_normal((2, len(times)))
-    table = np.column_stack([times, made[0] + noise[0], 0.01 * made[1] + 0.99 * np.abs(made[1]) + noise[1]])
+    read = [(1.0 - part) * x + part * np.abs(x) for part, x in zip(parts, made[:2], strict=True)]
+    table = np.column_stack([times, *(read + noise)])
     np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="t,s1,s2", comments="")
     (tmp_path / "model.yaml").write_text(
         "name: pair\n"
@@ -154,7 +156,8 @@ def test_a_sensor_without_sign_begins_on_either_side(tmp_path, start):
         "  s1: {measures: x1, gain: {value: 1, unit: m/m}, unit: m}\n"
         "  s2: {measures: x2, gain: {value: 1, unit: m/m}, unit: m}\n"
         "effects:\n"
-        "  magnitude: {effect: sensor_magnitude, at: s2, parameters: {r: 0.99}}\n"
+        f"  first: {{effect: sensor_magnitude, at: s1, parameters: {{r: {parts[0]}}}}}\n"
+        f"  second: {{effect: sensor_magnitude, at: s2, parameters: {{r: {parts[1]}}}}}\n"
     )
     found = masking.simulate(tmp_path / "rig.yaml", tmp_path / "decay.csv")
     assert found.residual.std(axis=0) == pytest.approx([NOISE, NOISE], rel=0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,8 +23,8 @@ from masking.rig.twin import Twin
 PARTS = (1 / 64, 1 / 8)
 FIRST_READINGS = 20  # readings that the initial state is guessed from
 STUCK = 4.0  # cost per reading from which another initial state is sought
-GUESSES = 5  # linearisations of sensors, at most, for a first guess of the initial state
-ALIKE = 1e-3  # relative difference of two guesses from which both are tried
+BESIDE = 1e-9  # displacement from rest at which sensors that fold are linearised
+MOST_SIDES = 16  # combinations of sides of these that are tried
 ROUNDS = 25  # steps for the initial state, at most
 DAMPING = Damping(1e-9, least=1e-12, most=1e6)
 SETTLED = 1e-9  # fraction of the cost that a step must take off
@@ -176,18 +177,17 @@ def nearest(
     """
     found = list[tuple[Array, NormalEquations]]()
     usable = [part for part in PARTS if start is None and part * len(record) >= FIRST_READINGS]
-    for begun in _guesses(sensing, record) if start is None else [start]:
-        for parts in (usable[i:] for i in range(len(usable) + 1)):
-            first = begun
-            for part in parts:
-                beginning = record.first(part * len(record) / record.rate)
-                with suppress(IntegrationError):
-                    first, _ = _nearest(sensing, theta, beginning, weights, first, steps=steps)
+    starts = _guesses(sensing, record) if start is None else [start]
+    for first, parts in itertools.product(starts, [usable[i:] for i in range(len(usable) + 1)]):
+        near = first
+        for part in parts:
+            beginning = record.first(part * len(record) / record.rate)
             with suppress(IntegrationError):
-                made = _nearest(sensing, theta, record, weights, first, steps=steps)
-                if float(made[1].squares @ weights) < STUCK * record.readings.size:
-                    return made
-                found.append(made)
+                near, _ = _nearest(sensing, theta, beginning, weights, near, steps=steps)
+        with suppress(IntegrationError):
+            found.append(_nearest(sensing, theta, record, weights, near, steps=steps))
+            if float(found[-1][1].squares @ weights) < STUCK * record.readings.size:
+                break
     if not found:
         raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
     return min(found, key=lambda one: float(one[1].squares @ weights))
@@ -243,40 +243,26 @@ def _nearest(
     return first, found.at.found
 
 
+def first_start(sensing: Sensitivity, record: Data) -> Array:
+    """Return a guess of the initial state of a record (states,), from a parabola through its first readings."""
+    return next(_guesses(sensing, record))
+
+
 def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
-    """Give guesses of the initial state of a record (states,), the second on the other side of sensors that fold."""
-    first = first_start(sensing, record)
-    yield first
-    other = first_start(sensing, record, 2.0 * sensing.twin.rest(np.zeros(len(sensing.twin.model.coordinates))) - first)
-    if not np.allclose(other, first, rtol=ALIKE, atol=1e-12 * float(np.abs(first).max(initial=0.0))):
-        yield other
+    """Give guesses of the initial state of a record (states,), as `first_start`, on each side of sensors that fold.
 
-
-def first_start(sensing: Sensitivity, record: Data, near: Array | None = None) -> Array:
-    """Return a guess of the initial state of a record (states,), from a parabola through its first readings.
-
-    Sensors that are not linear are linearised again where that brings a guess nearer to the first reading.
-
-    Args:
-        sensing: the twin.
-        record: commands and readings.
-        near: the state at which the sensors are linearised first (states,); by default rest.
+    Such a sensor reads alike on both sides of rest, where it may read nothing: it is linearised beside that.
     """
-    n, count = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record))
-    times, given = np.arange(count) / record.rate, record.acting[0]
-
-    def guessed(state: Array) -> tuple[Array, float]:
-        read = sensing.sensed(state, given)
-        made = guessed_state(state, read, sensing.twin.free, times, record.readings[:count], n=n, degree=2)
-        return made, float(np.linalg.norm(sensing.sensed(made, given)[0] - record.readings[0]))
-
-    state, off = guessed(sensing.twin.rest(np.zeros(n)) if near is None else near)
-    for _ in range(GUESSES):
-        made, left = guessed(state)
-        if not left < off:
-            break
-        state, off = made, left
-    return state
+    n, count, given = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record)), record.acting[0]
+    rest, beside, times = sensing.twin.rest(np.zeros(n)), np.zeros(sensing.states), np.arange(count) / record.rate
+    beside[:n] = BESIDE * np.arange(1, n + 1)  # not alike: a sensor may read a difference
+    read, jacobian = sensing.sensed(rest, given)
+    above, below = (sensing.sensed(rest + side * beside, given)[1] for side in (1.0, -1.0))
+    folded = np.flatnonzero((above * below).sum(axis=1) < 0.0)
+    for sides in itertools.islice(itertools.product((above, below), repeat=len(folded)), MOST_SIDES):
+        for sensor, slopes in zip(folded, sides, strict=True):
+            jacobian[sensor] = slopes[sensor]
+        yield guessed_state(rest, (read, jacobian), sensing.twin.free, times, record.readings[:count], n=n, degree=2)
 
 
 def guessed_state(
