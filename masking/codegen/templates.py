@@ -140,9 +140,10 @@ class _Written(ast.NodeTransformer):
             return self._size(node.id, known)
         if isinstance(known, bool | int | float):
             return ast.Constant(known)
-        if callable(known) or isinstance(known, Named):
+        is_intrinsic = hasattr(known, "_defn")  # of numba: LLVM code that its module writes
+        if isinstance(known, Named) or (callable(known) and not is_intrinsic):
             return ast.Name(self.printer.add(known), node.ctx)
-        module = self.closure.function.__module__
+        module = known.__module__ if is_intrinsic else self.closure.function.__module__
         self.printer.imports.add(f"from {module} import {node.id}")
         return node
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen import store
+from masking.codegen import column_step, store
 from masking.codegen.kernels import Kernels, linked
 from masking.codegen.source import Module
 from masking.codegen.tangent import jacobian
@@ -40,6 +40,7 @@ else:
 
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 MOST_STATES = 6  # of effects together
+OWN_STATES = 2  # of effects together, up to which the columns of derivatives have code of their own size
 MOST_COLUMNS = 96  # features that are spread at once
 PLACED = "placed(t: float, y, u, p, d, jy: Matrix)"
 KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
@@ -351,10 +352,11 @@ class AugmentedModel:
         most = len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES
         width = whole_lanes(max(most, self.affected, 2 * len(self._seats), self.sizes.added_rows, MOST_COLUMNS))
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
+        links |= column_step.link(self.sizes.states, self.sizes.coordinates, OWN_STATES)
 
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
-                "run": (augmented.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed"),
+                "run": (augmented.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed", "carry"),
                 "respond": (responses.linear_responses, "slopes", "sensed"),
                 "follow": (kalman.fixed_gain_filter, "rates", "sensed"),
                 "smooth_backward": (kalman.backward_smoother,),
@@ -430,7 +432,6 @@ class AugmentedModel:
             theta: free parameters of imperfections and of these, one after the other (f,).
         """
         channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
-        acts = np.zeros(seats + channels, dtype=np.int64)
         late, late_columns = np.zeros(channels), np.full(channels, -1)
         rows, columns, supports, values = [], [], [], list[float]()
         for instance in (*self.imperfections, *instances):
@@ -445,15 +446,12 @@ class AugmentedModel:
                 for channel in at:
                     late[channel] += values[first]
                     late_columns[channel] = estimated[0]
-                    acts[seats + channel] |= estimated[0] >= 0
                 continue
             kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
             state = len(self.twin.state_names) + states if instance.entry.states else -1
             states += len(instance.entry.states)
             acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
             for number, seat in acting:
-                if kind != SENSOR:
-                    acts[seat + seats * (kind == ACTUATOR)] = 1
                 of_effect = number not in self._all_taken
                 rows.append((number, kind, seat, first, state if of_effect else -1))
                 columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
@@ -464,7 +462,9 @@ class AugmentedModel:
         table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
         found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
         support = np.array(supports).reshape(-1, 4)[order]
-        return Instances(table, found, read, support, acts, late, late_columns, states)
+        ports = {seat + seats * (kind == ACTUATOR) for _, kind, seat, *_ in rows if kind != SENSOR}
+        ports |= {seats + int(channel) for channel in np.flatnonzero(late_columns >= 0)}
+        return Instances(table, found, read, support, np.array(sorted(ports), dtype=np.int64), late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).

@@ -25,7 +25,7 @@ class Instances:
         estimated: the column of each parameter in the normal equations, or -1 (i, parameters).
         values: all parameters, one after the other.
         support: displacements, then rates, between which each acts, as `laws.support` has them (i, 4).
-        acts: 1 where an effect acts, of places, then of actuators (places + actuators,).
+        acting: places, then actuators, where an effect acts, by their numbers.
         late: delay of each actuator, s (actuators,).
         late_columns: column of this delay, or -1 (actuators,).
         states: how many states the effects have.
@@ -35,7 +35,7 @@ class Instances:
     estimated: IntMatrix
     values: Array
     support: Array
-    acts: IntVector
+    acting: IntVector
     late: Array
     late_columns: IntVector
     states: int

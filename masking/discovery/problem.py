@@ -14,7 +14,7 @@ from masking.discovery.rules import RULES, DecisionRules
 from masking.discovery.work import Work
 from masking.errors import IntegrationError
 from masking.estimation.data import Data, is_first_order
-from masking.estimation.sensitivity import spans
+from masking.estimation.sensitivity import symmetric, terms
 from masking.estimation.simulation import relative
 from masking.numerics.arrays import Array
 from masking.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
@@ -119,14 +119,14 @@ class EstimationProblem:
         y[n:] += 0.0 if inner is None else inner
         self.work.add(len(record) * self.substeps, len(y) + width)
         derivatives[n : n + states, k - states : k] = np.eye(states)
-        matrices, gradients = np.zeros((intervals * width, width)), np.zeros(intervals * width)
+        matrices, gradients = np.zeros((intervals * width, whole_lanes(width))), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         late = given.late / self.dt
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table,
-            np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p, basis,
-            spans(basis), given.table, given.estimated, given.values, given.support, given.acts, record.late + late,
-            given.late_columns, record.commands, record.counted(late), self.weights, matrices,
+            len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table, k,
+            np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p,
+            *terms(rig.equations, basis), given.table, given.estimated, given.values, given.support, given.acting,
+            record.late + late, given.late_columns, record.commands, record.counted(late), self.weights, matrices,
             gradients, squares, simulated,
         )  # fmt: skip
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
@@ -134,10 +134,9 @@ class EstimationProblem:
         matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)
         for i in range(intervals):
             own = np.concatenate([np.arange(every - k, every), every + i * moving + np.arange(moving)])
-            matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width]
+            matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width, :width]
             gradient[own] += gradients[i * width : (i + 1) * width]
-        matrix = np.tril(matrix) + np.tril(matrix, -1).T
-        return Equations(matrix, gradient, squares, simulated, record.residuals(simulated, late))
+        return Equations(symmetric(matrix), gradient, squares, simulated, record.residuals(simulated, late))
 
     def tempering(self, residuals: Array) -> float:
         """Return the tempering factor: residual variance over noise variance, of samples or block means; at least 1.

@@ -26,10 +26,10 @@ from masking.codegen.kernels import Kernels, linked
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity, spans
+from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity
 from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.numerics.arrays import Array
-from masking.numerics.rig_sizes import COLUMN_ROWS
+from masking.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.rig.twin import Twin
 
@@ -216,11 +216,12 @@ def _filters(sensing: Sensitivity) -> Kernels:
 
     def factories() -> dict[str, tuple[Any, ...]]:
         return {
-            "filter_full": (kalman.full_extended_filter, "slopes", "sensed"),
-            "filter_root": (kalman.root_extended_filter, "slopes", "sensed"),
+            "filter_full": (kalman.full_extended_filter, "slopes", "sensed", "carry"),
+            "filter_root": (kalman.root_extended_filter, "slopes", "sensed", "carry"),
         }
 
-    return linked("Kalman filters", factories, sensing.equations.by_signature(SLOPES, SENSED), work)
+    links = {**sensing.equations.by_signature(SLOPES, SENSED), **sensing.carry}
+    return linked("Kalman filters", factories, links, work)
 
 
 def _is_affine(sensing: Sensitivity) -> bool:
@@ -277,7 +278,7 @@ class _Run:
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
         substeps, is_linear = sensing.twin.substeps(record.rate), is_first_order(record.hold)
-        derivatives = np.zeros((COLUMN_ROWS * sensing.states, len(theta) + sensing.states))
+        derivatives = np.zeros((COLUMN_ROWS * sensing.states, whole_lanes(len(theta) + sensing.states)))
         p, basis = self._basis(theta)
         affected, at = np.array(sensing.affected or (0,), dtype=np.int64), 0
         for piece in range(1, PIECES + 1):
@@ -289,7 +290,7 @@ class _Run:
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
                 status, at = self.kernel(
                     at, end - at, 1.0 / record.rate, substeps, is_linear, self.iterated, sensing.sizes.coordinates,
-                    affected, y, theta, p, basis, spans(basis), matrix, derivatives, acting, readings, self.r, self.q,
+                    affected, y, theta, p, basis, *sensing.terms(basis)[:2], matrix, derivatives, acting, readings, self.r, self.q,
                     table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
                 if status in (NOT_FINITE, NOT_POSITIVE):

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen import store
+from masking.codegen import column_step, store
 from masking.codegen.graph import Node
 from masking.codegen.kernels import Kernels, linked
+from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
 from masking.codegen.tangent import jacobian
 from masking.errors import IntegrationError, ModelError, nearest
@@ -165,10 +166,20 @@ class Sensitivity:
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
                 "simulate": (variational.simulation, "reading", "rates"),
-                "normal": (variational.twin_normal_equations, "slopes", "sensed"),
+                "normal": (variational.twin_normal_equations, "slopes", "sensed", "carry"),
             }
 
-        return linked("sensitivities", factories, self.equations.by_signature(*SIGNATURES), (sizes.work_rows, width))
+        links = {**self.equations.by_signature(*SIGNATURES), **self.carry}
+        return linked("sensitivities", factories, links, (sizes.work_rows, width))
+
+    def terms(self, basis: Array) -> tuple[IntMatrix, Array, IntMatrix, Array]:
+        """Return what the function `terms` does of the equations and a basis (affected, k)."""
+        return terms(self.equations, basis)
+
+    @property
+    def carry(self) -> dict[str, NativeFunction]:
+        """Return the function that moves derivatives of the state over a step, as `linked` takes it."""
+        return column_step.link(self.states, self.sizes.coordinates)
 
     @cached_property
     def equations(self) -> Kernels:
@@ -269,31 +280,43 @@ class Sensitivity:
         """Return what `normal_equations` does, with dead times that are known."""
         (p, columns), count, states = basis, len(record), self.states
         size = len(self.names) + states
-        matrix, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(weights))
+        matrix, gradient, squares = np.zeros((size, whole_lanes(size))), np.zeros(size), np.zeros(len(weights))
         y, simulated, derivatives = (
             np.empty(states),
             np.empty((count, len(squares))),
             np.zeros((COLUMN_ROWS * states, whole_lanes(size))),
         )
         status = self.kernels.normal(
-            count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, np.arange(states),
-            np.array([start], dtype=float), y, derivatives, p, columns, spans(columns),
-            record.late, record.commands, record.counted(),
-            np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
+            count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, len(self.names),
+            np.arange(states), np.array([start], dtype=float), y, derivatives, p, *self.terms(columns), record.late,
+            record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
-        matrix = np.tril(matrix) + np.tril(matrix, -1).T
+        matrix = symmetric(matrix)
         return NormalEquations(matrix, gradient, squares, simulated, y)
 
 
-def spans(basis: Array) -> IntMatrix:
-    """Return where a matrix is not 0: rows, and the first column and the one after the last of each (3, rows)."""
-    rows = np.flatnonzero(basis.any(axis=1))
-    held = basis[rows] != 0.0
-    if not len(rows):
-        return np.zeros((3, 0), dtype=np.int64)
-    return np.array([rows, held.argmax(axis=1), held.shape[1] - held[:, ::-1].argmax(axis=1)], dtype=np.int64)
+def symmetric(lower: Array) -> Array:
+    """Return a symmetric matrix (n, n) of its lower triangle (n, n or more), as kernels write it."""
+    square = np.tril(lower[:, : len(lower)])
+    return np.asarray(square + np.tril(square, -1).T)
+
+
+def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix, Array]:
+    """Return the terms of (df/dp) B in rates and in readings, each with its values of B, as `variational` takes them.
+
+    Args:
+        equations: what `add_slopes` has added to.
+        basis: B (affected, k).
+    """
+    found = list[Any]()
+    for pairs in equations.meta["depends"]:
+        rows, entries = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        at, columns = np.nonzero(basis[entries])
+        found += [np.array([rows[at], entries[at], columns], dtype=np.int64), basis[entries[at], columns]]
+    moved, moved_by, read, read_by = found
+    return moved, moved_by, read, read_by
 
 
 def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> list[Node]:
@@ -306,17 +329,20 @@ def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) ->
 
     Returns:
         The derivatives of readings by these entries.
+
+    `depends` of the module's `meta` has the row and the entry of each derivative of rates and of readings that is not 0.
     """
     graph, loads = lowered.graph, lowered.loads
     by_text = {text: name for name, text in loads.items()}
     at = [i for i in range(len(lowered.twin.state_names)) if f"y[{i}]" in by_text]
     y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
     p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
-    every = range(len(p))
+    every, depends = range(len(p)), module.meta.setdefault("depends", [])
     for alone, signature, results in ((RATES, SLOPES, lowered.derivatives), (READING, SENSED, lowered.readings)):
         module.add(alone, graph, results, loads)
         nodes = [node for _, node in results]
         by_entry = jacobian(graph, "jp", nodes, p, every)
+        depends.append([divmod(i, len(p)) for i, (_, x) in enumerate(by_entry) if not graph.is_number(x, 0.0)])
         module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *by_entry], loads)
     return [node for _, node in by_entry]
 

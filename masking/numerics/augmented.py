@@ -38,10 +38,9 @@ from masking.numerics.instances import (
 from masking.numerics.integrators import held_late
 from masking.numerics.rig_sizes import (
     CHANNELS,
-    COMMAND_COLUMNS,
     COORDINATES,
-    FORCE_COLUMNS,
     FORCE_ENTRIES,
+    INPUT_COLUMNS,
     IS_FED,
     PLACES,
     READ_ROWS,
@@ -49,7 +48,15 @@ from masking.numerics.rig_sizes import (
     SIZES,
     STATES,
 )
-from masking.numerics.variational import add_chain, add_rows, command_at, drive, normal_equations, take
+from masking.numerics.variational import (
+    command_at,
+    drive,
+    normal_equations,
+    put_entries,
+    rows_in,
+    take,
+)
+from masking.numerics.vectors import cleared
 
 Kernel = Callable[..., Any]
 
@@ -60,13 +67,12 @@ class Given(NamedTuple):
     Args:
         table: sizes and indices of the rig, as `rig_sizes` has them.
         p: the parameter array of the rig.
-        basis: derivatives of its affected entries by the parameters (affected, k).
-        spans: where `basis` is not 0 (3, rows), as `variational.Given` has them.
+        moved, moved_by, read, read_by: terms of (df/dp) B, as `variational.Given` has them.
         instances: of effects, those of sensors last; columns as `instances` says.
         estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
         values: parameters of the instances, one after the other.
         support: displacements, then rates, between which each instance acts (instances, 4).
-        acts: 1 where an effect acts, of places, then of channels.
+        acting: places, then channels, where an effect acts, by their numbers.
         late: delay of each channel, in samples.
         late_columns: column of each channel's delay, or -1.
         lead: derivative of each command by its delay.
@@ -74,13 +80,15 @@ class Given(NamedTuple):
 
     table: Any
     p: Any
-    basis: Any
-    spans: Any
+    moved: Any
+    moved_by: Any
+    read: Any
+    read_by: Any
     instances: Any
     estimated: Any
     values: Any
     support: Any
-    acts: Any
+    acting: Any
     late: Any
     late_columns: Any
     lead: Any
@@ -90,7 +98,8 @@ class Ports(NamedTuple):
     """What effects do at an instant.
 
     Args:
-        forces, commands, inertias: derivatives by the columns (places, width), (channels, width), (places, width).
+        inputs: derivatives of the force at each place, then of the command of each channel.
+        inertias: derivatives of the inertia at each place.
         followed: derivatives of displacements and rates by the state (2 places, n).
         pushed: what a unit of force adds to the rates, with the inertias before it (places, n).
         displacement: of each place, then its rate (2 places,).
@@ -99,8 +108,7 @@ class Ports(NamedTuple):
         command: of each channel, after its effects (channels,).
     """
 
-    forces: Any
-    commands: Any
+    inputs: Any
     inertias: Any
     followed: Any
     pushed: Any
@@ -135,59 +143,50 @@ def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
 @inlined
 def ports_in(work, places, channels):
     """Return the work space of the ports, and what remains of it."""
-    forces, work = take(work, places)
-    commands, work = take(work, channels)
-    inertias, work = take(work, places)
+    inputs, work = rows_in(work, places + channels)
+    inertias, work = rows_in(work, places)
     followed, work = take(work, 2 * places)
     pushed, work = take(work, places)
     vectors, work = take(work, 4)
-    return Ports(forces, commands, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]), work
+    return Ports(inputs, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]), work
 
 
 @inlined
-def at_once(table, by_entry, forces, commands, j):
-    """Return the derivative of a reading by column j through forces and commands at once.
-
-    Its derivatives by the affected entries are `by_entry`.
-    """
-    total = 0.0
-    if table[SIZES, IS_FED]:
-        for e in range(table[SIZES, PLACES]):
-            total += by_entry[table[FORCE_COLUMNS, e]] * forces[e, j]
-        for a in range(table[SIZES, CHANNELS]):
-            total += by_entry[table[COMMAND_COLUMNS, a]] * commands[a, j]
-    return total
-
-
-@inlined
-def subject(kind, at, columns, given, ports, s, by_state, by_entry, by, by_rate):
-    """Return what a law follows: the displacement of a place and its rate, a command, a reading, or 1 for an inertia.
-
-    Derivatives by the columns go into `by` and `by_rate` (width,); those of the readings s are `by_state` and
-    `by_entry`.
-    """
-    width, n, places = columns.shape[1], given.table[SIZES, STATES], given.table[SIZES, PLACES]
+def add_row(by, source, i, n, width, target, o):
+    """Add a row of derivatives by n states and `width` columns, times `by`, to another."""
+    for j in range(n):
+        target.by_state[o, j] += by * source.by_state[i, j]
     for j in range(width):
-        by[j] = ports.commands[at, j] if kind == ACTUATOR else 0.0
-        by_rate[j] = 0.0
-    if kind == ELEMENT:
-        add_rows(ports.followed[at], columns, n, by)
-        add_rows(ports.followed[places + at], columns, n, by_rate)
-        return ports.displacement[at], ports.displacement[places + at]
-    if kind == ACTUATOR:
-        return ports.command[at], 0.0
-    if kind == SENSOR:
-        add_chain(by_state[at], by_entry[at], columns, given.basis, given.spans, n, by)
-        for j in range(width):
-            by[j] += at_once(given.table, by_entry[at], ports.forces, ports.commands, j)
-        return s[at], 0.0
-    return 1.0, 0.0
+        target.by_column[o, j] += by * source.by_column[i, j]
 
 
 @inlined
-def is_same_place(instances, i):
-    """Tell whether instance i follows the same motion as the one before it."""
-    return i > 0 and instances[i - 1, KIND] == instances[i, KIND] and instances[i - 1, PLACE] == instances[i, PLACE]
+def scale_row(by, target, o, n, width):
+    """Multiply a row of derivatives."""
+    for j in range(n):
+        target.by_state[o, j] *= by
+    for j in range(width):
+        target.by_column[o, j] *= by
+
+
+@inlined
+def add_inputs(by_entry, given, inputs, n, target, o):
+    """Add to derivatives of a rate or reading, which are `by_entry` by the affected entries, what acts at the ports."""
+    for q in given.acting:
+        by = by_entry[given.table[INPUT_COLUMNS, q]]
+        if by != 0.0:
+            add_row(by, inputs, q, n, target.by_column.shape[1], target, o)
+
+
+@inlined
+def put_readings(by_entry, given, ports, n, made):
+    """Complete the derivatives of readings: by states of effects, by columns, and through what acts at the ports."""
+    put_entries(by_entry, given.read, given.read_by, 0, made.by_column)
+    for o in range(made.by_column.shape[0]):
+        for z in range(given.table[SIZES, STATES], n):
+            made.by_state[o, z] = 0.0
+        if given.table[SIZES, IS_FED]:
+            add_inputs(by_entry[o], given, ports.inputs, n, made, o)
 
 
 @inlined
@@ -197,67 +196,51 @@ def is_beyond(support, x, rate):
 
 
 @inlined
-def put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates):
-    """Put the rate of an effect's state where it is integrated, with its derivatives."""
-    rate[z] = rows[1, VALUE]
-    for j in range(columns.shape[1]):
-        inside = rows[1, BY_STATE] * columns[z, j]
-        column_rates[z, j] = rows[1, BY_DISPLACEMENT] * by[j] + rows[1, BY_RATE] * by_rate[j] + inside
+def add_law(i, z, by, given, target, o):
+    """Add to derivatives what a law gives (`by`) by the state z of its effect, if it has one, and by its parameters."""
+    if z >= 0:
+        target.by_state[o, z] += by[BY_STATE]
     for m in range(given.estimated.shape[1]):
         if given.estimated[i, m] >= 0:
-            column_rates[z, given.estimated[i, m]] += rows[1, BY_PARAMETER + m]
+            target.by_column[o, given.estimated[i, m]] += by[BY_PARAMETER + m]
 
 
 @inlined
-def put(i, columns, given, ports, rows, by, by_rate, rate, column_rates):
-    """Put what the law of instance i gives (`rows`) where it acts, with its derivatives."""
-    kind, at, z = given.instances[i, KIND], given.instances[i, PLACE], given.instances[i, STATE]
-    if z >= 0:
-        put_state(i, z, columns, given, rows, by, by_rate, rate, column_rates)
-    if kind == SENSOR:
-        return
+def add_motion(kind, at, places, by, n, width, ports, readings, target, o):
+    """Add to derivatives what a law gives (`by`) by what it follows: a place, a command or a reading."""
     if kind == ELEMENT:
-        given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
-        target = ports.forces[at]
+        followed = ports.followed
+        by_motion, by_rate = by[BY_DISPLACEMENT], by[BY_RATE]
+        for j in range(n if by_motion != 0.0 or by_rate != 0.0 else 0):
+            target.by_state[o, j] += by_motion * followed[at, j] + by_rate * followed[places + at, j]
     elif kind == ACTUATOR:
-        ports.command[at] = rows[0, VALUE]
-        target = ports.commands[at]
-    else:
-        ports.acceleration[at] += rows[0, VALUE]
-        target = ports.inertias[at]
-    by_motion, by_rates = rows[0, BY_DISPLACEMENT], rows[0, BY_RATE]
-    if kind == ACTUATOR:
-        for j in range(columns.shape[1]):
-            target[j] = by_motion * by[j]
-    elif kind == ELEMENT and (by_motion != 0.0 or by_rates != 0.0):  # pieces of a curve are 0 but for a few
-        for j in range(columns.shape[1]):
-            target[j] += by_motion * by[j] + by_rates * by_rate[j]
-    if z >= 0:
-        for j in range(columns.shape[1]):
-            target[j] += rows[0, BY_STATE] * columns[z, j]
-    for m in range(given.estimated.shape[1]):
-        if given.estimated[i, m] >= 0:
-            target[given.estimated[i, m]] += rows[0, BY_PARAMETER + m]
+        add_row(by[BY_DISPLACEMENT], ports.inputs, places + at, n, width, target, o)
+    elif kind == SENSOR:
+        add_row(by[BY_DISPLACEMENT], readings, at, n, width, target, o)
 
 
 @inlined
-def clear(u, width, given, ports):
+def clear(u, n, given, ports):
     """Take forces and inertias out of the ports, and put commands into them."""
-    table = given.table
-    for e in range(table[SIZES, PLACES]):
-        given.p[table[FORCE_ENTRIES, e]] = 0.0
-        ports.acceleration[e] = 0.0
-        if given.acts[e]:
-            for j in range(width):
-                ports.forces[e, j] = 0.0
-                ports.inertias[e, j] = 0.0
+    table, places = given.table, given.table[SIZES, PLACES]
     for a in range(table[SIZES, CHANNELS]):
         ports.command[a] = u[a]
-        if given.acts[table[SIZES, PLACES] + a]:
-            for j in range(width):
-                ports.commands[a, j] = 0.0
-            if given.late_columns[a] >= 0:
-                ports.commands[a, given.late_columns[a]] = given.lead[a]
+    for q in given.acting:
+        clear_row(ports.inputs, q, n)
+        if q < places:
+            given.p[table[FORCE_ENTRIES, q]] = 0.0
+            ports.acceleration[q] = 0.0
+            clear_row(ports.inertias, q, n)
+        elif given.late_columns[q - places] >= 0:
+            ports.inputs.by_column[q, given.late_columns[q - places]] = given.lead[q - places]
+
+
+@inlined
+def clear_row(target, o, n):
+    """Make a row of derivatives 0."""
+    for j in range(n):
+        target.by_state[o, j] = 0.0
+    cleared(target.by_column, o, o + 1)
 
 
 def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
@@ -269,90 +252,100 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `act(t, y, columns, u, given, rate, column_rates, ports, work) -> has_inertia`, which writes forces into the
-        parameter array, and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the
-        rates of the effects' states go into `rate` and `column_rates`. `work` has 2 sensors + 6 rows.
+        `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
+        and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the rates of the
+        effects' states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 4 rows.
     """
 
     @inlined
-    def act(t, y, columns, u, given, rate, column_rates, ports, work):
-        by_state, work = take(work, given.table[SIZES, SENSORS])
+    def act(t, y, u, given, rate, made, ports, work):
+        n, width, places = y.size, made.by_column.shape[1], given.table[SIZES, PLACES]
+        readings, work = rows_in(work, given.table[SIZES, SENSORS])
         by_entry, work = take(work, given.table[SIZES, SENSORS])
         rows, work = take(work, 2)
-        s, noise, by, by_rate = work[0], work[1], work[2], work[3]
+        s, noise = work[0], work[1]
         instances = given.instances
-        clear(u, columns.shape[1], given, ports)
-        has_elements, has_inertia, is_sensed, x, moved = False, False, False, 0.0, 0.0
+        clear(u, n, given, ports)
+        has_elements, has_inertia, is_sensed = False, False, False
         for i in range(instances.shape[0]):
             has_elements |= instances[i, KIND] == ELEMENT
             has_inertia |= instances[i, KIND] == INERTIA
         if has_elements or has_inertia:
             placed(t, y, ports.command, given.p, ports.displacement, ports.followed)
         for i in range(instances.shape[0]):
-            kind, z = instances[i, KIND], instances[i, STATE]
+            kind, at, z = instances[i, KIND], instances[i, PLACE], instances[i, STATE]
             if kind == SENSOR and z < 0:
                 continue
             if kind == SENSOR and not is_sensed:
-                sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
+                sensed(t, y, ports.command, given.p, noise, s, readings.by_state, by_entry)
+                put_readings(by_entry, given, ports, n, readings)
                 is_sensed = True
-            if kind != ELEMENT or not is_same_place(instances, i):
-                x, moved = subject(kind, instances[i, PLACE], columns, given, ports, s, by_state, by_entry, by, by_rate)
+            x, moved = 1.0, 0.0  # of an inertia
+            if kind == ELEMENT:
+                x, moved = ports.displacement[at], ports.displacement[places + at]
+            elif kind == ACTUATOR:
+                x = ports.command[at]
+            elif kind == SENSOR:
+                x = s[at]
             if is_beyond(given.support[i], x, moved):
                 continue
             inside = y[z] if z >= 0 else 0.0
             law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
-            put(i, columns, given, ports, rows, by, by_rate, rate, column_rates)
+            if z >= 0:
+                rate[z] = rows[1, VALUE]
+                clear_row(made, z, n)
+                add_motion(kind, at, places, rows[1], n, width, ports, readings, made, z)
+                add_law(i, z, rows[1], given, made, z)
+            if kind == ELEMENT:
+                given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
+                add_motion(kind, at, places, rows[0], n, width, ports, readings, ports.inputs, at)
+                add_law(i, z, rows[0], given, ports.inputs, at)
+            elif kind == ACTUATOR:
+                ports.command[at] = rows[0, VALUE]
+                scale_row(rows[0, BY_DISPLACEMENT], ports.inputs, places + at, n, width)
+                add_law(i, z, rows[0], given, ports.inputs, places + at)
+            elif kind == INERTIA:
+                ports.acceleration[at] += rows[0, VALUE]
+                add_law(i, z, rows[0], given, ports.inertias, at)
         return has_inertia
 
     return act
 
 
 def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
-    """Make the variational equations of a rig with effects.
+    """Make the flow of a rig with effects.
 
     Args:
         act: writes what effects do, as that of `effects_at_ports`.
         slopes: writes the rates of the rig's state, and their derivatives.
 
     Returns:
-        `flow(t, y, columns, u, given, rate, column_rates, work)`, which writes y' and S'; `work` has 2 n rows, and then
-        those of the ports.
+        `flow(t, y, u, given, rate, made, work)`, as that of `variational.motion_with_derivatives`; `work` has as many
+        rows as the rig has states, then those of the ports, and one more.
     """
 
     @inlined
-    def flow(t, y, columns, u, given, rate, column_rates, work):
-        table, width = given.table, columns.shape[1]
-        n, coordinates = table[SIZES, STATES], table[SIZES, COORDINATES]
-        places, channels = table[SIZES, PLACES], table[SIZES, CHANNELS]
-        by_state, work = take(work, n)
+    def flow(t, y, u, given, rate, made, work):
+        table, width = given.table, made.by_column.shape[1]
+        n, coordinates, places = table[SIZES, STATES], table[SIZES, COORDINATES], table[SIZES, PLACES]
         by_entry, work = take(work, n)
-        ports, work = ports_in(work, places, channels)
-        has_inertia = act(t, y, columns, u, given, rate, column_rates, ports, work)
+        ports, work = ports_in(work, places, table[SIZES, CHANNELS])
+        has_inertia = act(t, y, u, given, rate, made, ports, work)
         for again in range(2 if has_inertia else 1):
             if again:
-                accelerate(width, by_entry, given, rate, ports)
-            slopes(t, y, ports.command, given.p, rate, by_state, by_entry)
-        for i in range(n):
-            for j in range(width):
-                column_rates[i, j] = columns[coordinates + i, j] if i < coordinates else 0.0
-            if i < coordinates:
-                continue
-            add_chain(by_state[i], by_entry[i], columns, given.basis, given.spans, n, column_rates[i])
-            for e in range(places):
-                if given.acts[e]:
-                    by = by_entry[i, table[FORCE_COLUMNS, e]]
-                    for j in range(width if by != 0.0 else 0):
-                        column_rates[i, j] += by * ports.forces[e, j]
-            for a in range(channels):
-                if given.acts[places + a]:
-                    by = by_entry[i, table[COMMAND_COLUMNS, a]]
-                    for j in range(width if by != 0.0 else 0):
-                        column_rates[i, j] += by * ports.commands[a, j]
+                accelerate(y.size, width, by_entry, given, rate, ports)
+            slopes(t, y, ports.command, given.p, rate, made.by_state, by_entry)
+        by_column = made.by_column[:n]
+        put_entries(by_entry, given.moved, given.moved_by, coordinates, by_column)
+        for i in range(coordinates, n):
+            for z in range(n, y.size):
+                made.by_state[i, z] = 0.0
+            add_inputs(by_entry[i], given, ports.inputs, y.size, made, i)
         if has_inertia:
             for e in range(places):
-                draw_rows(
-                    n, coordinates, ports.share[e], ports.followed[e], ports.pushed[e], column_rates, work[0][:width]
-                )
+                share, followed, pushed = ports.share[e], ports.followed[e], ports.pushed[e]
+                draw_rows(n, coordinates, share, followed, pushed, made.by_state, work[0][: y.size])
+                draw_rows(n, coordinates, share, followed, pushed, by_column, work[0][:width])
 
     return flow
 
@@ -366,52 +359,44 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `read`, as that of `variational.readings_with_columns`; `work` has `PortSizes.read_rows` rows.
+        `read`, as that of `variational.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
     """
 
     @inlined
-    def bend(t, y, columns, given, s, rows, by):
+    def bend(t, y, given, s, made, by):
+        n, width = y.size, made.by_column.shape[1]
         for i in range(given.instances.shape[0]):
             if given.instances[i, KIND] == SENSOR:
                 at, first, z = given.instances[i, PLACE], given.instances[i, FIRST], given.instances[i, STATE]
                 law(given.instances[i, LAW], t, s[at], 0.0, y[z] if z >= 0 else 0.0, given.values[first:], by)
                 s[at] = by[0, VALUE]
-                for j in range(columns.shape[1]):
-                    inside = by[0, BY_STATE] * columns[z, j] if z >= 0 else 0.0
-                    rows[at, j] = by[0, BY_DISPLACEMENT] * rows[at, j] + inside
-                for m in range(given.estimated.shape[1]):
-                    j = given.estimated[i, m]
-                    if j >= 0:
-                        rows[at, j] += by[0, BY_PARAMETER + m]
+                scale_row(by[0, BY_DISPLACEMENT], made, at, n, width)
+                add_law(i, z, by[0], given, made, at)
 
     @inlined
-    def read(t, dt, y, columns, commands, index, is_linear, given, s, rows, work):
-        table, width, n = given.table, columns.shape[1], given.table[SIZES, STATES]
-        sensors, channels = table[SIZES, SENSORS], table[SIZES, CHANNELS]
-        by_state, work = take(work, sensors)
-        by_entry, work = take(work, sensors)
+    def read(t, dt, y, commands, index, is_linear, given, s, made, work):
+        table = given.table
+        channels = table[SIZES, CHANNELS]
+        by_entry, work = take(work, table[SIZES, SENSORS])
         by, work = take(work, 2)
         vectors, work = take(work, 3)
         noise, u, rate = vectors[0], vectors[1][:channels], vectors[2]
-        column_rates, work = take(work, columns.shape[0])
+        moved, work = rows_in(work, y.size)
         ports, work = ports_in(work, table[SIZES, PLACES], channels)
         for a in range(channels):
             u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
             ports.command[a] = u[a]
             given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
         if table[SIZES, IS_FED]:
-            act(t, y, columns, u, given, rate, column_rates, ports, work)
-        sensed(t, y, ports.command, given.p, noise, s, by_state, by_entry)
-        for o in range(sensors):
-            for j in range(width):
-                rows[o, j] = at_once(table, by_entry[o], ports.forces, ports.commands, j)
-            add_chain(by_state[o], by_entry[o], columns, given.basis, given.spans, n, rows[o])
-        bend(t, y, columns, given, s, rows, by)
+            act(t, y, u, given, rate, moved, ports, work)
+        sensed(t, y, ports.command, given.p, noise, s, made.by_state, by_entry)
+        put_readings(by_entry, given, ports, y.size, made)
+        bend(t, y, given, s, made, by)
 
     return read
 
 
-def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel) -> Kernel:
+def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     """Make the normal equations of an augmented model over a record.
 
     Args:
@@ -419,30 +404,35 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
         placed: writes displacements and rates of places, with derivatives.
         slopes: writes the rates of the rig's state, and their derivatives.
         sensed: writes readings, and their derivatives.
+        carry: moves columns over a step.
 
     Returns:
-        `normal(count, dt, substeps, interval, is_linear, table, free, starts, y, columns, p, basis, spans, instances,
-        estimated, values, support, acts, late, late_columns, commands, readings, weights, matrix, gradient, squares,
-        simulated, work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
+        `normal(count, dt, substeps, interval, is_linear, table, k, free, starts, y, columns, p, moved, moved_by, read,
+        read_by, instances, estimated, values, support, acting, late, late_columns, commands, readings, weights, matrix,
+        gradient, squares, simulated, work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
     """
     act = effects_at_ports(law, placed, sensed)
-    accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, motion_with_effects(act, slopes))
+    flow = motion_with_effects(act, slopes)
+    accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, flow, carry)
 
     @compiled
     def normal(
-        count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, free: IntVector,
-        starts: Matrix, y: Vector, columns: Matrix, p: Vector, basis: Matrix, spans: IntMatrix, instances: IntMatrix,
-        estimated: IntMatrix, values: Vector, support: Matrix, acts: IntVector, late: Vector, late_columns: IntVector,
-        commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix, gradient: Vector, squares: Vector,
-        simulated: Matrix, work: Matrix,
+        count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, k: int, free: IntVector,
+        starts: Matrix, y: Vector, columns: Matrix, p: Vector, moved: IntMatrix, moved_by: Vector, read: IntMatrix,
+        read_by: Vector, instances: IntMatrix, estimated: IntMatrix, values: Vector, support: Matrix, acting: IntVector,
+        late: Vector, late_columns: IntVector, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
+        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
     ) -> int:  # fmt: skip
         work[:] = 0.0
         first, work = take(work, 1)
         read_work, work = take(work, table[SIZES, READ_ROWS])
         lead = first[0][: table[SIZES, CHANNELS]]
-        given = Given(table, p, basis, spans, instances, estimated, values, support, acts, late, late_columns, lead)
+        given = Given(
+            table, p, moved, moved_by, read, read_by, instances, estimated, values, support, acting, late, late_columns,
+            lead,
+        )  # fmt: skip
         return accumulate(
-            count, dt, substeps, interval, is_linear, free, starts, y, columns, given, commands, readings, weights,
+            count, dt, substeps, interval, is_linear, k, free, starts, y, columns, given, commands, readings, weights,
             matrix, gradient, squares, simulated, read_work, work,
         )  # fmt: skip
 

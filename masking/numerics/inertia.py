@@ -12,8 +12,7 @@ Source: Sherman and Morrison (1950), Ann. Math. Stat. 21(1), 124-127.
 from __future__ import annotations
 
 from masking.numerics.compilation import inlined
-from masking.numerics.rig_sizes import COORDINATES, FORCE_COLUMNS, FORCE_ENTRIES, PLACES, SIZES, STATES
-from masking.numerics.variational import add_rows
+from masking.numerics.rig_sizes import COORDINATES, FORCE_ENTRIES, INPUT_COLUMNS, PLACES, SIZES, STATES
 
 
 @inlined
@@ -33,7 +32,8 @@ def draw_rows(n, coordinates, share, followed, pushed, rates, total):
     if share != 0.0:
         for j in range(total.size):
             total[j] = 0.0
-        add_rows(followed, rates[coordinates:], coordinates, total)
+            for i in range(coordinates):
+                total[j] += followed[i] * rates[coordinates + i, j]
         for i in range(n):
             by = share * pushed[i]
             for j in range(total.size if by != 0.0 else 0):
@@ -41,20 +41,22 @@ def draw_rows(n, coordinates, share, followed, pushed, rates, total):
 
 
 @inlined
-def accelerate(width, by_entry, given, rate, ports):
+def accelerate(states, width, by_entry, given, rate, ports):
     """Bring the accelerations in `rate` to those with the inertias that `ports.acceleration` holds.
 
     The accelerations of the places are written there, and the forces of the inertias are added to the parameter array,
-    their derivatives to `ports.forces`.
+    their derivatives by all states and by the columns, `width`, to `ports.inputs`.
     """
     table = given.table
     n, coordinates, places = table[SIZES, STATES], table[SIZES, COORDINATES], table[SIZES, PLACES]
     share, followed, pushed, acceleration = ports.share, ports.followed, ports.pushed, ports.acceleration
-    for e in range(places):
+    for e in given.acting:
+        if e >= places:
+            break
         share[e] = acceleration[e]
         if share[e] != 0.0:
             for i in range(n):
-                pushed[e, i] = by_entry[i, table[FORCE_COLUMNS, e]]
+                pushed[e, i] = by_entry[i, table[INPUT_COLUMNS, e]]
             for before in range(e):
                 draw(n, coordinates, share[before], followed[before], pushed[before], pushed[e])
             itself = 0.0
@@ -62,11 +64,14 @@ def accelerate(width, by_entry, given, rate, ports):
                 itself += followed[e, i] * pushed[e, coordinates + i]
             share[e] /= 1.0 - share[e] * itself
             draw(n, coordinates, share[e], followed[e], pushed[e], rate)
-    for e in range(places):
+    for e in given.acting:
+        if e >= places:
+            break
         inertia, acceleration[e] = acceleration[e], 0.0
         for i in range(coordinates):
             acceleration[e] += followed[e, i] * rate[coordinates + i]
         given.p[table[FORCE_ENTRIES, e]] += inertia * acceleration[e]
-        if given.acts[e]:
-            for j in range(width):
-                ports.forces[e, j] += ports.inertias[e, j] * acceleration[e]
+        for j in range(states):
+            ports.inputs.by_state[e, j] += ports.inertias.by_state[e, j] * acceleration[e]
+        for j in range(width):
+            ports.inputs.by_column[e, j] += ports.inertias.by_column[e, j] * acceleration[e]

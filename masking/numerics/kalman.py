@@ -20,11 +20,12 @@ from masking.numerics.compilation import compiled
 from masking.numerics.integrators import copy
 from masking.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
 from masking.numerics.variational import (
+    Derivatives,
     Given,
     command_at,
     drive,
     motion_alone,
-    motion_with_columns,
+    motion_with_derivatives,
     runge_kutta_4,
     take,
 )
@@ -213,25 +214,26 @@ FULL = Covariance(carry_full, correct_full, variance_full)
 ROOT = Covariance(carry_root, correct_root, variance_root)
 
 
-def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
+def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covariance) -> Kernel:
     """Make the extended Kalman filter of a twin's state and parameters.
 
     Args:
         slopes: writes the rates of the twin's state, and their derivatives.
         sensed: writes readings, and their derivatives.
+        carry: moves derivatives of the state over a step.
         form: of the covariance.
 
     Returns:
-        `follow(begin, count, dt, substeps, is_linear, updates, coordinates, affected, y, theta, p, basis, spans,
-        matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status, next
+        `follow(begin, count, dt, substeps, is_linear, updates, coordinates, affected, y, theta, p, basis, moved,
+        moved_by, matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status, next
         sample)`, which follows samples from `begin` on, linearising the readings of a sample `updates` times, each
         about the estimate before; `affected` are indices of the entries of p that depend on the parameters.
         y (n,), theta (k,), p and the covariance `matrix` are those of the next sample afterwards. `r`
         (sensors,) and `q` (n,) per second are variances; `limits` (3, k); `states` (m, n) and `estimates` (m, 2 k),
         values and deviations, get what is estimated, and `innovations` (m, 2 sensors) these, then normalised.
     """
-    advance = runge_kutta_4(motion_with_columns(slopes))
-    carry, correct, variance_of = form.carry, form.correct, form.variance
+    advance = runge_kutta_4(motion_with_derivatives(slopes))
+    carry_covariance, correct, variance_of = form.carry, form.correct, form.variance
 
     @compiled
     def place(theta, since, origin, affected, basis, p):
@@ -254,15 +256,17 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
     @compiled
     def follow(
         begin: int, count: int, dt: float, substeps: int, is_linear: int, updates: int, coordinates: int,
-        affected: IntVector, y: Vector, theta: Vector, p: Vector, basis: Matrix, spans: IntMatrix, matrix: Matrix,
-        columns: Matrix, commands: Matrix, readings: Matrix, r: Vector, q: Vector, limits: Matrix, states: Matrix,
-        estimates: Matrix, innovations: Matrix, work: Matrix,
+        affected: IntVector, y: Vector, theta: Vector, p: Vector, basis: Matrix, moved: IntMatrix, moved_by: Vector,
+        matrix: Matrix, columns: Matrix, commands: Matrix, readings: Matrix, r: Vector, q: Vector, limits: Matrix,
+        states: Matrix, estimates: Matrix, innovations: Matrix, work: Matrix,
     ) -> tuple[int, int]:  # fmt: skip
         k, channels, h, last = theta.size, commands.shape[1], dt / substeps, readings.shape[0] - 1
         n, sensors = y.size, r.size
-        columns, stages = take(columns, n)
+        columns, of_columns = take(columns, n)
         size = n + k
         work[:] = 0.0
+        of_stages, work = take(work, 4 * n)
+        stages = Derivatives(of_stages, of_columns)
         by_state, work = take(work, sensors)
         by_entry, work = take(work, sensors)
         rows, work = take(work, sensors)
@@ -271,7 +275,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
         noise, s, residual, before, change = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
         gain, seen, since, origin = vectors[5], vectors[6], vectors[7], vectors[8]
         u, end = vectors[9][:channels], vectors[10][:channels]
-        given = Given(p, basis, spans, coordinates, vectors[11][:channels])  # the commands are those that act
+        given = Given(p, moved, moved_by, moved, moved_by, coordinates, vectors[11][:channels])  # the commands are those that act
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
         for i in range(affected.size):
@@ -335,8 +339,9 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
                     columns[i, j] = 1.0 if j == k + i else 0.0
             for step in range(substeps):
                 drive(commands, index, step, substeps, dt, is_linear, given, u, end)
-                advance(t + step * h, y, columns, stages, u, end, given, h, work)
-            carry(matrix, columns, q, dt, k, carried)
+                advance(t + step * h, y, u, end, given, h, stages, work)
+                carry(of_stages, of_columns, columns, h)
+            carry_covariance(matrix, columns, q, dt, k, carried)
             if has_moved:
                 return LINEARISE, index + 1
         return REACHED, begin + count
@@ -344,14 +349,14 @@ def extended_filter(slopes: Kernel, sensed: Kernel, form: Covariance) -> Kernel:
     return follow
 
 
-def full_extended_filter(slopes: Kernel, sensed: Kernel) -> Kernel:
+def full_extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     """Make `extended_filter` with the covariance as a whole."""
-    return extended_filter(slopes, sensed, FULL)
+    return extended_filter(slopes, sensed, carry, FULL)
 
 
-def root_extended_filter(slopes: Kernel, sensed: Kernel) -> Kernel:
+def root_extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     """Make `extended_filter` with the triangular root of the covariance."""
-    return extended_filter(slopes, sensed, ROOT)
+    return extended_filter(slopes, sensed, carry, ROOT)
 
 
 def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
@@ -381,7 +386,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
         by_entry, work = take(work, sensors)
         vectors, work = take(work, 3)
         s, noise, u = vectors[0], vectors[1], vectors[2][:channels]
-        none, work = take(work, n)
+        none = Derivatives(work, work)
         for index in range(count):
             t = index * dt
             copy(x, predicted[index], n + forces)
@@ -402,7 +407,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
             for step in range(substeps):
                 for a in range(channels):
                     u[a] = command_at(commands, index, a, 0.0, (step + 0.5) / substeps, is_linear)
-                advance(t + step * h, x, none[:n, :0], none[:, :0], u, u, p, h, work)
+                advance(t + step * h, x[:n], u, u, p, h, none, work)
             for i in range(forces):
                 x[n + i] *= kept
         return REACHED

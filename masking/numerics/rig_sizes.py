@@ -10,11 +10,11 @@ import numpy as np
 from masking.numerics.arrays import IntMatrix
 
 # Rows of the table, and the entries of its first row.
-SIZES, FORCE_ENTRIES, FORCE_COLUMNS, COMMAND_COLUMNS = range(4)
+SIZES, FORCE_ENTRIES, INPUT_COLUMNS = range(3)
 STATES, COORDINATES, SENSORS, PLACES, CHANNELS, IS_FED, READ_ROWS = range(7)
 
 
-COLUMN_ROWS = 6  # of the columns of each state: its own, those of the four stages of a step, and one between them
+COLUMN_ROWS = 5  # of the columns of each state: its own, and those of the four stages of a step
 TOGETHER = 4  # samples whose rows are added to the normal equations at once: measured, a matrix waits for its memory
 LANES = 8  # columns that a loop takes at once: measured, what remains takes longer, one by one
 
@@ -39,14 +39,24 @@ class RigSizes:
     sensors: int
 
     @property
+    def moved(self) -> int:
+        """Return the number of states that are integrated."""
+        return self.states
+
+    @property
     def read_rows(self) -> int:
         """Return the rows of work space of readings with derivatives."""
-        return 2 * self.sensors + 2
+        return self.sensors + 2
+
+    @property
+    def flow_rows(self) -> int:
+        """Return the rows of work space of rates with derivatives."""
+        return self.states
 
     @property
     def moving_rows(self) -> int:
         """Return the rows of work space of an integration step with derivatives."""
-        return 2 * self.states + 6
+        return 4 * self.moved + 6 + self.flow_rows
 
     @property
     def added_rows(self) -> int:
@@ -56,7 +66,7 @@ class RigSizes:
     @property
     def work_rows(self) -> int:
         """Return the rows of work space of the normal equations."""
-        return 1 + self.added_rows + 5 + self.read_rows + self.moving_rows
+        return 1 + self.read_rows + self.sensors + self.added_rows + 5 + 1 + self.moving_rows
 
 
 @dataclass(frozen=True)
@@ -78,26 +88,31 @@ class PortSizes(RigSizes):
     most_states: int
 
     @property
+    def moved(self) -> int:
+        """Return the number of states that are integrated, those of effects included."""
+        return self.states + self.most_states
+
+    @property
     def port_rows(self) -> int:
         """Return the rows of work space of the ports and of the effects that drive them."""
-        return 6 * len(self.force_entries) + len(self.command_columns) + 4 + 2 * self.sensors + 6
+        return 7 * len(self.force_entries) + 2 * len(self.command_columns) + 4 + 3 * self.sensors + 4
 
     @property
     def read_rows(self) -> int:
         """Return the rows of work space of readings with derivatives."""
-        return 2 * self.sensors + 5 + self.states + self.most_states + self.port_rows
+        return self.sensors + 5 + 2 * self.moved + self.port_rows
 
     @property
-    def moving_rows(self) -> int:
-        """Return the rows of work space of an integration step with derivatives."""
-        return 2 * self.states + 6 + self.port_rows
+    def flow_rows(self) -> int:
+        """Return the rows of work space of rates with derivatives."""
+        return self.states + self.port_rows + 1
 
     @cached_property
     def table(self) -> IntMatrix:
         """Return sizes and indices as kernels read them."""
         places, channels = len(self.force_entries), len(self.command_columns)
         sizes = self.states, self.coordinates, self.sensors, places, channels, self.is_fed, self.read_rows
-        rows = sizes, self.force_entries, self.force_columns, self.command_columns
+        rows = sizes, self.force_entries, (*self.force_columns, *self.command_columns)
         made = np.zeros((len(rows), max(map(len, rows))), dtype=np.int64)
         for target, row in zip(made, rows, strict=True):
             target[: len(row)] = row

@@ -1,0 +1,88 @@
+"""Vectors of numbers in the rows of tables, each of which is one operation of the processor, or a few.
+
+Rows are as long as whole vectors. Numba writes loops, of which LLVM makes vectors only where it can tell that tables do
+not overlap: measured, a loop over a short row takes most of its time to find that out.
+"""
+# ruff: noqa: ANN001, ANN202, PLR0913, PLR0917, ARG001
+# The types are numba's to infer, and arguments of an intrinsic are those of the function that it is.
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from masking.numerics.rig_sizes import LANES
+
+_DOUBLE: Final = ir.DoubleType()
+_VECTOR: Final = ir.VectorType(_DOUBLE, LANES)
+_ALIGNED: Final = 8  # bytes of a number
+_FUSED: Final = ("contract",)  # a product and a sum in one, rounded once
+
+
+@intrinsic
+def combined(context, start, i, by, r, c, n, table, first, step, out, o, at):
+    """Write a row plus a combination of n rows of a table into another, in the vector that begins at a column.
+
+    `out[o, at:] = start[i, at:] + by[r, c]*table[first, at:] + by[r, c + 1]*table[first + step, at:] + ...`
+    """
+    given = start, i, by, r, c, n, table, first, step, out, o, at
+
+    def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ANN401
+        start, i, by, r, c, n, table, first, step, out, o, at = (
+            _Table(context, builder, kind, value) if isinstance(kind, types.Array) else value
+            for kind, value in zip(signature.args, values, strict=True)
+        )
+        factor, row, apart = by.at(r, c), table.at(first, at), builder.mul(step, table.stride)
+        total = cgutils.alloca_once_value(builder, builder.load(start.vector(i, at), align=_ALIGNED))
+        with cgutils.for_range(builder, n) as loop:
+            of = builder.load(builder.gep(factor, [loop.index]))
+            source = builder.gep(row, [builder.mul(loop.index, apart)])
+            each = builder.load(builder.bitcast(source, _VECTOR.as_pointer()), align=_ALIGNED)
+            product = builder.fmul(_repeated(builder, of), each, flags=_FUSED)
+            builder.store(builder.fadd(builder.load(total), product, flags=_FUSED), total)
+        builder.store(builder.load(total), out.vector(o, at), align=_ALIGNED)
+        return context.get_dummy_value()
+
+    return types.void(*given), write
+
+
+@intrinsic
+def cleared(context, out, first, last):
+    """Write 0 into the rows of a table from one on, up to another."""
+
+    def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ANN401
+        table, first, last = _Table(context, builder, signature.args[0], values[0]), *values[1:]
+        vectors = builder.udiv(builder.mul(builder.sub(last, first), table.width), table.width.type(LANES))
+        begin = table.vector(first, table.width.type(0))
+        with cgutils.for_range(builder, vectors) as loop:
+            builder.store(_VECTOR(None), builder.gep(begin, [loop.index]), align=_ALIGNED)
+        return context.get_dummy_value()
+
+    return types.void(out, first, last), write
+
+
+def _repeated(builder: Any, value: Any) -> Any:  # noqa: ANN401
+    """Return a vector of one number."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.IntType(32)(0))
+    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+class _Table:
+    """An array of two dimensions, row by row, in code that is being written."""
+
+    def __init__(self, context: Any, builder: Any, kind: Any, value: Any) -> None:  # noqa: ANN401
+        made = context.make_array(kind)(context, builder, value)
+        _, self.width = cgutils.unpack_tuple(builder, made.shape)
+        self.builder, self.data, self.stride = builder, made.data, self.width
+
+    def at(self, row: Any, column: Any) -> Any:  # noqa: ANN401
+        """Return the address of an element."""
+        return self.builder.gep(self.data, [self.builder.add(self.builder.mul(row, self.stride), column)])
+
+    def vector(self, row: Any, column: Any) -> Any:  # noqa: ANN401
+        """Return the address of the vector that begins at an element."""
+        return self.builder.bitcast(self.at(row, column), _VECTOR.as_pointer())
