@@ -54,7 +54,7 @@ OUTSIDE: dict[str, set[str]] = {
     "control": {"modelling", "control", "analysis"},
     "h5py": {"records"},
     "jinja2": {"reports"},
-    "llvmlite": {"codegen"},
+    "llvmlite": {"codegen", "numerics"},
     "markupsafe": {"display", "modelling", "reports"},
     "matplotlib": {"display", "reports"},
     "PIL": {"reports"},

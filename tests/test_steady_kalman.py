@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from masking.estimation.sensitivity import spans
 from masking.numerics.steady_kalman import discretised, steady_filter
 
 
@@ -39,9 +38,3 @@ def test_the_covariances_are_scipys():
 def test_a_walk_that_no_reading_determines_is_refused():
     with pytest.raises(ValueError, match="does not settle"):
         steady_filter(np.eye(2), np.eye(2), np.array([[1.0, 0.0]]))
-
-
-def test_spans_hold_all_entries_of_a_row():
-    basis = np.array([[0.0, 2.0, 0.0, 1.0, 0.0], [0.0] * 5, [1.0, 0.0, 0.0, 0.0, 0.0]])
-    assert spans(basis).tolist() == [[0, 2], [1, 0], [4, 1]]
-    assert spans(np.zeros((2, 0))).shape == spans(np.zeros((2, 3))).shape == (3, 0)

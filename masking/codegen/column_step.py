@@ -103,7 +103,7 @@ class _Code:
     def __init__(self, is_unrolled: bool) -> None:
         self.lines: list[str] = []
         self._end = ", !llvm.loop !0" if is_unrolled else ""
-        self._count, self._open, self._block = 0, list[tuple[str, str, int]](), "entry"
+        self._count, self._open, self._block = 0, list[tuple[str, int]](), "entry"
 
     def add(self, *lines: str) -> None:
         """Add lines."""
@@ -123,13 +123,13 @@ class _Code:
         self.add(f"%.{label} = phi i64 [ {first}, %{self._block} ], [ %.{label}.next, %{label}.end ]")
         self.add(f"%.{label}.is = icmp slt i64 %.{label}, {last}")
         self.add(f"br i1 %.{label}.is, label %{label}.in, label %{label}.out", f"{label}.in:")
-        self._open.append((label, "", step))
+        self._open.append((label, step))
         self._block = f"{label}.in"
         return f"%.{label}"
 
     def end(self) -> None:
         """End the innermost loop; the one over columns alone is not unrolled."""
-        label, _, step = self._open.pop()
+        label, step = self._open.pop()
         self.add(f"br label %{label}.end", f"{label}.end:", f"%.{label}.next = add i64 %.{label}, {step}")
         self.add(f"br label %{label}{self._end if step == 1 else ''}", f"{label}.out:")
         self._block = f"{label}.out"

@@ -140,10 +140,9 @@ class _Written(ast.NodeTransformer):
             return self._size(node.id, known)
         if isinstance(known, bool | int | float):
             return ast.Constant(known)
-        is_intrinsic = hasattr(known, "_defn")  # of numba: LLVM code that its module writes
-        if isinstance(known, Named) or (callable(known) and not is_intrinsic):
+        if callable(known) or isinstance(known, Named):
             return ast.Name(self.printer.add(known), node.ctx)
-        module = known.__module__ if is_intrinsic else self.closure.function.__module__
+        module = self.closure.function.__module__
         self.printer.imports.add(f"from {module} import {node.id}")
         return node
 

@@ -336,8 +336,7 @@ class AugmentedModel:
         module = Module(f"{twin.declaration.name}, augmented", {"kind": "augmented", **twin.state_kinds})
         lowered = LoweredTwin(twin)
         graph, loads = lowered.graph, lowered.loads
-        by_entry = add_slopes(module, lowered, self._sensitivity.affected)
-        module.meta["is_direct"] = not all(graph.is_number(node, 0.0) for node in by_entry)
+        add_slopes(module, lowered, self._sensitivity.affected)
         by_text = {text: name for name, text in loads.items()}
         at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
         y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
@@ -464,7 +463,8 @@ class AugmentedModel:
         support = np.array(supports).reshape(-1, 4)[order]
         ports = {seat + seats * (kind == ACTUATOR) for _, kind, seat, *_ in rows if kind != SENSOR}
         ports |= {seats + int(channel) for channel in np.flatnonzero(late_columns >= 0)}
-        return Instances(table, found, read, support, np.array(sorted(ports), dtype=np.int64), late, late_columns, states)
+        used_ports = np.array(sorted(ports), dtype=np.int64)
+        return Instances(table, found, read, support, used_ports, late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).

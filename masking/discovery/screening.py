@@ -417,8 +417,9 @@ class Screen:
         p, _ = rig.basis(self.base.theta)
         every = self.every // self.thin
         self.work.add(self.blocks * every, many)
+        is_direct = bool(rig.equations.meta["depends"][1])
         rig.kernels.respond(
-            self.blocks * every, self.thin / record.rate, every, self.interval_samples, rig.equations.meta["is_direct"],
+            self.blocks * every, self.thin / record.rate, every, self.interval_samples, is_direct,
             at.astype(np.int64),
             np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
             np.ascontiguousarray(features), found,

@@ -290,8 +290,8 @@ class _Run:
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
                 status, at = self.kernel(
                     at, end - at, 1.0 / record.rate, substeps, is_linear, self.iterated, sensing.sizes.coordinates,
-                    affected, y, theta, p, basis, *sensing.terms(basis)[:2], matrix, derivatives, acting, readings, self.r, self.q,
-                    table, self.states, self.estimates, self.noises,
+                    affected, y, theta, p, basis, *sensing.terms(basis)[:2], matrix, derivatives, acting, readings,
+                    self.r, self.q, table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
                 if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._mend(status, at, len(theta)))

@@ -18,11 +18,10 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import column_step, store
-from masking.codegen.graph import Node
 from masking.codegen.kernels import Kernels, linked
 from masking.codegen.native import NativeFunction
 from masking.codegen.source import Module
-from masking.codegen.tangent import jacobian
+from masking.codegen.tangent import derivatives, jacobian
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.estimation.data import Data, is_first_order
 from masking.numerics.arrays import Array, IntMatrix
@@ -289,7 +288,8 @@ class Sensitivity:
         status = self.kernels.normal(
             count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, len(self.names),
             np.arange(states), np.array([start], dtype=float), y, derivatives, p, *self.terms(columns), record.late,
-            record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares, simulated,
+            record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
+            simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
@@ -319,32 +319,31 @@ def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix
     return moved, moved_by, read, read_by
 
 
-def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> list[Node]:
+def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> None:
     """Add the equations of a twin and its readings as `rates` and `reading`, with derivatives as `slopes` and `sensed`.
+
+    Derivatives by entries that are 0 everywhere are not written. `depends` of the module's `meta` has the row and the
+    entry of the others, of rates and of readings.
 
     Args:
         module: gets the functions.
         lowered: the twin.
         affected: indices of the entries of the parameter array by which is differentiated.
-
-    Returns:
-        The derivatives of readings by these entries.
-
-    `depends` of the module's `meta` has the row and the entry of each derivative of rates and of readings that is not 0.
     """
     graph, loads = lowered.graph, lowered.loads
     by_text = {text: name for name, text in loads.items()}
     at = [i for i in range(len(lowered.twin.state_names)) if f"y[{i}]" in by_text]
     y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
     p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
-    every, depends = range(len(p)), module.meta.setdefault("depends", [])
+    depends = module.meta.setdefault("depends", [])
     for alone, signature, results in ((RATES, SLOPES, lowered.derivatives), (READING, SENSED, lowered.readings)):
         module.add(alone, graph, results, loads)
         nodes = [node for _, node in results]
-        by_entry = jacobian(graph, "jp", nodes, p, every)
-        depends.append([divmod(i, len(p)) for i, (_, x) in enumerate(by_entry) if not graph.is_number(x, 0.0)])
-        module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *by_entry], loads)
-    return [node for _, node in by_entry]
+        by_entry = derivatives(graph, nodes, p)
+        found = [(i, m) for i, row in enumerate(by_entry) for m, x in enumerate(row) if not graph.is_number(x, 0.0)]
+        depends.append(found)
+        entries = [(f"jp[{i}, {m}]", by_entry[i][m]) for i, m in found]
+        module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *entries], loads)
 
 
 def _beside(theta: Array, i: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -42,6 +42,7 @@ from masking.numerics.rig_sizes import (
     FORCE_ENTRIES,
     INPUT_COLUMNS,
     IS_FED,
+    LANES,
     PLACES,
     READ_ROWS,
     SENSORS,
@@ -56,7 +57,7 @@ from masking.numerics.variational import (
     rows_in,
     take,
 )
-from masking.numerics.vectors import cleared
+from masking.numerics.vectors import cleared, combined
 
 Kernel = Callable[..., Any]
 
@@ -132,6 +133,8 @@ def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
     drive(commands, index, step, substeps, dt, is_linear, given, u, end)
     for a in range(u.shape[0]):
         late = given.late[a]
+        if given.late_columns[a] < 0:
+            continue
         if is_linear:
             given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
         else:
@@ -152,12 +155,17 @@ def ports_in(work, places, channels):
 
 
 @inlined
-def add_row(by, source, i, n, width, target, o):
-    """Add a row of derivatives by n states and `width` columns, times `by`, to another."""
-    for j in range(n):
-        target.by_state[o, j] += by * source.by_state[i, j]
-    for j in range(width):
-        target.by_column[o, j] += by * source.by_column[i, j]
+def add_row(by, r, c, source, i, n, width, target, o):
+    """Add a row of derivatives by n states and `width` columns, times by[r, c], to another."""
+    add_vectors(by, r, c, source.by_state, i, n, target.by_state, o)
+    add_vectors(by, r, c, source.by_column, i, width, target.by_column, o)
+
+
+@inlined
+def add_vectors(by, r, c, source, i, n, target, o):
+    """Add the first n of a row, times by[r, c], to another, in whole vectors."""
+    for at in range(0, n, LANES):
+        combined(target, o, by, r, c, 1, source, i, 1, target, o, at)
 
 
 @inlined
@@ -170,12 +178,12 @@ def scale_row(by, target, o, n, width):
 
 
 @inlined
-def add_inputs(by_entry, given, inputs, n, target, o):
-    """Add to derivatives of a rate or reading, which are `by_entry` by the affected entries, what acts at the ports."""
+def add_inputs(by_entry, i, given, inputs, n, target):
+    """Add to derivatives of a rate or reading i what acts at the ports; `by_entry` are those by affected entries."""
     for q in given.acting:
-        by = by_entry[given.table[INPUT_COLUMNS, q]]
-        if by != 0.0:
-            add_row(by, inputs, q, n, target.by_column.shape[1], target, o)
+        column = given.table[INPUT_COLUMNS, q]
+        if by_entry[i, column] != 0.0:
+            add_row(by_entry, i, column, inputs, q, n, target.by_column.shape[1], target, i)
 
 
 @inlined
@@ -186,7 +194,7 @@ def put_readings(by_entry, given, ports, n, made):
         for z in range(given.table[SIZES, STATES], n):
             made.by_state[o, z] = 0.0
         if given.table[SIZES, IS_FED]:
-            add_inputs(by_entry[o], given, ports.inputs, n, made, o)
+            add_inputs(by_entry, o, given, ports.inputs, n, made)
 
 
 @inlined
@@ -206,21 +214,20 @@ def add_law(i, z, by, given, target, o):
 
 
 @inlined
-def add_motion(kind, at, places, by, n, width, ports, readings, target, o):
-    """Add to derivatives what a law gives (`by`) by what it follows: a place, a command or a reading."""
+def add_motion(kind, at, places, by, r, n, width, ports, readings, target, o):
+    """Add to derivatives what a law gives (row r of `by`) by what it follows: a place, a command or a reading."""
     if kind == ELEMENT:
-        followed = ports.followed
-        by_motion, by_rate = by[BY_DISPLACEMENT], by[BY_RATE]
-        for j in range(n if by_motion != 0.0 or by_rate != 0.0 else 0):
-            target.by_state[o, j] += by_motion * followed[at, j] + by_rate * followed[places + at, j]
+        if by[r, BY_DISPLACEMENT] != 0.0 or by[r, BY_RATE] != 0.0:  # pieces of a curve are 0 but for a few
+            add_vectors(by, r, BY_DISPLACEMENT, ports.followed, at, n, target.by_state, o)
+            add_vectors(by, r, BY_RATE, ports.followed, places + at, n, target.by_state, o)
     elif kind == ACTUATOR:
-        add_row(by[BY_DISPLACEMENT], ports.inputs, places + at, n, width, target, o)
+        add_row(by, r, BY_DISPLACEMENT, ports.inputs, places + at, n, width, target, o)
     elif kind == SENSOR:
-        add_row(by[BY_DISPLACEMENT], readings, at, n, width, target, o)
+        add_row(by, r, BY_DISPLACEMENT, readings, at, n, width, target, o)
 
 
 @inlined
-def clear(u, n, given, ports):
+def clear(u, n, given, has_inertia, ports):
     """Take forces and inertias out of the ports, and put commands into them."""
     table, places = given.table, given.table[SIZES, PLACES]
     for a in range(table[SIZES, CHANNELS]):
@@ -229,8 +236,9 @@ def clear(u, n, given, ports):
         clear_row(ports.inputs, q, n)
         if q < places:
             given.p[table[FORCE_ENTRIES, q]] = 0.0
-            ports.acceleration[q] = 0.0
-            clear_row(ports.inertias, q, n)
+            if has_inertia:
+                ports.acceleration[q] = 0.0
+                clear_row(ports.inertias, q, n)
         elif given.late_columns[q - places] >= 0:
             ports.inputs.by_column[q, given.late_columns[q - places]] = given.lead[q - places]
 
@@ -265,11 +273,11 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         rows, work = take(work, 2)
         s, noise = work[0], work[1]
         instances = given.instances
-        clear(u, n, given, ports)
         has_elements, has_inertia, is_sensed = False, False, False
         for i in range(instances.shape[0]):
             has_elements |= instances[i, KIND] == ELEMENT
             has_inertia |= instances[i, KIND] == INERTIA
+        clear(u, n, given, has_inertia, ports)
         if has_elements or has_inertia:
             placed(t, y, ports.command, given.p, ports.displacement, ports.followed)
         for i in range(instances.shape[0]):
@@ -294,11 +302,11 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
             if z >= 0:
                 rate[z] = rows[1, VALUE]
                 clear_row(made, z, n)
-                add_motion(kind, at, places, rows[1], n, width, ports, readings, made, z)
+                add_motion(kind, at, places, rows, 1, n, width, ports, readings, made, z)
                 add_law(i, z, rows[1], given, made, z)
             if kind == ELEMENT:
                 given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
-                add_motion(kind, at, places, rows[0], n, width, ports, readings, ports.inputs, at)
+                add_motion(kind, at, places, rows, 0, n, width, ports, readings, ports.inputs, at)
                 add_law(i, z, rows[0], given, ports.inputs, at)
             elif kind == ACTUATOR:
                 ports.command[at] = rows[0, VALUE]
@@ -330,22 +338,23 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
         n, coordinates, places = table[SIZES, STATES], table[SIZES, COORDINATES], table[SIZES, PLACES]
         by_entry, work = take(work, n)
         ports, work = ports_in(work, places, table[SIZES, CHANNELS])
+        total, work = take(work, 1)
         has_inertia = act(t, y, u, given, rate, made, ports, work)
+        by_state, by_column = made.by_state[:n], made.by_column[:n]
         for again in range(2 if has_inertia else 1):
             if again:
                 accelerate(y.size, width, by_entry, given, rate, ports)
             slopes(t, y, ports.command, given.p, rate, made.by_state, by_entry)
-        by_column = made.by_column[:n]
         put_entries(by_entry, given.moved, given.moved_by, coordinates, by_column)
         for i in range(coordinates, n):
             for z in range(n, y.size):
-                made.by_state[i, z] = 0.0
-            add_inputs(by_entry[i], given, ports.inputs, y.size, made, i)
+                by_state[i, z] = 0.0
+            add_inputs(by_entry, i, given, ports.inputs, y.size, made)
         if has_inertia:
             for e in range(places):
                 share, followed, pushed = ports.share[e], ports.followed[e], ports.pushed[e]
-                draw_rows(n, coordinates, share, followed, pushed, made.by_state, work[0][: y.size])
-                draw_rows(n, coordinates, share, followed, pushed, by_column, work[0][:width])
+                draw_rows(n, coordinates, share, followed, pushed, by_state, total[0][: y.size])
+                draw_rows(n, coordinates, share, followed, pushed, by_column, total[0][:width])
 
     return flow
 
@@ -386,7 +395,8 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
         for a in range(channels):
             u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
             ports.command[a] = u[a]
-            given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
+            if given.late_columns[a] >= 0:
+                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
         if table[SIZES, IS_FED]:
             act(t, y, u, given, rate, moved, ports, work)
         sensed(t, y, ports.command, given.p, noise, s, made.by_state, by_entry)

@@ -225,8 +225,8 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
 
     Returns:
         `follow(begin, count, dt, substeps, is_linear, updates, coordinates, affected, y, theta, p, basis, moved,
-        moved_by, matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status, next
-        sample)`, which follows samples from `begin` on, linearising the readings of a sample `updates` times, each
+        moved_by, matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status,
+        next sample)`, which follows samples from `begin` on, linearising the readings of a sample `updates` times, each
         about the estimate before; `affected` are indices of the entries of p that depend on the parameters.
         y (n,), theta (k,), p and the covariance `matrix` are those of the next sample afterwards. `r`
         (sensors,) and `q` (n,) per second are variances; `limits` (3, k); `states` (m, n) and `estimates` (m, 2 k),
@@ -275,7 +275,8 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
         noise, s, residual, before, change = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
         gain, seen, since, origin = vectors[5], vectors[6], vectors[7], vectors[8]
         u, end = vectors[9][:channels], vectors[10][:channels]
-        given = Given(p, moved, moved_by, moved, moved_by, coordinates, vectors[11][:channels])  # the commands are those that act
+        none = vectors[11][:channels]  # the commands are those that act
+        given = Given(p, moved, moved_by, moved, moved_by, coordinates, none)
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
         for i in range(affected.size):

@@ -127,6 +127,8 @@ def put_entries(by_entry, terms, values, first, out):
 
     Args:
         by_entry: df/dp (rows, affected).
+        first: row of the table.
+        out: the table.
         terms: rows, entries and columns whose products are not 0 (3, terms), integers.
         values: of B in each term (terms,).
     """
@@ -271,10 +273,10 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
         longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
         (intervals, n), where the states `free` may have any value, each with a column of S behind the k of the basis;
         columns beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J;
-        above its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient` (J^T W r). `squares` gets squared residuals
-        (sensors,), `simulated` the readings. A reading that is not a number counts for nothing. States beyond n go on
-        from one interval to the next. `columns` has `COLUMN_ROWS` rows for each state: the first are the columns, the
-        others work space. `read_work` is work space of `read`.
+        above its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient`
+        (J^T W r). `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number
+        counts for nothing. States beyond n go on from one interval to the next. `columns` has `COLUMN_ROWS` rows for
+        each state: the first are the columns, the others work space. `read_work` is work space of `read`.
     """
     advance = runge_kutta_4(flow)
 

@@ -3,7 +3,7 @@
 Rows are as long as whole vectors. Numba writes loops, of which LLVM makes vectors only where it can tell that tables do
 not overlap: measured, a loop over a short row takes most of its time to find that out.
 """
-# ruff: noqa: ANN001, ANN202, PLR0913, PLR0917, ARG001
+# ruff: noqa: ANN001, ANN202, PLR0917
 # The types are numba's to infer, and arguments of an intrinsic are those of the function that it is.
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ _ALIGNED: Final = 8  # bytes of a number
 _FUSED: Final = ("contract",)  # a product and a sum in one, rounded once
 
 
-@intrinsic
-def combined(context, start, i, by, r, c, n, table, first, step, out, o, at):
+def _combined(context, start, i, by, r, c, n, table, first, step, out, o, at):
     """Write a row plus a combination of n rows of a table into another, in the vector that begins at a column.
 
     `out[o, at:] = start[i, at:] + by[r, c]*table[first, at:] + by[r, c + 1]*table[first + step, at:] + ...`
@@ -50,12 +49,14 @@ def combined(context, start, i, by, r, c, n, table, first, step, out, o, at):
     return types.void(*given), write
 
 
-@intrinsic
-def cleared(context, out, first, last):
+combined: Any = intrinsic(_combined)
+
+
+def _cleared(context, out, first, last):
     """Write 0 into the rows of a table from one on, up to another."""
 
     def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ANN401
-        table, first, last = _Table(context, builder, signature.args[0], values[0]), *values[1:]
+        table, (_, first, last) = _Table(context, builder, signature.args[0], values[0]), values
         vectors = builder.udiv(builder.mul(builder.sub(last, first), table.width), table.width.type(LANES))
         begin = table.vector(first, table.width.type(0))
         with cgutils.for_range(builder, vectors) as loop:
@@ -63,6 +64,9 @@ def cleared(context, out, first, last):
         return context.get_dummy_value()
 
     return types.void(out, first, last), write
+
+
+cleared: Any = intrinsic(_cleared)
 
 
 def _repeated(builder: Any, value: Any) -> Any:  # noqa: ANN401
