@@ -87,7 +87,8 @@ class System:
             inverse = decompositions.inverse(scaled, SINGULAR, hermitian=True)
         except IntegrationError:
             return np.full((len(scale), len(scale)), np.inf)
-        return np.asarray(inverse / np.outer(scale, scale))
+        with np.errstate(over="ignore"):  # of an unknown that changes nothing but the last bits
+            return np.asarray(inverse / scale[:, None] / scale)
 
     def information(self) -> Array:
         """Return the information on the shared unknowns (s, s) if the others are unknown: the Schur complement."""
