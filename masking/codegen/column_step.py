@@ -59,17 +59,17 @@ def _function(name: str, n: str, coordinates: int, *, is_unrolled: bool) -> str:
     between, rate, total = (get(f"alloca {VECTOR}, i64 {n}") for _ in range(3))
     half, sixth, third = (get(f"fmul double %h, {number(part)}") for part in (0.5, 1 / 6, 1 / 3))
     columns = code.begin("0", "%columns.1", LANES)
-    i = code.begin("0", n)
+    i = code.begin("0", n)  # Y = S
     own = code.load(code.element("columns", i, columns))
     add(f"store {VECTOR} {own}, ptr {code.vector(between, i)}", f"store {VECTOR} {own}, ptr {code.vector(total, i)}")
     code.end()
     stage = code.begin("0", "4")
     first = get(f"mul i64 {stage}, {n}")
-    i = code.begin("0", str(coordinates))
+    i = code.begin("0", str(coordinates))  # K = A Y + B: of coordinates, what their rates are
     moved = code.load(code.vector(between, get(f"add i64 {i}, {coordinates}")))
     add(f"store {VECTOR} {moved}, ptr {code.vector(rate, i)}")
     code.end()
-    i = code.begin(str(coordinates), n)
+    i = code.begin(str(coordinates), n)  # of the others
     row = get(f"add i64 {first}, {i}")
     add(f"store {VECTOR} {code.load(code.element('rates', row, columns))}, ptr {code.vector(rate, i)}")
     k = code.begin("0", n)
@@ -80,7 +80,7 @@ def _function(name: str, n: str, coordinates: int, *, is_unrolled: bool) -> str:
     is_outer = get(f"or i1 {get(f'icmp eq i64 {stage}, 0')}, {get(f'icmp eq i64 {stage}, 3')}")
     weight = code.repeated(get(f"select i1 {is_outer}, double {sixth}, double {third}"))
     length = code.repeated(get(f"select i1 {get(f'icmp eq i64 {stage}, 2')}, double %h, double {half}"))
-    i = code.begin("0", n)
+    i = code.begin("0", n)  # Y = S + c h K of the next stage
     found = code.load(code.vector(rate, i))
     code.add_product(code.vector(total, i), weight, found)
     own = code.load(code.element("columns", i, columns))
@@ -98,7 +98,7 @@ def _function(name: str, n: str, coordinates: int, *, is_unrolled: bool) -> str:
 
 
 class _Code:
-    """Lines of a function, in loops that are open."""
+    """Lines of a function, with the loops that are open."""
 
     def __init__(self, is_unrolled: bool) -> None:
         self.lines: list[str] = []
