@@ -99,14 +99,24 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
         least: steps of the model alone.
     """
 
-    def residuals(number: int) -> Array:
+    def begun(number: int) -> tuple[EstimationProblem, fitting.Begun]:
         fine = replace(problem, substeps=number)
-        instances = [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
-        return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
+        instances = tuple(problem.rig.at_step(one, fine.dt / number) for one in found.instances)
+        return fine, fitting.Begun(instances, found.theta, found.start)
+
+    def simulated(number: int) -> Array:
+        fine, one = begun(number)
+        added = fitting.estimated(one.instances)
+        return fine.equations(one.theta, one.start, one.instances, added, frozen=True).simulated
+
+    def residuals(number: int) -> Array:  # initial states that suit the steps may make up for them
+        fine, one = begun(number)
+        return fitting.fit(fine, one.instances, theta=one.theta, start=one.start, frozen=True).residuals
 
     rules, left = problem.rules, np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
     most, allowed = rules.most_refinement * least, rules.law_error * left
-    return refined(residuals, problem.substeps, most, allowed, ahead=4)
+    enough = refined(simulated, problem.substeps, most, allowed, ahead=4)
+    return enough if enough == problem.substeps else refined(residuals, problem.substeps, most, allowed, ahead=4)
 
 
 def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationProblem, Hypothesis] | None:
