@@ -170,7 +170,8 @@ def record(rig: Rig, seed: int) -> Record:
         i = min(int(t / times[1]), len(u) - 2)
         return float(u[i] + (u[i + 1] - u[i]) * (t / times[1] - i))
 
-    y = rig.simulated(push, times)
+    while not np.isfinite(y := rig.simulated(push, times)).all():  # it has run away, as along a square law
+        u *= 0.5
     n = len(rig.m)
     noise = NOISE * y[:n].std(axis=1, keepdims=True)
     return Record(times, u, y[:n] + noise * draw.normal(size=y[:n].shape), y[:n], y[n:])
