@@ -57,7 +57,7 @@ from masking.numerics.variational import (
     rows_in,
     take,
 )
-from masking.numerics.vectors import cleared, combined
+from masking.numerics.vectors import add_products, cleared
 
 Kernel = Callable[..., Any]
 
@@ -165,7 +165,7 @@ def add_row(by, r, c, source, i, n, width, target, o):
 def add_vectors(by, r, c, source, i, n, target, o):
     """Add the first n of a row, times by[r, c], to another, in whole vectors."""
     for at in range(0, n, LANES):
-        combined(target, o, by, r, c, 1, source, i, 1, target, o, at)
+        add_products(by, r, c, 1, source, i, target, o, at)
 
 
 @inlined

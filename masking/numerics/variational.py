@@ -36,7 +36,7 @@ from masking.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
 from masking.numerics.compilation import compiled, inlined
 from masking.numerics.integrators import held_late
 from masking.numerics.rig_sizes import LANES, TOGETHER
-from masking.numerics.vectors import cleared, combined
+from masking.numerics.vectors import add_products, cleared
 
 Kernel = Callable[..., Any]
 
@@ -304,7 +304,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
                 products[0, m] = weighted[m] * rows[m, i]
                 gradient[at + i] += products[0, m] * residuals[m]
             for j in range(0, i + 1, LANES):
-                combined(matrix, at + i, products, 0, 0, many, rows, 0, 1, matrix, at + i, j)
+                add_products(products, 0, 0, many, rows, 0, matrix, at + i, j)
         weighted[:many] = 0.0
 
     @inlined
@@ -333,7 +333,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
             read(t, dt, y, commands, index, is_linear, given, s, made, read_work)
             for o in range(sensors):
                 for j in range(0, columns.shape[1], LANES):
-                    combined(rows, now + o, read_by_state, o, 0, n, columns, 0, 1, rows, now + o, j)
+                    add_products(read_by_state, o, 0, n, columns, 0, rows, now + o, j)
                 if not math.isfinite(s[o]):
                     return 1
                 simulated[index, o] = s[o]

@@ -23,33 +23,34 @@ _ALIGNED: Final = 8  # bytes of a number
 _FUSED: Final = ("contract",)  # a product and a sum in one, rounded once
 
 
-def _combined(context, start, i, by, r, c, n, table, first, step, out, o, at):
-    """Write a row plus a combination of n rows of a table into another, in the vector that begins at a column.
+def _add_products(context, by, r, c, n, table, first, out, o, at):
+    """Add n rows of a table, each times a number, to another row, in the vector that begins at a column.
 
-    `out[o, at:] = start[i, at:] + by[r, c]*table[first, at:] + by[r, c + 1]*table[first + step, at:] + ...`
+    `out[o, at:] += by[r, c]*table[first, at:] + by[r, c + 1]*table[first + 1, at:] + ...`
     """
-    given = start, i, by, r, c, n, table, first, step, out, o, at
 
     def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ANN401
-        start, i, by, r, c, n, table, first, step, out, o, at = (
+        by, r, c, n, table, first, out, o, at = (
             _Table(context, builder, kind, value) if isinstance(kind, types.Array) else value
             for kind, value in zip(signature.args, values, strict=True)
         )
-        factor, row, apart = by.at(r, c), table.at(first, at), builder.mul(step, table.stride)
-        total = cgutils.alloca_once_value(builder, builder.load(start.vector(i, at), align=_ALIGNED))
+        factor, target = by.at(r, c), out.vector(o, at)
+        total = cgutils.alloca_once_value(builder, builder.load(target, align=_ALIGNED))
         with cgutils.for_range(builder, n) as loop:
-            of = builder.load(builder.gep(factor, [loop.index]))
-            source = builder.gep(row, [builder.mul(loop.index, apart)])
-            each = builder.load(builder.bitcast(source, _VECTOR.as_pointer()), align=_ALIGNED)
-            product = builder.fmul(_repeated(builder, of), each, flags=_FUSED)
+            row = builder.add(first, loop.index)
+            product = builder.fmul(
+                _repeated(builder, builder.load(builder.gep(factor, [loop.index]))),
+                builder.load(table.vector(row, at), align=_ALIGNED),
+                flags=_FUSED,
+            )
             builder.store(builder.fadd(builder.load(total), product, flags=_FUSED), total)
-        builder.store(builder.load(total), out.vector(o, at), align=_ALIGNED)
+        builder.store(builder.load(total), target, align=_ALIGNED)
         return context.get_dummy_value()
 
-    return types.void(*given), write
+    return types.void(by, r, c, n, table, first, out, o, at), write
 
 
-combined: Any = intrinsic(_combined)
+add_products: Any = intrinsic(_add_products)
 
 
 def _cleared(context, out, first, last):
