@@ -94,12 +94,12 @@ def test_emps_has_friction_that_differs_between_directions(tmp_path):
         parameters=("M", "Fv"),
         shooting_interval=0.2,
     )
-    told = {(cause.name, cause.on): cause for cause in found.effects}
-    assert set(told) == {("dry_friction", "guide"), ("asymmetric_damping", "guide")}
+    causes = {(cause.name, cause.on): cause for cause in found.effects}
+    assert set(causes) == {("dry_friction", "guide"), ("asymmetric_damping", "guide")}
     mass, viscous = (float(value) for value in found.explanation.hypothesis.theta)
     dry, more = (
-        told["dry_friction", "guide"].parameters["fc"][0],
-        told["asymmetric_damping", "guide"].parameters["c"][0],
+        causes["dry_friction", "guide"].parameters["fc"][0],
+        causes["asymmetric_damping", "guide"].parameters["c"][0],
     )
 
     def friction(v):
@@ -128,9 +128,9 @@ def latent(file, mass, friction):
     force, q = held["gtau"].ravel()[0] * held["vir"].ravel(), held["qm"].ravel()
     smooth = signal.filtfilt(*signal.butter(4, 100.0 / 500.0), q)
     v = np.gradient(smooth) * 1e3
-    told = mass * np.gradient(v) * 1e3 + friction(v)
+    modelled = mass * np.gradient(v) * 1e3 + friction(v)
     moving = np.abs(v) > 1e-3
-    low = [signal.filtfilt(*signal.butter(4, 20.0 / 500.0), x)[moving] for x in (force, force - told)]
+    low = [signal.filtfilt(*signal.butter(4, 20.0 / 500.0), x)[moving] for x in (force, force - modelled)]
     return np.sqrt(np.mean(low[1] ** 2) / np.mean(low[0] ** 2))
 
 

@@ -20,7 +20,7 @@ NAME = "carry"
 TYPES = {"by_state": "Matrix", "rates": "Matrix", "columns": "Matrix", "h": "float"}
 SIGNATURE = f"{NAME}({', '.join(f'{name}: {kind}' for name, kind in TYPES.items())})"
 VECTOR = f"<{LANES} x double>"
-LARGEST = 16  # states up to which all loops over them are unrolled; of more, instructions take longer to read
+LARGEST = 16  # states up to which all loops over them are unrolled: the code grows with their square
 UNROLLED = '!0 = distinct !{!0, !1}\n!1 = !{!"llvm.loop.unroll.full"}'
 
 

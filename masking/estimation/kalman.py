@@ -26,7 +26,7 @@ from masking.codegen.kernels import Kernels, linked
 from masking.errors import IntegrationError, ModelError, RecordError
 from masking.estimation.data import Data, is_first_order
 from masking.estimation.innovations import KalmanFit
-from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity
+from masking.estimation.sensitivity import SENSED, SLOPES, Sensitivity, terms
 from masking.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.numerics.arrays import Array
 from masking.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
@@ -290,8 +290,8 @@ class _Run:
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
                 status, at = self.kernel(
                     at, end - at, 1.0 / record.rate, substeps, is_linear, self.iterated, sensing.sizes.coordinates,
-                    affected, y, theta, p, basis, *sensing.terms(basis)[:2], matrix, derivatives, acting, readings,
-                    self.r, self.q, table, self.states, self.estimates, self.noises,
+                    affected, y, theta, p, basis, *terms(sensing.equations, basis)[:2], matrix, derivatives, acting,
+                    readings, self.r, self.q, table, self.states, self.estimates, self.noises,
                 )  # fmt: skip
                 if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._mend(status, at, len(theta)))

@@ -171,10 +171,6 @@ class Sensitivity:
         links = {**self.equations.by_signature(*SIGNATURES), **self.carry}
         return linked("sensitivities", factories, links, (sizes.work_rows, width))
 
-    def terms(self, basis: Array) -> tuple[IntMatrix, Array, IntMatrix, Array]:
-        """Return what the function `terms` does of the equations and a basis (affected, k)."""
-        return terms(self.equations, basis)
-
     @property
     def carry(self) -> dict[str, NativeFunction]:
         """Return the function that moves derivatives of the state over a step, as `linked` takes it."""
@@ -287,9 +283,9 @@ class Sensitivity:
         )
         status = self.kernels.normal(
             count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, len(self.names),
-            np.arange(states), np.array([start], dtype=float), y, derivatives, p, *self.terms(columns), record.late,
-            record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix, gradient, squares,
-            simulated,
+            np.arange(states), np.array([start], dtype=float), y, derivatives, p, *terms(self.equations, columns),
+            record.late, record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix,
+            gradient, squares, simulated,
         )  # fmt: skip
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
