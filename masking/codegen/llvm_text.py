@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from masking.codegen import lane_functions
+from masking.codegen import elementary
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import arguments, needed
 
@@ -19,11 +19,20 @@ from masking.codegen.printers import arguments, needed
 FREE = "contract reassoc nsz arcp"
 FUSED = "contract"  # a product and a sum in one, rounded once
 PAIR = ("sin", "cos")
-VECTORS: Mapping[str, Callable[..., Any]] = {
-    **dict.fromkeys(PAIR, lane_functions.sine_and_cosine),
-    "exp": lane_functions.exponential,
-    "log": lane_functions.logarithm,
+OWN: Mapping[str, Callable[..., Any]] = {
+    **dict.fromkeys(PAIR, elementary.sine_and_cosine),
+    "exp": elementary.exponential,
+    "log": elementary.logarithm,
+    "tan": elementary.tangent,
+    "sinh": elementary.hyperbolic_sine,
+    "cosh": elementary.hyperbolic_cosine,
+    "tanh": elementary.hyperbolic_tangent,
+    "asin": elementary.arc_sine,
+    "acos": elementary.arc_cosine,
+    "atan": elementary.arc_tangent,
+    "atan2": elementary.arc_tangent_of_two,
 }
+TWO = ("atan2", "pow")  # functions of two numbers
 FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
 (ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
@@ -133,6 +142,32 @@ def declarations(text: str) -> str:
     return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
 
 
+def with_elementary_functions(text: str) -> list[str]:
+    """Return LLVM code without functions of the library of mathematics, and behind it definitions of those of our own.
+
+    Args:
+        text: the code, which keeps LLVM's own functions that every processor has.
+    """
+    intrinsics = {name: f"llvm.{one}.f64" for name, one in INTRINSICS.items()} | {"fabs": "llvm.fabs.f64"}
+    wanted = {one: name for name, one in intrinsics.items()} | {name: name for name in (*intrinsics, *LIBRARY)}
+    declared = re.compile(r"^declare (?:[a-z]+ )*double @([\w.]+)\(.*$", re.MULTILINE)
+    used = [name for name in dict.fromkeys(declared.findall(text)) if name in wanted]
+    own = {wanted[name]: f"masking_{wanted[name]}" for name in used if wanted[name] in (*OWN, "pow")}
+    symbols = {name: own.get(wanted[name], intrinsics.get(wanted[name], name)) for name in used}
+    text = declared.sub(lambda found: "" if found[1] in symbols else found[0], text)
+    text = re.sub(r"@([\w.]+)(?=\()", lambda found: f"@{symbols.get(found[1], found[1])}", text)
+    kept = sorted({symbol for symbol in symbols.values() if symbol.startswith("llvm.")})
+    return [text, *(f"declare double @{one}(double)" for one in kept), *(_elementary(own[name], name) for name in own)]
+
+
+def _elementary(symbol: str, name: str) -> str:
+    """Return the definition of a function of mathematics."""
+    types = {"x": "float", "y": "float"} if name in TWO else {"x": "float"}
+    body = _Body(types, "", 1)
+    body.lines.append(f"ret double {body.own(name, [f'%{one}' for one in types])}")
+    return body.definition(symbol, "double").replace(") {", ") alwaysinline {", 1)
+
+
 def number(value: float) -> str:
     """Return a constant, to the last bit."""
     return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
@@ -146,7 +181,7 @@ class _Body:
         self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
         self.lines: list[str] = []
         self.values: dict[Node, str] = {}
-        self._known: dict[tuple[str, str], str] = {}  # functions in lanes, by their names and arguments
+        self._known: dict[tuple[str, ...], str] = {}  # functions of our own, by their names and arguments
         self._count = 0
 
     def compute(self, graph: Graph, results: Results, loads: Mapping[str, str], more: Sequence[Node] = ()) -> None:
@@ -226,8 +261,8 @@ class _Body:
 
     def _call(self, name: str, given: Sequence[str]) -> str:
         """Return the value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
-        if name in VECTORS and self.lanes > 1:
-            return self._in_lanes(name, given[0])
+        if name in OWN and self.lanes > 1:
+            return self.own(name, given)
         if name in INTRINSICS:
             kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
             return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
@@ -240,22 +275,23 @@ class _Body:
             found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
         return found
 
-    def _in_lanes(self, name: str, x: str) -> str:
-        """Return the value of a function in lanes, whose operations keep their order."""
-        if (name, x) not in self._known:
+    def own(self, name: str, given: Sequence[str]) -> str:
+        """Return the value of a function of our own, whose operations keep their order."""
+        if (name, *given) not in self._known:
             free, self.free = self.free, f"{FUSED} "
-            found = VECTORS[name](lambda operation, *given: self.apply(operation, given), self.number, x)
+            function = elementary.power if name == "pow" else OWN[name]
+            found = function(lambda operation, *parts: self.apply(operation, parts), self.number, *given)
             names, values = (PAIR, found) if name in PAIR else ((name,), (found,))
-            self._known |= {(one, x): value for one, value in zip(names, values, strict=True)}
+            self._known |= {(one, *given): value for one, value in zip(names, values, strict=True)}
             self.free = free
-        return self._known[name, x]
+        return self._known[name, *given]
 
     def _bits(self, name: str, x: str) -> str:
         """Return 2^x of a whole number x; or the exponent of x, or its significand in [sqrt(1/2), sqrt(2))."""
         whole = self.type.replace("double", "i64")
 
         def constant(value: int) -> str:
-            return f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
+            return f"{value}" if self.lanes == 1 else f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
 
         if name == "power_of_two":
             raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(BIAS)}")

@@ -230,12 +230,7 @@ class NativeFunction:
     def _compile(self) -> bytes:
         """Return the machine code of the function behind a C interface."""
         module = self.assembled()
-        # Names are kept inside: numba gives functions of different processes the same ones.
-        for value in (*module.functions, *module.global_variables):
-            if not value.is_declaration and not value.name.startswith("llvm.") and value.name != ENTRY:
-                value.linkage = "internal"
-        for _ in range(2):  # measured: what the first unrolls, the second unrolls further; a third changes nothing
-            _optimise(module)
+        optimise(module, ENTRY, _machine)
         code: bytes = _machine().emit_object(module)
         return code
 
@@ -374,11 +369,22 @@ def _without_aliases(text: str) -> str:
     return re.sub(r"^define (?!.*@NRT_)[^\n]*$", mark, text, flags=re.MULTILINE)
 
 
-def _optimise(module: Any) -> None:  # noqa: ANN401
-    """Optimise LLVM code once more, now that all of it is known to be one function."""
+def optimise(module: Any, entry: str, machine: Callable[[], Any]) -> None:  # noqa: ANN401
+    """Optimise LLVM code once more, now that all of it is known to be one function.
+
+    Args:
+        module: the code.
+        entry: name of the function.
+        machine: returns a new description of the processor that the code is for.
+    """
+    # Names are kept inside: numba gives functions of different processes the same ones.
+    for value in (*module.functions, *module.global_variables):
+        if not value.is_declaration and not value.name.startswith("llvm.") and value.name != entry:
+            value.linkage = "internal"
     options = llvm.create_pipeline_tuning_options(speed_level=3)
-    builder = llvm.create_pass_builder(_machine(), options)
-    builder.getModulePassManager().run(module, builder)
+    for _ in range(2):  # measured: what the first unrolls, the second unrolls further; a third changes nothing
+        builder = llvm.create_pass_builder(machine(), options)
+        builder.getModulePassManager().run(module, builder)
 
 
 def _machine() -> Any:  # noqa: ANN401  (llvmlite has no types)

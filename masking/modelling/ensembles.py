@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from masking.codegen import cuda
 from masking.codegen.kernels import Trajectory
 from masking.declaration.expression import Expression
 from masking.errors import IntegrationError, ModelError, SingularityError, nearest
@@ -23,6 +24,7 @@ def simulate(
     inputs: Inputs,
     tolerance: float,
     threads: int | None = None,
+    gpu: bool = False,
 ) -> Trajectory:
     """Integrate a model once for each run of an ensemble, as `Model.simulate` does.
 
@@ -34,9 +36,11 @@ def simulate(
         inputs: of all runs.
         tolerance: local relative error.
         threads: that share the runs; by default as many as there are cores.
+        gpu: whether a GPU makes the runs.
 
     Raises:
-        ModelError: a name is no parameter or state, or the values are not as many for each.
+        ModelError: a name is no parameter or state, the values are not as many for each, or no GPU makes such runs.
+        MaskingError: there is no GPU.
         DeclarationError: a parameter is out of its bounds.
     """
     times, columns = row_of_times(times), _columns(model, ensemble)
@@ -46,16 +50,30 @@ def simulate(
     for pick in (np.min, np.max):  # bounds are intervals
         model.with_parameters(**{name: float(pick(values)) for name, values in parameters.items()})
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
+        if gpu:
+            raise ModelError(
+                "a GPU makes no runs with events, delays, inputs that are series, or values that others are computed "
+                "from; let the processor make them"
+            )
 
         def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
             return changed.simulate(times, {**initial, **start}, inputs, tolerance)
 
         return _one_by_one(model, parameters, states, one)
-    y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.initial_state(initial))))
+    y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.state_names)))
     u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
     share = max(1, min(threads or os.cpu_count() or 1, runs))
     p = _parameters(model, parameters, runs)
-    return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share)
+    return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share, gpu=gpu)
+
+
+def check_gpu() -> None:
+    """Refuse runs on a GPU where there is none.
+
+    Raises:
+        MaskingError: there is no GPU, or no CuPy.
+    """
+    cuda.available()
 
 
 def _columns(model: Simulated, ensemble: Mapping[str, Sequence[float] | Array]) -> dict[str, Array]:

@@ -44,6 +44,7 @@ class Plan:
         virtual: whether the virtual system runs by itself, without a rig.
         continuation: whether the last axis of the grid is followed up and then down, each run from the end of the last.
         trajectories: whether the virtual motion is kept.
+        gpu: whether a GPU runs the virtual system.
     """
 
     experiment: Experiment
@@ -52,10 +53,11 @@ class Plan:
     virtual: bool = False
     continuation: bool = False
     trajectories: bool = False
+    gpu: bool = False
 
     def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
         """Return what another process makes the plan of, without what has been compiled in this one."""
-        others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories)
+        others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories, self.gpu)
         return Plan, (Experiment(self.experiment.assembly), *others)
 
     @cached_property
@@ -103,6 +105,11 @@ class Plan:
         if self.continuation and not (self.virtual and self.design.grid and self.design.runs == 1):
             message = "follows one grid of values with the virtual system by itself"
             raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and grids or lists only"))
+        if self.gpu and (self.continuation or not self.virtual):
+            message = "runs the virtual system by itself, each run from its own initial state"
+            raise DeclarationError(Problem(None, "gpu", message, "give --virtual, and no --continuation"))
+        if self.gpu:
+            ensembles.check_gpu()
         if not self.virtual:
             self.experiment.validate()
         self.experiment.virtual.kernels.derivative.prepare()
@@ -199,7 +206,7 @@ class Plan:
             }
             tolerance = self.experiment.declaration.tolerance
             runs = ensembles.simulate(
-                model, self._times, columns, initial=initial, inputs=None, tolerance=tolerance, threads=1
+                model, self._times, columns, initial=initial, inputs=None, tolerance=tolerance, threads=1, gpu=self.gpu
             )
             for i, row in enumerate(wanted):
                 states = runs.states[i]

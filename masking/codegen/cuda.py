@@ -1,0 +1,223 @@
+"""Compiled functions on a GPU of NVIDIA: the same LLVM code, made for that processor, with a thread for each run.
+
+CuPy, an optional package, holds memory there and starts threads; LLVM makes code for such processors without it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.codegen import files, llvm_text, native
+from masking.codegen.native import DIMENSIONS, LLVM_TYPES, RESULTS, NativeFunction
+from masking.errors import MaskingError
+
+if TYPE_CHECKING:
+    import llvmlite.binding as llvm
+else:
+    llvm = lazy.load("llvmlite.binding", suppress_warning=True)
+
+KERNEL, OF_ONE = "masking_runs", "masking_run"
+TRIPLE, OLDEST, PTX = "nvptx64-nvidia-cuda", "sm_75", "+ptx63"  # the driver makes machine code for what is newer
+# measured: 32 to 256 take the same time.
+THREADS = 64  # of a block
+PART = 0.5  # of the free memory that runs take together
+PLACE = ("tid", "ntid", "ctaid")  # of a thread: in its block, threads of a block, block
+
+
+def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noqa: ANN401
+    """Call a function on the GPU once for each of several runs, as `NativeFunction.each` does on the processor.
+
+    Args:
+        function: of a model, such as its integrator.
+        runs: how many.
+        given: arguments; an array with one axis more than the function takes is passed row by row, a row a run.
+
+    Returns:
+        results (runs, RESULTS).
+
+    Raises:
+        MaskingError: there is no GPU, or no CuPy; or one run does not fit into its memory.
+    """
+    cupy, kernel = available(), _loaded(function)
+    results, pool = np.zeros((runs, RESULTS)), cupy.cuda.MemoryPool()
+    names = [name for name in function.arguments if name != "work"]
+    arguments = {name: (function.arguments[name], one) for name, one in zip(names, given, strict=True)}
+    arguments["found"] = ("Vector", results)
+    moved = [name for name, (kind, one) in arguments.items() if np.ndim(one) > DIMENSIONS.get(kind, 0)]
+    bytes_of_one = sum(arguments[name][1][:1].nbytes for name in moved)
+    count = max(1, min(runs, int(PART * cupy.cuda.Device().mem_info[0]) // bytes_of_one))
+    try:
+        with cupy.cuda.using_allocator(pool.malloc):
+            for first in range(0, runs, count):
+                rows = slice(first, min(first + count, runs))
+                there = {
+                    name: cupy.asarray(one[rows] if name in moved else one)
+                    for name, (kind, one) in arguments.items()
+                    if kind in DIMENSIONS
+                }
+                size = rows.stop - first
+                passed = _passed(arguments, there, set(moved))
+                kernel((-(-size // THREADS),), (THREADS,), (np.int64(size), *passed))
+                for name in moved:
+                    there[name].get(out=arguments[name][1][rows])
+                del there, passed
+    except cupy.cuda.memory.OutOfMemoryError:
+        raise MaskingError(f"the GPU has no room for {count} runs together; give fewer times, or fewer runs") from None
+    finally:
+        pool.free_all_blocks()
+    return results
+
+
+def available() -> Any:  # noqa: ANN401  (a module without types)
+    """Return CuPy where it has a GPU.
+
+    Raises:
+        MaskingError: it is not installed, or finds no GPU; says why.
+    """
+    try:
+        cupy: Any = importlib.import_module("cupy")
+    except ImportError:
+        raise MaskingError(
+            "CuPy is not installed, which starts work on a GPU: pip install cupy-cuda13x, or cupy-cuda12x for a driver "
+            "older than 580; or let the processor make the runs"
+        ) from None
+    try:
+        cupy.cuda.Device().compute_capability  # noqa: B018  (asks the driver)
+    except cupy.cuda.runtime.CUDARuntimeError as error:
+        raise MaskingError(f"CuPy finds no GPU ({error}); let the processor make the runs") from None
+    return cupy
+
+
+def code(function: NativeFunction) -> str:
+    """Return the assembly of a function for GPUs, with `KERNEL` as what is started; from the cache if it is there."""
+    path = function.stem.with_name(f"{function.stem.name}.{OLDEST}.ptx")
+    found = files.find(path)
+    if found is None:
+        found = _assembly("\n\n".join([assembled(function), _kernel(function)])).encode()
+        files.keep(path, found)
+    return found.decode()
+
+
+def assembled(function: NativeFunction) -> str:
+    """Return LLVM code for any processor that makes one run as `OF_ONE`, with elementary functions of its own.
+
+    It takes the number of the run and the arguments of the function, behind each array how many numbers lie between
+    what two runs take of it, 0 for the same; then an array for results.
+    """
+    text = str(function.assembled())
+    entry = llvm_text.definition(text, native.ENTRY)
+    called = re.search(r"call i32 @([^\s(]+)\(", entry)
+    assert called is not None  # noqa: S101  (numba's interface calls what returns a status)
+    text = re.sub(r"^target .*$", "", text.replace(entry, ""), flags=re.MULTILINE)
+    text = re.sub(r' "(target-cpu|target-features|tune-cpu)"="[^"]*"', "", text)
+    return "\n\n".join([*llvm_text.with_elementary_functions(text), _of_one(function, called[1])])
+
+
+def _of_one(function: NativeFunction, called: str) -> str:
+    """Return the definition of what makes one run."""
+    lines, passed = ["%.returned = alloca ptr", "%.raised = alloca ptr"], ["ptr %.returned", "ptr %.raised"]
+    for name, kind in _types(function).items():
+        axes = range(DIMENSIONS.get(kind, 0))
+        if name == "work" and function.work is not None:
+            rows, columns = function.work
+            lines.append(f"%work = alloca [{rows * columns} x double], align 16")
+            passed += ["ptr %work", f"i64 {rows}", f"i64 {columns}"]
+            continue
+        if axes:
+            lines.append(f"%{name}.first = mul i64 %.run, %{name}.between")
+            lines.append(f"%{name}.row = getelementptr double, ptr %{name}, i64 %{name}.first")
+        passed.append(f"ptr %{name}.row" if axes else f"{LLVM_TYPES[kind]} %{name}")
+        passed += [f"i64 %{name}.{axis}" for axis in axes if name != "found"]
+    lines += [f"%.status = call i32 @{called}({', '.join(passed)})", "ret void"]
+    return _defined(f"void @{OF_ONE}(i64 %.run, {', '.join(_parameters(function))})", lines)
+
+
+def _kernel(function: NativeFunction) -> str:
+    """Return the definition of what a thread does: the run of its number, if there is one."""
+    registers = [f"declare i32 @llvm.nvvm.read.ptx.sreg.{one}.x()" for one in PLACE]
+    lines = list[str]()
+    for one in PLACE:
+        lines.append(f"%.{one}.short = call i32 @llvm.nvvm.read.ptx.sreg.{one}.x()")
+        lines.append(f"%.{one} = zext i32 %.{one}.short to i64")
+    given = _parameters(function)
+    lines += [
+        "%.before = mul i64 %.ntid, %.ctaid", "%.run = add i64 %.before, %.tid",
+        "%.is_one = icmp slt i64 %.run, %.runs", "br i1 %.is_one, label %some, label %none",
+        "some:", f"call void @{OF_ONE}(i64 %.run, {', '.join(given)})", "br label %none",
+        "none:", "ret void",
+    ]  # fmt: skip
+    return "\n".join([*registers, _defined(f"ptx_kernel void @{KERNEL}(i64 %.runs, {', '.join(given)})", lines)])
+
+
+def _types(function: NativeFunction) -> dict[str, str]:
+    return {**function.arguments, "found": "Vector"}
+
+
+def _parameters(function: NativeFunction) -> list[str]:
+    """Return the parameters of what makes one run, in LLVM."""
+    found = list[str]()
+    for name, kind in _types(function).items():
+        if name == "work":
+            continue
+        axes = range(DIMENSIONS.get(kind, 0))
+        found.append(f"ptr %{name}" if axes else f"{LLVM_TYPES[kind]} %{name}")
+        found += [f"i64 %{name}.{axis}" for axis in axes] + [f"i64 %{name}.between"] * bool(axes)
+    return found
+
+
+def _passed(
+    arguments: Mapping[str, tuple[str, Any]], there: Mapping[str, Any], moved: Iterable[str]
+) -> Sequence[object]:
+    """Return what the kernel is given for arguments, whose arrays are there."""
+    passed = list[object]()
+    for name, (kind, one) in arguments.items():
+        if kind not in DIMENSIONS:
+            passed.append(np.float64(one) if kind == "float" else np.int64(one))
+            continue
+        shape = there[name].shape[name in moved :]
+        passed += [there[name], *map(np.int64, shape), np.int64(np.prod(shape) if name in moved else 0)]
+    return passed
+
+
+def _defined(head: str, lines: Iterable[str]) -> str:
+    return "\n".join([f"define {head} {{", *(f"  {line}" for line in lines), "}"])
+
+
+def _assembly(text: str) -> str:
+    """Return the assembly of LLVM code for GPUs, as one function."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+
+    def machine() -> Any:  # noqa: ANN401
+        return llvm.Target.from_triple(TRIPLE).create_target_machine(cpu=OLDEST, features=PTX, opt=3)
+
+    layout = machine().target_data
+    module = native.parsed(f'target datalayout = "{layout}"\ntarget triple = "{TRIPLE}"\n\n{text}')
+    native.optimise(module, KERNEL, machine)
+    found = str(machine().emit_assembly(module))
+    missing = re.findall(r"^\.extern \.func.*?(\w+)\s*$", found, re.MULTILINE)
+    if missing:
+        raise MaskingError(f"no GPU has the functions {', '.join(missing)}; let the processor make the runs")
+    return found
+
+
+@cache
+def _loaded(function: NativeFunction) -> Any:  # noqa: ANN401  (a kernel of CuPy)
+    """Return a function as the driver has linked it."""
+    cupy = available()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "runs.ptx"
+        path.write_text(code(function))
+        try:
+            return cupy.RawModule(path=str(path)).get_function(KERNEL)
+        except cupy.cuda.driver.CUDADriverError as error:
+            raise MaskingError(f"the driver of the GPU refuses the code ({error}); the GPU may be too old") from None

@@ -1,0 +1,127 @@
+"""What runs on a GPU: its code makes the same runs on this processor, and is code of such a processor at last."""
+
+import ctypes
+import re
+
+import mpmath
+import numpy as np
+import pytest
+
+from masking import load_model
+from masking.codegen import cuda, llvm_text, native
+from masking.codegen.graph import Graph
+from masking.errors import MaskingError, ModelError
+
+TIMES = np.linspace(0.0, 20.0, 21)
+
+
+def linked(text, name, *types, returns=None):
+    """Return a function of LLVM code, made for this processor."""
+    native.parsed("")
+    builder = native.llvm.JITLibraryBuilder().add_ir(text).add_current_process().export_symbol(name)
+    library = builder.link(native._linker(), f"test {name} {hash(text)}")
+    return ctypes.CFUNCTYPE(returns, *types)(library[name]), library
+
+
+def here(function, runs, *given):
+    """Make runs as `cuda.each` does, one after the other, of the same code on this processor."""
+    kept, entry = cuda.assembled(function), rf"^.*@{cuda.OF_ONE}\("
+    module = native.parsed(kept)
+    native.optimise(module, cuda.OF_ONE, native._machine)
+    assert re.search(entry, str(module), re.MULTILINE)
+    results, passed, types = np.zeros((runs, native.RESULTS)), [], []
+    names = [name for name in function.arguments if name != "work"]
+    kinds = [*((function.arguments[name], one) for name, one in zip(names, given, strict=True)), ("Vector", results)]
+    for kind, one in kinds:
+        if kind not in native.DIMENSIONS:
+            passed.append(float(one))
+            types.append(ctypes.c_double)
+            continue
+        is_moved = one.ndim > native.DIMENSIONS[kind]
+        shape = one.shape[is_moved:]
+        passed += [one.ctypes.data, *shape, int(np.prod(shape)) * is_moved]
+        types += [ctypes.c_void_p, *[ctypes.c_int64] * (len(shape) + 1)]
+    run, library = linked(str(module), cuda.OF_ONE, ctypes.c_int64, *types)
+    for i in range(runs):
+        run(i, *passed)
+    del library
+    return results
+
+
+@pytest.fixture
+def on_this_processor(monkeypatch):
+    monkeypatch.setattr(cuda, "each", here)
+
+
+@pytest.mark.parametrize("name", ["huygens", "duffing", "van_der_pol", "cart_pendulum", "bristled_mass"])
+def test_runs_are_those_of_the_processor(on_this_processor, name):
+    model = load_model(name)
+    model = model.dimensionless() if model.declaration.scales else model
+    given = {
+        "ensemble": {model.state_names[0]: np.linspace(0.1, 0.2, 5)},
+        "initial": dict.fromkeys(model.coordinates, 0.1),
+    }
+    found, expected = model.simulate(TIMES, **given, gpu=True), model.simulate(TIMES, **given)
+    assert abs(found.steps / expected.steps - 1.0) < 0.01  # steps of a switch depend on the last bits
+    assert np.abs(found.states - expected.states).max() < 1e-7 * np.abs(expected.states).max()
+
+
+def test_a_run_that_cannot_go_on_is_named(on_this_processor, declared):
+    """x'' = x^3 from x = a and x' = a^2/sqrt(2) is a/(1 - a t/sqrt(2)), infinite at sqrt(2)/a."""
+    model = declared(coordinates={"x": {}}, equations={"x''": "x**3"})
+    a = np.array([0.01, 1.0, 0.02])
+    found = model.simulate(TIMES, ensemble={"x": a, "x'": a**2 / 2**0.5}, gpu=True)
+    assert list(found.errors) == [1]
+    assert np.isnan(found.states[1]).all()
+    exact = a[:, None] / (1.0 - a[:, None] * TIMES / 2**0.5)
+    assert np.abs(found["x"] / exact - 1.0)[[0, 2]].max() < 1e-9
+
+
+@pytest.mark.parametrize("name", [*llvm_text.OWN, "pow", "sqrt", "floor"])
+def test_elementary_functions_are_right(name):
+    """To three units in the last place; a power to those of the exponent times the logarithm."""
+    two = name in llvm_text.TWO
+    graph = Graph()
+    x = [graph.symbol(one, varying=True) for one in ("x", "y")[: 1 + two]]
+    text = llvm_text.function("f", {"x": "float", "y": "float"}, graph, [], {}, graph.apply(name, *x))
+    whole = "\n\n".join(llvm_text.with_elementary_functions("\n".join([llvm_text.declarations(text), text])))
+    assert not re.search(r"@(?!masking|llvm\.(sqrt|floor|fabs)|f\()", whole)
+    real = ctypes.c_double
+    function, library = linked(whole, "f", real, real, returns=real)
+    points = [*np.linspace(-3.0, 3.0, 31), *np.geomspace(1e-3, 1e2, 20)]
+    second = {"pow": [2.0, 3.0, -1.0, 0.5, 1.7, -2.3, 0.0], "atan2": [0.0, 1.0, -1.0, 0.3, -2.0]}.get(name, [0.0])
+    at = {"pow": mpmath.power, "floor": mpmath.floor}.get(name) or getattr(mpmath, name)
+    with mpmath.workdps(40):
+        for b in second:
+            for a in points:
+                try:
+                    exact = at(mpmath.mpf(a), mpmath.mpf(b)) if two else at(mpmath.mpf(a))
+                except ZeroDivisionError:
+                    exact = mpmath.inf
+                found = function(a, b)
+                if isinstance(exact, mpmath.mpc) or mpmath.isnan(exact):
+                    assert np.isnan(found), (a, b)
+                elif mpmath.isinf(exact):
+                    assert found == exact, (a, b)
+                else:
+                    units = 3.0 * (max(1.0, abs(b * np.log(abs(a)))) if name == "pow" and a else 1.0)
+                    assert abs(found - exact) <= units * np.spacing(abs(float(exact))), (a, b)
+    del library
+
+
+def test_the_code_is_that_of_a_gpu_and_is_kept():
+    kernels = load_model("huygens").dimensionless().kernels
+    text = cuda.code(kernels.solve_taylor)
+    assert f".visible .entry {cuda.KERNEL}(" in text
+    assert ".extern" not in text
+    assert cuda.code(kernels.solve_taylor) == text
+
+
+def test_what_a_gpu_cannot_make_is_refused():
+    model = load_model("huygens")
+    with pytest.raises(MaskingError, match=r"CuPy (is not installed|finds no GPU)"):
+        model.simulate(TIMES, ensemble={"z": [0.1]}, gpu=True)
+    with pytest.raises(ModelError, match="one for each run; got none"):
+        model.simulate(TIMES, gpu=True)
+    with pytest.raises(ModelError, match="no runs with events, delays"):
+        load_model("escapements").simulate(TIMES, ensemble={"x1": [0.1]}, gpu=True)
