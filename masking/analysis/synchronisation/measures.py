@@ -6,6 +6,7 @@ Numbers of sections, figures, definitions and formulas are those of Rijlaarsdam 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,11 @@ _CONTINUED_PERIODS = 8
 _LEAST_PERIODS = 3
 _TREND = 3  # degree of the drift that is separated from an oscillation
 _REFITS = 5
-_MANY = 20  # oscillations, of which the polynomial takes nothing
+_SETTLED = 1e-8  # relative change of a frequency after which another refit changes nothing
 _ROUNDING = 1e-12
 _NEWTON = 4  # steps, which square the error each
+_NOTHING = 1e-9  # relative: the step after this one would change no bit
+_BLOCK = 64  # samples whose turns are those of the first block, turned further
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +59,9 @@ def phase_difference(t: Series, a: Series, b: Series) -> Series:
     Raises:
         RecordError: the record holds fewer than three periods.
     """
-    grid = np.linspace(t[0], t[-1], len(t))
-    if np.allclose(grid, t, rtol=0.0, atol=1e-6 * (t[-1] - t[0]) / max(len(t) - 1, 1)):
-        return _unwrapped(a, b)
-    on_grid = _unwrapped(interpolate(t, a, grid), interpolate(t, b, grid))
-    return np.interp(t, grid, on_grid)
+    grid, a, b = on_even_grid(t, a, b)
+    found: Series = np.unwrap(np.angle(analytic_signal(a) * np.conj(analytic_signal(b))))
+    return found if grid is t else np.interp(t, grid, found)
 
 
 def principal(phase: Series) -> Series:
@@ -85,8 +86,7 @@ def period(t: Series, a: Series) -> float:
     t: time, shape (samples,), evenly spaced; a: oscillation, same shape, any unit. Returns the unit of `t`.
     Source: Rife and Boorstyn, IEEE Trans. Information Theory 20 (1974) 591: the maximum likelihood for one line.
     """
-    cycles = _cycles(about_drift(a))
-    return float(t[-1] - t[0]) / (len(a) - 1) * len(a) / cycles if cycles >= _LEAST_PERIODS - 0.5 else float("nan")
+    return Oscillation.of(a).period(float(t[-1] - t[0]))
 
 
 def peak_sum(t: Series, a: Series, b: Series, window: float) -> Series:
@@ -141,9 +141,7 @@ def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPh
     """
     part = t >= t[-1] - fraction * (t[-1] - t[0])
     t, a, b = t[part], a[part], b[part]
-    grid = np.linspace(t[0], t[-1], len(t))
-    larger = a if a @ a >= b @ b else b
-    whole = period(grid, interpolate(t, larger, grid))
+    whole = period(*on_even_grid(t, a if a @ a >= b @ b else b))
     if not np.isfinite(whole):
         raise RecordError(f"the last {fraction:.0%} of the record holds fewer than three periods of oscillation")
     alpha, residual = proportion(t, a, b, whole / 2, whole)
@@ -224,60 +222,110 @@ def interpolate(t: Series, a: Series, at: Series) -> Series:
     return value
 
 
-def about_drift(a: Series) -> Series:
-    """Return an oscillation about its drift, a cubic polynomial that is fitted together with the oscillation.
+def on_even_grid(t: Series, *series: Series) -> tuple[Series, ...]:
+    """Return times with even steps, and series there; those that were given where their times have even steps.
 
-    a: evenly sampled, shape (samples,), any unit.
+    Args:
+        t: time (samples,), strictly increasing.
+        series: of these times (samples,).
     """
-    size, scale = len(a), float(np.abs(a).max(initial=0.0))
-    if size <= 2 * (_TREND + 3):
-        return a - np.mean(a) if size else a
-    window = np.hanning(size + 2)[1:-1]
-    basis: Series = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
+    grid = np.linspace(t[0], t[-1], len(t))
+    if np.allclose(grid, t, rtol=0.0, atol=1e-6 * (t[-1] - t[0]) / max(len(t) - 1, 1)):
+        return t, *series
+    return grid, *(interpolate(t, one, grid) for one in series)
 
-    def fitted(columns: Series) -> Series:
-        # Few columns, nearly orthogonal: normal equations lose nothing, and take a tenth of the time.
-        weighted = columns * window[:, None]
-        return np.asarray(np.linalg.lstsq(weighted.T @ columns, weighted.T @ a, rcond=None)[0], dtype=np.float64)
 
-    found: Series = a - basis @ fitted(basis)
-    for _ in range(_REFITS):  # by itself, the polynomial takes a part of few oscillations with it
+@dataclass(frozen=True, slots=True, eq=False)
+class Oscillation:
+    """An oscillation about its drift, a cubic polynomial that is fitted together with the oscillation.
+
+    Args:
+        series: evenly sampled, about the drift (samples,).
+        cycles: frequency of its largest line, in periods per record; 0 where it is at rest.
+    """
+
+    series: Series
+    cycles: float
+
+    @classmethod
+    def of(cls, a: Series) -> Oscillation:
+        """Return the oscillation of an evenly sampled motion (samples,), any unit."""
+        size, scale = len(a), float(np.abs(a).max(initial=0.0))
+        if size <= 2 * (_TREND + 3):
+            found = a - np.mean(a) if size else a
+            return cls(found, _cycles(found))
+        window, basis = _window(size), _drifts(size)
+
+        def fitted(columns: Series) -> Series:
+            # Few columns, nearly orthogonal: normal equations lose nothing, and take a tenth of the time.
+            weighted = columns * window[:, None]
+            return np.asarray(np.linalg.lstsq(weighted.T @ columns, weighted.T @ a, rcond=None)[0], dtype=np.float64)
+
+        found = a - basis @ fitted(basis)
         cycles = _cycles(found)
-        if cycles == 0.0:
-            break
-        angle = 2 * np.pi * cycles / size * np.arange(size)
-        line = np.column_stack([basis, np.cos(angle), np.sin(angle)])
-        found = a - basis @ fitted(line)[: _TREND + 1]
-        if cycles > _MANY:
-            break
-    return found if np.sqrt(np.mean(found**2)) > _ROUNDING * scale else np.zeros(size)
+        for _ in range(_REFITS):  # by itself, the polynomial takes a part of few oscillations with it
+            if cycles == 0.0:
+                break
+            before, angle = cycles, 2 * np.pi * cycles / size * np.arange(size)
+            line = np.column_stack([basis, np.cos(angle), np.sin(angle)])
+            found = a - basis @ fitted(line)[: _TREND + 1]
+            cycles = _cycles(found)
+            if abs(cycles - before) <= _SETTLED * cycles:
+                break
+        is_moving = np.sqrt(np.mean(found**2)) > _ROUNDING * scale
+        return cls(found, cycles) if is_moving else cls(np.zeros(size), 0.0)
+
+    def period(self, length: float) -> float:
+        """Return the mean period for the time from the first sample to the last; NaN for fewer than three periods."""
+        size, few = len(self.series), self.cycles < _LEAST_PERIODS - 0.5
+        return float("nan") if few else length / (size - 1) * size / self.cycles
+
+    def analytic_signal(self) -> NDArray[np.complex128]:
+        """Return the complex signal whose real part is the oscillation and whose argument is its phase (samples,).
+
+            A = a + i H[a],    H the Hilbert transform
+
+        Raises:
+            RecordError: it has fewer than three periods.
+        """
+        a, cycles = self.series, self.cycles
+        quarter = round(len(a) / (4 * cycles)) if cycles > 0 else 0
+        if cycles < _LEAST_PERIODS - 0.5 or quarter < 1:
+            raise RecordError("the record holds fewer than three periods of oscillation")
+        before, after = _continuation(a[::-1], quarter)[::-1], _continuation(a, quarter)
+        extended = np.concatenate([before, a, after])
+        # One-sided spectrum, as in Marple, IEEE Trans. Signal Processing 47 (1999) 2600. The continuation has faded to
+        # zero at both ends, so that zeros may fill it up to a power of two.
+        size = 1 << (len(extended) - 1).bit_length()
+        spectrum = np.fft.fft(extended, size)
+        spectrum[1 : size // 2] *= 2.0
+        spectrum[size // 2 + 1 :] = 0.0
+        signal = np.fft.ifft(spectrum)
+        return signal[len(before) : len(before) + len(a)]
+
+
+def about_drift(a: Series) -> Series:
+    """Return an evenly sampled motion about its drift (samples,), as `Oscillation` has it."""
+    return Oscillation.of(a).series
 
 
 def analytic_signal(a: Series) -> NDArray[np.complex128]:
-    """Complex signal whose real part is the oscillation about its drift and whose argument is its phase.
-
-        A = a + i H[a],    H the Hilbert transform
-
-    a: evenly sampled oscillation, shape (samples,), any unit.
+    """Return the analytic signal of an evenly sampled motion about its drift (samples,), as `Oscillation` has it.
 
     Raises:
         RecordError: it has fewer than three periods.
     """
-    a = about_drift(a)
-    cycles = _cycles(a)
-    quarter = round(len(a) / (4 * cycles)) if cycles > 0 else 0
-    if cycles < _LEAST_PERIODS - 0.5 or quarter < 1:
-        raise RecordError("the record holds fewer than three periods of oscillation")
-    before, after = _continuation(a[::-1], quarter)[::-1], _continuation(a, quarter)
-    extended = np.concatenate([before, a, after])
-    # One-sided spectrum, as in Marple, IEEE Trans. Signal Processing 47 (1999) 2600. The continuation has faded to zero
-    # at both ends, so that zeros may fill it up to a power of two.
-    size = 1 << (len(extended) - 1).bit_length()
-    spectrum = np.fft.fft(extended, size)
-    spectrum[1 : size // 2] *= 2.0
-    spectrum[size // 2 + 1 :] = 0.0
-    signal = np.fft.ifft(spectrum)
-    return signal[len(before) : len(before) + len(a)]
+    return Oscillation.of(a).analytic_signal()
+
+
+@lru_cache(maxsize=4)
+def _window(size: int) -> Series:
+    return np.hanning(size + 2)[1:-1]
+
+
+@lru_cache(maxsize=4)
+def _drifts(size: int) -> Series:
+    return np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
 
 
 def _cycles(a: Series) -> float:
@@ -285,23 +333,26 @@ def _cycles(a: Series) -> float:
     size = len(a)
     if size < 4 or not np.any(a):
         return 0.0
-    window = np.hanning(size + 2)[1:-1] * a
+    window = _window(size) * a
     spectrum = np.abs(np.fft.rfft(window))
     peak = int(np.argmax(spectrum[1:])) + 1
-    omega, k = 2 * np.pi * peak / size, np.arange(size) - (size - 1) / 2
+    rows = np.resize(window, (-(-size // _BLOCK), _BLOCK))
+    rows.flat[size:] = 0.0
+    k, first, omega = np.arange(_BLOCK), np.arange(len(rows)) * _BLOCK - (size - 1) / 2, 2 * np.pi * peak / size
+    powers = k ** np.arange(3)[:, None]
     for _ in range(_NEWTON):
-        turned = window * np.exp(-1j * omega * k)
-        s, s1, s2 = np.sum(turned), np.sum(k * turned), np.sum(k * k * turned)
-        slope, curvature = float(np.imag(np.conj(s) * s1)), float(abs(s1) ** 2 - np.real(np.conj(s) * s2))
+        turned = powers * np.exp(-1j * omega * k)
+        c, c1, c2 = (rows @ turned.T).T * np.exp(-1j * omega * first)
+        s, s1, s2 = c.sum(), first @ c + c1.sum(), first**2 @ c + 2.0 * first @ c1 + c2.sum()
+        slope, curvature = (s.conjugate() * s1).imag, abs(s1) ** 2 - (s.conjugate() * s2).real
         if curvature >= 0.0:
             break
-        omega -= float(np.clip(slope / curvature, -np.pi / size, np.pi / size))
+        step = min(max(slope / curvature, -np.pi / size), np.pi / size)
+        omega -= float(step)
+        if abs(step) <= _NOTHING * omega:
+            break
     moved = omega * size / (2 * np.pi)
     return moved if abs(moved - peak) <= 1.0 else float(peak)
-
-
-def _unwrapped(a: Series, b: Series) -> Series:
-    return np.unwrap(np.angle(analytic_signal(a) * np.conj(analytic_signal(b))))
 
 
 def _continuation(a: Series, quarter: int) -> Series:

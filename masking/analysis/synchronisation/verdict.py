@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.analysis.synchronisation.measures import (
+    Oscillation,
     Series,
-    about_drift,
-    analytic_signal,
-    interpolate,
     mean_phase,
+    on_even_grid,
     period,
     proportion,
     synchronisation_time,
@@ -133,30 +132,32 @@ def synchronisation(
         raise RecordError(f"eps is {eps:g} and fraction {fraction:g}; eps is positive, fraction above 0 and at most 1")
     t, a, b = _checked(t, a, b)
     tail = t >= t[-1] - fraction * (t[-1] - t[0])
-    longest = max((p for p in (period(t, a), period(t, b)) if math.isfinite(p)), default=0.0)
+    whole = (Oscillation.of(a), Oscillation.of(b))
+    longest = max((p for p in (one.period(t[-1] - t[0]) for one in whole) if math.isfinite(p)), default=0.0)
     tail |= t >= t[-1] - _LEAST_PERIODS * longest
     start = float(t[tail][0])
-    ends = (about_drift(a[tail]), about_drift(b[tail]))
-    sizes = [float(np.sqrt(np.mean(x**2))) for x in ends]
-    periods = (period(t[tail], a[tail]), period(t[tail], b[tail]))
+    late = (Oscillation.of(a[tail]), Oscillation.of(b[tail]))
+    sizes = [float(np.sqrt(np.mean(one.series**2))) for one in late]
+    first, second = (one.period(t[-1] - start) for one in late)
     largest = max(float(np.ptp(a)), float(np.ptp(b)))
-    nothing = Synchronisation("not synchronised", names, periods, start=start)
+    nothing = Synchronisation("not synchronised", names, (first, second), start=start)
     if longest == 0.0:  # neither has three periods
         return nothing
     both, least = max(sizes) <= _AT_REST**2 * largest, int(sizes[1] < sizes[0])
     death = replace(nothing, kind="death", dead="each of them" if both else names[least])
     is_quiet = min(sizes) <= _AT_REST * max(sizes)
     # What has always been as small beside the other may be driven by it, or be in another unit.
-    if both or (is_quiet and float(np.abs(about_drift((a, b)[least])).max()) > _FADED * min(sizes)):
+    if both or (is_quiet and float(np.abs(whole[least].series).max()) > _FADED * min(sizes)):
         return death
     try:
-        signals = (analytic_signal(a), analytic_signal(b))
+        signals = (whole[0].analytic_signal(), whole[1].analytic_signal())
     except RecordError:  # fewer than three periods
         return death if is_quiet else nothing
-    phases = tuple(_phase(t, x, whole) for x, whole in zip(signals, periods, strict=True))
+    phases = tuple(_phase(t, x, length) for x, length in zip(signals, nothing.periods, strict=True))
     for ratio in _ratios(t, phases, tail):
         found = _lock(t, phases, tail, ratio)
         if found is not None:
+            ends = (late[0].series, late[1].series)
             return _described(t[tail], ends, found, nothing, _Record(t, signals, tail, eps))
     if is_quiet:
         return death
@@ -176,10 +177,8 @@ def _checked(t: Series, a: Series, b: Series) -> tuple[Series, Series, Series]:
         )
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(a)) and np.all(np.isfinite(b)) and np.all(np.diff(t) > 0)):
         raise RecordError("times must increase and all values be finite; leave out the rows that are not")
-    grid = np.linspace(t[0], t[-1], len(t))
-    if np.allclose(grid, t, rtol=0.0, atol=1e-6 * (grid[1] - grid[0])):
-        return t, a, b
-    return grid, interpolate(t, a, grid), interpolate(t, b, grid)
+    t, a, b = on_even_grid(t, a, b)
+    return t, a, b
 
 
 @dataclass(frozen=True, slots=True)
