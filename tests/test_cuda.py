@@ -43,7 +43,8 @@ class Processor:
         self.cuda = SimpleNamespace(
             MemoryPool=lambda: pool,
             using_allocator=contextlib.nullcontext,
-            Device=lambda: SimpleNamespace(mem_info=(free, free)),
+            Device=lambda: SimpleNamespace(mem_info=(free, free), synchronize=lambda: None),
+            Stream=lambda **_: contextlib.nullcontext(),
             memory=SimpleNamespace(OutOfMemoryError=out_of_memory),
         )
 
@@ -75,6 +76,7 @@ class Processor:
 def on_this_processor(monkeypatch):
     stands_for_gpu = Processor(free=2 * 3 * 22 * 6 * 8)  # three runs of six states
     monkeypatch.setattr(cuda, "available", lambda: stands_for_gpu)
+    monkeypatch.setattr(cuda, "code", lambda function: function)
     monkeypatch.setattr(cuda, "_loaded", stands_for_gpu.kernel)
     return stands_for_gpu
 

@@ -29,6 +29,7 @@ KERNEL, OF_ONE = "masking_runs", "masking_run"
 TRIPLE, OLDEST, PTX = "nvptx64-nvidia-cuda", "sm_75", "+ptx63"  # the driver makes machine code for what is newer
 # measured: 32 to 256 take the same time.
 THREADS = 64  # of a block
+COPIES = 8  # threads that fetch what runs have written
 PART = 0.5  # of the free memory that runs take together
 PLACE = ("tid", "ntid", "ctaid")  # of a thread: in its block, threads of a block, block
 
@@ -47,7 +48,7 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
     Raises:
         MaskingError: there is no GPU, or no CuPy; or one run does not fit into its memory.
     """
-    cupy, kernel = available(), _loaded(function)
+    cupy, kernel = available(), _loaded(code(function))
     results, pool = np.zeros((runs, RESULTS)), cupy.cuda.MemoryPool()
     names = [name for name in function.arguments if name != "work"]
     arguments = {name: (function.arguments[name], one) for name, one in zip(names, given, strict=True)}
@@ -67,8 +68,9 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
                 size = rows.stop - first
                 passed = _passed(arguments, there, set(moved))
                 kernel((-(-size // THREADS),), (THREADS,), (np.int64(size), *passed))
+                cupy.cuda.Device().synchronize()
                 for name in moved:
-                    there[name].get(out=arguments[name][1][rows])
+                    _fetch(cupy, there[name], arguments[name][1][rows])
                 del there, passed
     except cupy.cuda.memory.OutOfMemoryError:
         raise MaskingError(f"the GPU has no room for {count} runs together; give fewer times, or fewer runs") from None
@@ -174,6 +176,16 @@ def _parameters(function: NativeFunction) -> list[str]:
     return found
 
 
+def _fetch(cupy: Any, there: Any, here: np.ndarray) -> None:  # noqa: ANN401
+    """Copy an array of the GPU into one of this process, in several threads."""
+
+    def part(first: int, last: int) -> None:
+        with cupy.cuda.Stream(non_blocking=True):
+            there[first:last].get(out=here[first:last])
+
+    native.share(part, len(here), min(COPIES, len(here)))
+
+
 def _passed(
     arguments: Mapping[str, tuple[str, Any]], there: Mapping[str, Any], moved: Iterable[str]
 ) -> Sequence[object]:
@@ -211,12 +223,12 @@ def _assembly(text: str) -> str:
 
 
 @cache
-def _loaded(function: NativeFunction) -> Any:  # noqa: ANN401  (a kernel of CuPy)
-    """Return a function as the driver has linked it."""
+def _loaded(assembly: str) -> Any:  # noqa: ANN401  (a kernel of CuPy)
+    """Return what is started of an assembly, as the driver has linked it."""
     cupy = available()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "runs.ptx"
-        path.write_text(code(function))
+        path.write_text(assembly)
         try:
             return cupy.RawModule(path=str(path)).get_function(KERNEL)
         except cupy.cuda.driver.CUDADriverError as error:

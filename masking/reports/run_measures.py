@@ -20,12 +20,16 @@ WORDS: Final = ("verdict", "end")  # measures that are words
 _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings are taken
 
 
+def _ends(a: Array, b: Array) -> list[str]:
+    """Return in which way the last fifth of two oscillators (runs, m) ends, as basins have it."""
+    last = int((1.0 - _FIFTH) * (a.shape[1] - 1))
+    size = np.maximum(np.abs(a).max(axis=1), np.abs(b).max(axis=1))
+    return [LABELS[i] for i in end_of(a[:, last:], b[:, last:], _NEAR, _REST * size)]
+
+
 def _end(run: Study) -> str:
-    """Return in which way the last fifth of two oscillators ends, as basins have it."""
     a, b = [*run.motions.values()][:2]
-    last = int((1.0 - _FIFTH) * (len(a) - 1))
-    size = max(float(np.abs(a).max()), float(np.abs(b).max()))
-    return LABELS[end_of(a[last:], b[last:], _NEAR, _REST * size)]
+    return _ends(a[None], b[None])[0]
 
 
 def _used(run: Study) -> float:
@@ -66,6 +70,7 @@ _WITH_TWO: Final[Mapping[str, Callable[[Study], Measured]]] = {
     "verdict": lambda run: run.verdict.kind if run.verdict else "unknown",
     "end": _end,
 }
+_OF_MANY: Final[Mapping[str, Callable[[Array, Array], list[str]]]] = {"end": _ends}
 _ONLY_WITH_A_RIG: Final[Mapping[str, Callable[[Study], Measured]]] = {
     "chi": lambda run: max(run.chi.values(), default=math.nan),
     "peak": lambda run: max(_peaks(run).values(), default=math.nan),
@@ -138,6 +143,18 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
         kind, dot, of = name.partition(".")
         found[name] = _OF_ONE[kind](run, of) if dot else _MEASURES[name](run)
     return found
+
+
+def measure_each(motions: Sequence[Array], names: Sequence[str]) -> dict[str, list[str]] | None:
+    """Return measures of many runs by name, if those of all runs can be taken together.
+
+    Args:
+        motions: of the oscillators, each (runs, m).
+        names: of the measures.
+    """
+    if not all(name in _OF_MANY for name in names):
+        return None
+    return {name: _OF_MANY[name](*motions[:2]) for name in names}
 
 
 def empty(name: str) -> Measured:

@@ -5,7 +5,7 @@ A row depends on its number alone: neither on the rows beside it in a chunk nor 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final, TypeAlias
@@ -182,56 +182,83 @@ class Plan:
     def _virtual_rows(self, numbers: Rows) -> list[dict[str, Measured]]:
         """Run the virtual system by itself for some rows: all of a chain one after the other, or all together."""
         if self.continuation:
-            rows = numbers.tolist()
-            return [one for i in range(0, len(rows), self.chain) for one in self._chain(rows[i : i + self.chain])]
+            chains = [numbers[i : i + self.chain] for i in range(0, len(numbers), self.chain)]
+            return [one for chain in chains for one in self._chain(chain)]
         size = max(1, _STATES // (len(self._times) * len(self.experiment.virtual.state_names)))
         parts = [numbers[i : i + size] for i in range(0, len(numbers), size)]
-        return [one for part in parts for one in self._together(part.tolist())]
+        return [one for part in parts for one in self._together(part)]
 
-    def _together(self, rows: Sequence[int]) -> list[dict[str, Measured]]:
-        model, initial = self.experiment.virtual, self._initial
-        wanted, refused = dict[int, dict[str, float]](), dict[int, str]()
-        for row in rows:
-            values = self._named(row)
-            try:
-                model.with_parameters(**{n: x for n, x in values.items() if n in model.parameters})
-                wanted[row] = values
-            except MaskingError as error:
-                refused[row] = str(error)
-        found = dict[int, dict[str, Measured]]()
-        if wanted:
-            names = next(iter(wanted.values()))
-            columns = {name: [values[name] for values in wanted.values()] for name in names} or {
-                model.state_names[0]: [initial.get(model.state_names[0], 0.0)] * len(wanted)
+    def _together(self, rows: Rows) -> list[dict[str, Measured]]:
+        model, initial, columns = self.experiment.virtual, self._initial, self._values(rows)
+        refused = self._refused(columns, len(rows))
+        wanted = np.array([i for i in range(len(rows)) if i not in refused], dtype=np.int64)
+        found = {i: self._failed(why) for i, why in refused.items()}
+        if len(wanted):
+            first = model.state_names[0]
+            given = {name: values[wanted] for name, values in columns.items()} or {
+                first: np.full(len(wanted), initial.get(first, 0.0))
             }
             tolerance = self.experiment.declaration.tolerance
             runs = ensembles.simulate(
-                model, self._times, columns, initial=initial, inputs=None, tolerance=tolerance, threads=1, gpu=self.gpu
+                model, self._times, given, initial=initial, inputs=None, tolerance=tolerance, threads=1, gpu=self.gpu
             )
-            for i, row in enumerate(wanted):
-                states = runs.states[i]
-                found[row] = (
-                    self._failed(runs.errors[i])
-                    if i in runs.errors
-                    else self._measured(partial(self._recorded, states))
-                )
-        return [self._failed(refused[row]) if row in refused else found[row] for row in rows]
+            measured = self._measured_together(runs.states)
+            for k, i in enumerate(wanted.tolist()):
+                if k in runs.errors:
+                    found[i] = self._failed(runs.errors[k])
+                elif measured is None:
+                    found[i] = self._measured(partial(self._recorded, runs.states[k]))
+                else:
+                    found[i] = {**{name: values[k] for name, values in measured.items()}, ERROR: ""}
+        return [found[i] for i in range(len(rows))]
+
+    def _measured_together(self, states: Array) -> dict[str, list[str]] | None:
+        """Return measures of all runs (runs, m, .) by name, if they can be taken together."""
+        names = [one for one in self.measures if isinstance(one, str)]
+        if self.trajectories or len(names) < len(self.measures):
+            return None
+        model = self.experiment.virtual
+        places = [model.state_names.index(name) for name in model.oscillators]
+        return run_measures.measure_each([states[:, :, i] for i in places], names)
+
+    def _refused(self, columns: Mapping[str, Array], count: int) -> dict[int, str]:
+        """Return why rows have no run, by their place: a parameter is out of its bounds, which are intervals."""
+        model = self.experiment.virtual
+        parameters = {name: values for name, values in columns.items() if name in model.parameters}
+
+        def why(values: Mapping[str, float]) -> str:
+            try:
+                model.with_parameters(**values)
+            except MaskingError as error:
+                return str(error)
+            return ""
+
+        if not any(why({n: float(pick(x)) for n, x in parameters.items()}) for pick in (np.min, np.max)):
+            return {}
+        reasons = {i: why({name: float(x[i]) for name, x in parameters.items()}) for i in range(count)}
+        return {i: reason for i, reason in reasons.items() if reason}
 
     @property
     def _initial(self) -> Mapping[str, float]:
         names = self.experiment.virtual.state_names
         return {name: x for name, x in self.experiment.declaration.initial.items() if name in names}
 
-    def _named(self, row: int) -> dict[str, float]:
-        """Return the values of a row by parameter and state."""
-        return {where.path[-1]: float(variation.value(where, x, is_factor=by)) for where, x, by in self._settings(row)}
+    def _values(self, rows: Rows) -> dict[str, Array]:
+        """Return the values of rows by parameter and state, each (rows,)."""
+        points = self.design.points[self._points(rows)]
+        return {
+            where.path[-1]: np.array([float(variation.value(where, x, is_factor=axis.is_factor)) for x in column])
+            for axis, places, column in zip(self.design.axes, self.places, points.T, strict=True)
+            for where in places
+        }
 
-    def _chain(self, rows: Sequence[int]) -> list[dict[str, Measured]]:
+    def _chain(self, rows: Rows) -> list[dict[str, Measured]]:
         """Run the virtual system from the end of the run before, whose time goes on."""
         found, model, state = list[dict[str, Measured]](), self.experiment.virtual, np.empty(0)
         u, tolerance = np.zeros(len(model.inputs)), self.experiment.declaration.tolerance
-        for i, row in enumerate(rows):
-            values = self._named(row)
+        columns = self._values(rows)
+        for i in range(len(rows)):
+            values = {name: float(x[i]) for name, x in columns.items()}
             times = self._times + i * self._times[-1]
             try:
                 changed = model.with_parameters(**{n: x for n, x in values.items() if n in model.parameters})

@@ -90,7 +90,7 @@ def basins(
             except (IntegrationError, SingularityError):
                 found.append(LABELS.index("lost"))
             else:
-                found.append(end_of(run[pair[0]][1:], run[pair[1]][1:], near, rest * size))
+                found.append(int(end_of(run[pair[0]][1:], run[pair[1]][1:], near, rest * size)))
         return found
 
     ends = np.zeros((len(a), len(b)), dtype=np.int64)
@@ -102,23 +102,19 @@ def basins(
     return Basins((first[0], second[0]), a, b, ends)
 
 
-def end_of(a: Array, b: Array, near: float, rest: float) -> int:
-    """Return the index into `LABELS` of the last part of two oscillations.
+def end_of(a: Array, b: Array, near: float, rest: float | Array) -> NDArray[np.int64]:
+    """Return the index into `LABELS` of the last part of two oscillations, or those of several runs (runs,).
 
     Args:
-        a: one oscillation (m,), any unit.
+        a: one oscillation (m,), or of several runs (runs, m), any unit.
         b: the other, same unit.
         near: as `basins` has it.
-        rest: size below which both are at rest, same unit.
+        rest: size below which both are at rest, or of each run (runs,), same unit.
     """
-    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
-        return LABELS.index("lost")
-    a, b = a - np.mean(a), b - np.mean(b)
-    larger = max(float(np.max(np.abs(a))), float(np.max(np.abs(b))))
-    if larger < rest:
-        return LABELS.index("rest")
-    if float(np.max(np.abs(a - b))) < near * larger:
-        return LABELS.index("in-phase")
-    if float(np.max(np.abs(a + b))) < near * larger:
-        return LABELS.index("anti-phase")
-    return LABELS.index("other")
+    with np.errstate(invalid="ignore"):  # what is infinite is lost
+        a, b = (x - np.mean(x, axis=-1, keepdims=True) for x in (a, b))
+        one, other, apart, together = (np.max(np.abs(x), axis=-1) for x in (a, b, a - b, a + b))
+        larger = np.maximum(one, other)
+    cases = [~np.isfinite(larger), larger < rest, apart < near * larger, together < near * larger]
+    kinds = [LABELS.index(kind) for kind in ("lost", "rest", "in-phase", "anti-phase")]
+    return np.asarray(np.select(cases, kinds, LABELS.index("other")), dtype=np.int64)
