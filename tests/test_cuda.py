@@ -43,8 +43,7 @@ class Processor:
         self.cuda = SimpleNamespace(
             MemoryPool=lambda: pool,
             using_allocator=contextlib.nullcontext,
-            Device=lambda: SimpleNamespace(mem_info=(free, free), synchronize=lambda: None),
-            Stream=lambda **_: contextlib.nullcontext(),
+            Device=lambda: SimpleNamespace(mem_info=(free, free)),
             memory=SimpleNamespace(OutOfMemoryError=out_of_memory),
         )
 

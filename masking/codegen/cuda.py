@@ -29,7 +29,6 @@ KERNEL, OF_ONE = "masking_runs", "masking_run"
 TRIPLE, OLDEST, PTX = "nvptx64-nvidia-cuda", "sm_75", "+ptx63"  # the driver makes machine code for what is newer
 # measured: 32 to 256 take the same time.
 THREADS = 64  # of a block
-COPIES = 8  # threads that fetch what runs have written
 PART = 0.5  # of the free memory that runs take together
 PLACE = ("tid", "ntid", "ctaid")  # of a thread: in its block, threads of a block, block
 
@@ -68,9 +67,8 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
                 size = rows.stop - first
                 passed = _passed(arguments, there, set(moved))
                 kernel((-(-size // THREADS),), (THREADS,), (np.int64(size), *passed))
-                cupy.cuda.Device().synchronize()
                 for name in moved:
-                    _fetch(cupy, there[name], arguments[name][1][rows])
+                    there[name].get(out=arguments[name][1][rows])
                 del there, passed
     except cupy.cuda.memory.OutOfMemoryError:
         raise MaskingError(f"the GPU has no room for {count} runs together; give fewer times, or fewer runs") from None
@@ -174,16 +172,6 @@ def _parameters(function: NativeFunction) -> list[str]:
         found.append(f"ptr %{name}" if axes else f"{LLVM_TYPES[kind]} %{name}")
         found += [f"i64 %{name}.{axis}" for axis in axes] + [f"i64 %{name}.between"] * bool(axes)
     return found
-
-
-def _fetch(cupy: Any, there: Any, here: np.ndarray) -> None:  # noqa: ANN401
-    """Copy an array of the GPU into one of this process, in several threads."""
-
-    def part(first: int, last: int) -> None:
-        with cupy.cuda.Stream(non_blocking=True):
-            there[first:last].get(out=here[first:last])
-
-    native.share(part, len(here), min(COPIES, len(here)))
 
 
 def _passed(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import multiprocessing
 import os
+import pickle
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
+from pathlib import Path
 from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
@@ -39,8 +42,8 @@ def made(plan: Plan, first: int, last: int) -> Made:
     return first, last, columns, time.perf_counter() - begun
 
 
-def _begin(plan: Plan) -> None:
-    """Begin a process that makes rows, and that ends with the one that started it."""
+def _begin(path: Path) -> None:
+    """Begin a process that makes rows of the plan in a file, and that ends with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one that started it says when to end
     parent = multiprocessing.parent_process()
 
@@ -50,7 +53,7 @@ def _begin(plan: Plan) -> None:
             os._exit(1)
 
     threading.Thread(target=end, daemon=True).start()
-    _plans[:] = [plan]
+    _plans[:] = [pickle.loads(path.read_bytes())]  # noqa: S301  (its parent wrote it)
 
 
 def _made_here(first: int, last: int) -> Made:
@@ -124,11 +127,14 @@ def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ah
 @contextmanager
 def _processes(plan: Plan, workers: int) -> Iterator[tuple[Submit, int]]:
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(plan,))
-    try:
-        yield lambda first, last: pool.submit(_made_here, first, last), workers
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with tempfile.TemporaryDirectory(prefix="masking-") as folder:  # measured: through a pipe, each waits for the last
+        path = Path(folder) / "plan"
+        path.write_bytes(pickle.dumps(plan))
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
+        try:
+            yield lambda first, last: pool.submit(_made_here, first, last), workers
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager

@@ -39,17 +39,16 @@ def measured(runs: Sequence[int], times: int, tolerance: float) -> None:
         return lambda: model.simulate(t, ensemble=values, tolerance=most, gpu=gpu)
 
     cupy = cuda.available()
-    name = cupy.cuda.runtime.getDeviceProperties(0)["name"].decode()
-    print(f"{name}, tolerance {tolerance:g}, {times} samples")
+    card = cupy.cuda.runtime.getDeviceProperties(0)["name"].decode()
+    print(f"{card}, tolerance {tolerance:g}, {times} samples")
     exact = simulated(COMPARED, gpu=False, most=EXACT)().states[:, -1]
     found = {}
     for gpu in (True, False):
         first, one = spent(simulated(COMPARED, gpu=gpu))
         found[gpu] = one.states
         error = np.abs(one.states[:, -1] - exact).max()
-        print(
-            f"{'GPU' if gpu else 'cores'}: first call {first:.2f} s, {one.steps / COMPARED:.0f} steps, error {error:.1e}"
-        )
+        name, steps = "GPU" if gpu else "cores", one.steps / COMPARED
+        print(f"{name}: first call {first:.2f} s, {steps:.0f} steps a run, error {error:.1e}")
     print(f"apart {np.abs(found[True] - found[False]).max():.1e}")
     print("| runs | GPU, s | us a run | cores, s | us a run | ratio |\n|---|---|---|---|---|---|")
     for count in runs:
