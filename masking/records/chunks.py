@@ -108,7 +108,8 @@ def read(folder: Path) -> Columns:
         if last <= reached:  # the same rows in chunks of another size
             continue
         try:
-            table = pq.read_table(path(folder, first, last), page_checksum_verification=True)
+            with pq.ParquetFile(path(folder, first, last), page_checksum_verification=True) as file:
+                table = file.read()  # pq.read_table would import pandas
         except (pa.ArrowException, OSError) as error:
             mend = "remove it, then start the same sweep again"
             raise RecordError(f"{path(folder, first, last)} is cut off or damaged; {mend}") from error
@@ -126,5 +127,4 @@ def _column(parts: Iterable[pa.ChunkedArray]) -> Column:
         return [text for chunk in chunks for text in chunk.to_pylist()]
     if pa.types.is_list(kind):
         return [np.array(row, dtype=np.float64) for chunk in chunks for row in chunk.to_pylist()]
-    found = [chunk.to_numpy(zero_copy_only=False) for chunk in chunks]
-    return np.concatenate(found)
+    return np.concatenate([np.from_dlpack(chunk) for chunk in chunks])  # to_numpy would import pandas

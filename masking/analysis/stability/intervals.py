@@ -11,16 +11,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader as lazy
 import numpy as np
-import sympy as sp
 from numpy.typing import NDArray
 
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import needed
 from masking.errors import ModelError
 from masking.numerics.arrays import Array
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 _ULPS = 8  # by which elementary functions and numbers are widened
 _LARGEST_ANGLE = 1e8  # beyond this a sine may be anything in [-1, 1]
