@@ -37,14 +37,16 @@ class Processor:
     """This processor in the place of CuPy and a GPU with little memory."""
 
     def __init__(self, free):
-        out_of_memory = type("OutOfMemoryError", (Exception,), {})
+        runtime = SimpleNamespace(CUDARuntimeError=type("CUDARuntimeError", (Exception,), {}))
         pool = SimpleNamespace(malloc=None, free_all_blocks=lambda: None)
         self.sizes = []
         self.cuda = SimpleNamespace(
             MemoryPool=lambda: pool,
             using_allocator=contextlib.nullcontext,
             Device=lambda: SimpleNamespace(mem_info=(free, free)),
-            memory=SimpleNamespace(OutOfMemoryError=out_of_memory),
+            memory=SimpleNamespace(OutOfMemoryError=type("OutOfMemoryError", (Exception,), {})),
+            runtime=runtime,
+            driver=SimpleNamespace(CUDADriverError=runtime.CUDARuntimeError),
         )
 
     def asarray(self, array):
@@ -158,6 +160,20 @@ def test_the_code_is_that_of_a_gpu_and_is_kept():
     assert f".visible .entry {cuda.KERNEL}(" in text
     assert ".extern" not in text
     assert cuda.code(kernels.solve_taylor) == text
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"), [("memory", "no room for 1 runs together"), ("runtime", r"made no runs \(stopped\)")]
+)
+def test_a_gpu_that_fails_says_so(on_this_processor, monkeypatch, kind, message):
+    error = {"memory": "OutOfMemoryError", "runtime": "CUDARuntimeError"}[kind]
+
+    def kernel(grid, block, given):
+        raise getattr(getattr(on_this_processor.cuda, kind), error)("stopped")
+
+    monkeypatch.setattr(cuda, "_loaded", lambda function: kernel)
+    with pytest.raises(MaskingError, match=message):
+        load_model("huygens").simulate(TIMES, ensemble={"z": [0.1]}, gpu=True)
 
 
 def test_what_a_gpu_cannot_make_is_refused():

@@ -17,6 +17,7 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.codegen import files, llvm_text, native
+from masking.codegen.content import source_of
 from masking.codegen.native import DIMENSIONS, LLVM_TYPES, RESULTS, NativeFunction
 from masking.errors import MaskingError
 
@@ -45,7 +46,7 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
         results (runs, RESULTS).
 
     Raises:
-        MaskingError: there is no GPU, or no CuPy; or one run does not fit into its memory.
+        MaskingError: there is no GPU, or no CuPy; runs do not fit into its memory, or it fails.
     """
     cupy, kernel = available(), _loaded(code(function))
     results, pool = np.zeros((runs, RESULTS)), cupy.cuda.MemoryPool()
@@ -72,6 +73,8 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
                 del there, passed
     except cupy.cuda.memory.OutOfMemoryError:
         raise MaskingError(f"the GPU has no room for {count} runs together; give fewer times, or fewer runs") from None
+    except (cupy.cuda.runtime.CUDARuntimeError, cupy.cuda.driver.CUDADriverError) as error:
+        raise MaskingError(f"the GPU made no runs ({error}); let the processor make them") from None
     finally:
         pool.free_all_blocks()
     return results
@@ -99,7 +102,7 @@ def available() -> Any:  # noqa: ANN401  (a module without types)
 
 def code(function: NativeFunction) -> str:
     """Return the assembly of a function for GPUs, with `KERNEL` as what is started; from the cache if it is there."""
-    path = function.stem.with_name(f"{function.stem.name}.{OLDEST}.ptx")
+    path = function.stem.with_name(f"{function.stem.name}.{source_of(__name__)}.{OLDEST}.ptx")
     found = files.find(path)
     if found is None:
         found = _assembly("\n\n".join([assembled(function), _kernel(function)])).encode()
