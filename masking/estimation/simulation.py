@@ -21,8 +21,10 @@ from masking.rig.twin import Twin
 
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
 PARTS = (1 / 64, 1 / 8)
+DOUBLED = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # the same where these lead nowhere
 FIRST_READINGS = 20  # readings that the initial state is guessed from
 STUCK = 4.0  # cost per reading from which another initial state is sought
+CLEAN = 1.2  # the same where time is no matter
 BESIDE = 1e-9  # displacement from rest at which sensors that fold are linearised
 MOST_SIDES = 16  # combinations of sides of these that are tried
 ROUNDS = 25  # steps for the initial state, at most
@@ -125,20 +127,20 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     beginning = record if initial is None else record.first(initial)
     if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
         beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
-    theta, basis, steps = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
-    state, found = nearest(sensing, theta, beginning, weights)
+    theta, basis, least = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
+    steps, (state, found) = _finite(partial(nearest, sensing, theta, beginning, weights, thorough=True), least)
 
     def simulated(first: Array, number: int) -> Array:
         return sensing.normal_equations(basis, first, beginning, weights, number).simulated
 
     allowed, enough = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning))), steps
     for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
-        enough = refined(partial(simulated, begun), enough, MOST_REFINEMENT * steps, allowed, ahead=4)
+        enough = refined(partial(simulated, begun), enough, MOST_REFINEMENT * least, allowed, ahead=4)
     if enough > steps:
         tried = list[tuple[Array, NormalEquations]]()
         for first in (state, None):  # larger steps may have led to another minimum
             with suppress(IntegrationError):
-                tried.append(nearest(sensing, theta, beginning, weights, first, steps=enough))
+                tried.append(nearest(sensing, theta, beginning, weights, first, steps=enough, thorough=True))
         state, found = min(tried, key=lambda one: float(one[1].squares @ weights), default=(state, found))
     if initial is not None:
         try:
@@ -150,6 +152,23 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     return Simulated(record, twin.sensors, units, found.simulated)
 
 
+def _finite(
+    made: Callable[..., tuple[Array, NormalEquations]], least: int
+) -> tuple[int, tuple[Array, NormalEquations]]:
+    """Return integration steps between samples, doubled until the motion is finite, and what is made in them.
+
+    At rest, where steps are chosen, what is fast may stand still, such as the slider of a play.
+    """
+    steps = least
+    while True:
+        try:
+            return steps, made(steps=steps)
+        except IntegrationError:
+            if steps >= MOST_REFINEMENT * least:
+                raise
+            steps *= 2
+
+
 def nearest(
     sensing: Sensitivity,
     theta: Array,
@@ -158,6 +177,7 @@ def nearest(
     start: Array | None = None,
     *,
     steps: int | None = None,
+    thorough: bool = False,
 ) -> tuple[Array, NormalEquations]:
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
@@ -171,14 +191,19 @@ def nearest(
         weights: of squared residuals of each sensor (sensors,).
         start: a state near it (states,); by default it is guessed, and found in longer and longer parts of the record.
         steps: of integration between samples; by default as many as the twin needs.
+        thorough: whether to take more time: for a state from which little more than noise is left.
 
     Raises:
         IntegrationError: the motion is not finite.
     """
     found = list[tuple[Array, NormalEquations]]()
     usable = [part for part in PARTS if start is None and part * len(record) >= FIRST_READINGS]
+    doubled = [part for part in DOUBLED if start is None and part * len(record) >= FIRST_READINGS]
     starts = _guesses(sensing, record) if start is None else [start]
-    for first, parts in itertools.product(starts, [usable[i:] for i in range(len(usable) + 1)]):
+    ways = [usable[i:] for i in range(len(usable) + 1)]
+    for first, parts in itertools.product([*starts], [*ways, doubled]):
+        if parts is doubled and (not doubled or (found and not thorough)):
+            continue
         near = first
         for part in parts:
             beginning = record.first(part * len(record) / record.rate)
@@ -186,7 +211,7 @@ def nearest(
                 near, _ = _nearest(sensing, theta, beginning, weights, near, steps=steps)
         with suppress(IntegrationError):
             found.append(_nearest(sensing, theta, record, weights, near, steps=steps))
-            if float(found[-1][1].squares @ weights) < STUCK * record.readings.size:
+            if float(found[-1][1].squares @ weights) < (CLEAN if thorough else STUCK) * record.readings.size:
                 break
     if not found:
         raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
