@@ -6,7 +6,6 @@ Numbers of sections, figures, definitions and formulas are those of Rijlaarsdam 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,7 +253,8 @@ class Oscillation:
         if size <= 2 * (_TREND + 3):
             found = a - np.mean(a) if size else a
             return cls(found, _cycles(found))
-        window, basis = _window(size), _drifts(size)
+        window = _window(size)
+        basis: Series = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
 
         def fitted(columns: Series) -> Series:
             # Few columns, nearly orthogonal: normal equations lose nothing, and take a tenth of the time.
@@ -318,14 +318,8 @@ def analytic_signal(a: Series) -> NDArray[np.complex128]:
     return Oscillation.of(a).analytic_signal()
 
 
-@lru_cache(maxsize=4)
 def _window(size: int) -> Series:
     return np.hanning(size + 2)[1:-1]
-
-
-@lru_cache(maxsize=4)
-def _drifts(size: int) -> Series:
-    return np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, size), _TREND).astype(np.float64)
 
 
 def _cycles(a: Series) -> float:
