@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from masking.codegen import native, store
 from masking.codegen.content import digest, versions
-from masking.codegen.llvm_text import ALIGNED, FUSED, number, parameters
+from masking.codegen.llvm_text import ALIGNED, FUSED, defined, number, parameters
 from masking.codegen.native import NativeFunction
 from masking.numerics.rig_sizes import LANES
 
@@ -48,7 +48,7 @@ def _text(states: Sequence[int], coordinates: int) -> str:
     for label, (name, _) in cases.items():
         body += [f"{label}:", f"call void @{name}({passed})", "ret void"]
     functions = [_function(name, n, coordinates, is_unrolled=label != "any") for label, (name, n) in cases.items()]
-    entry = "\n".join([f"define void @{native.ENTRY}({head}, ptr %.found) {{", *body, "}"])
+    entry = defined(f"void @{native.ENTRY}({head}, ptr %.found)", body)
     return "\n".join([*functions, entry, UNROLLED])
 
 
@@ -93,8 +93,7 @@ def _function(name: str, n: str, coordinates: int, *, is_unrolled: bool) -> str:
     add(f"store {VECTOR} {moved}, ptr {code.element('columns', i, columns)}, align {ALIGNED}")
     code.end()
     code.end()
-    lines = (f"  {line}" for line in [*code.lines, "ret void"])
-    return "\n".join([f"define internal void @{name}({', '.join(parameters(TYPES))}) {{", "entry:", *lines, "}"])
+    return defined(f"internal void @{name}({', '.join(parameters(TYPES))})", ["entry:", *code.lines, "ret void"])
 
 
 class _Code:

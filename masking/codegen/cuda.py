@@ -50,9 +50,8 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
     """
     cupy, kernel = available(), _loaded(code(function))
     results, pool = np.zeros((runs, RESULTS)), cupy.cuda.MemoryPool()
-    names = [name for name in function.arguments if name != "work"]
-    arguments = {name: (function.arguments[name], one) for name, one in zip(names, given, strict=True)}
-    arguments["found"] = ("Vector", results)
+    types = _types(function)
+    arguments = {name: (types[name], one) for name, one in zip(types, (*given, results), strict=True)}
     moved = [name for name, (kind, one) in arguments.items() if np.ndim(one) > DIMENSIONS.get(kind, 0)]
     bytes_of_one = sum(arguments[name][1][:1].nbytes for name in moved)
     count = max(1, min(runs, int(PART * cupy.cuda.Device().mem_info[0]) // bytes_of_one))
@@ -128,7 +127,7 @@ def assembled(function: NativeFunction) -> str:
 def _of_one(function: NativeFunction, called: str) -> str:
     """Return the definition of what makes one run."""
     lines, passed = ["%.returned = alloca ptr", "%.raised = alloca ptr"], ["ptr %.returned", "ptr %.raised"]
-    for name, kind in _types(function).items():
+    for name, kind in {**function.arguments, "found": "Vector"}.items():
         axes = range(DIMENSIONS.get(kind, 0))
         if name == "work" and function.work is not None:
             rows, columns = function.work
@@ -141,7 +140,7 @@ def _of_one(function: NativeFunction, called: str) -> str:
         passed.append(f"ptr %{name}.row" if axes else f"{LLVM_TYPES[kind]} %{name}")
         passed += [f"i64 %{name}.{axis}" for axis in axes if name != "found"]
     lines += [f"%.status = call i32 @{called}({', '.join(passed)})", "ret void"]
-    return _defined(f"void @{OF_ONE}(i64 %.run, {', '.join(_parameters(function))})", lines)
+    return llvm_text.defined(f"void @{OF_ONE}(i64 %.run, {', '.join(_parameters(function))})", lines)
 
 
 def _kernel(function: NativeFunction) -> str:
@@ -158,19 +157,20 @@ def _kernel(function: NativeFunction) -> str:
         "some:", f"call void @{OF_ONE}(i64 %.run, {', '.join(given)})", "br label %none",
         "none:", "ret void",
     ]  # fmt: skip
-    return "\n".join([*registers, _defined(f"ptx_kernel void @{KERNEL}(i64 %.runs, {', '.join(given)})", lines)])
+    return "\n".join(
+        [*registers, llvm_text.defined(f"ptx_kernel void @{KERNEL}(i64 %.runs, {', '.join(given)})", lines)]
+    )
 
 
 def _types(function: NativeFunction) -> dict[str, str]:
-    return {**function.arguments, "found": "Vector"}
+    """Return the types of what is given, by name: the arguments but the work space, and the results."""
+    return {name: kind for name, kind in function.arguments.items() if name != "work"} | {"found": "Vector"}
 
 
 def _parameters(function: NativeFunction) -> list[str]:
     """Return the parameters of what makes one run, in LLVM."""
     found = list[str]()
     for name, kind in _types(function).items():
-        if name == "work":
-            continue
         axes = range(DIMENSIONS.get(kind, 0))
         found.append(f"ptr %{name}" if axes else f"{LLVM_TYPES[kind]} %{name}")
         found += [f"i64 %{name}.{axis}" for axis in axes] + [f"i64 %{name}.between"] * bool(axes)
@@ -189,10 +189,6 @@ def _passed(
         shape = there[name].shape[name in moved :]
         passed += [there[name], *map(np.int64, shape), np.int64(np.prod(shape) if name in moved else 0)]
     return passed
-
-
-def _defined(head: str, lines: Iterable[str]) -> str:
-    return "\n".join([f"define {head} {{", *(f"  {line}" for line in lines), "}"])
 
 
 def _assembly(text: str) -> str:

@@ -31,8 +31,10 @@ OWN: Mapping[str, Callable[..., Any]] = {
     "acos": elementary.arc_cosine,
     "atan": elementary.arc_tangent,
     "atan2": elementary.arc_tangent_of_two,
+    "pow": elementary.power,
 }
 TWO = ("atan2", "pow")  # functions of two numbers
+LESS_EXACT = ("pow",)  # than that of the library, which lanes take
 FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
 (ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
@@ -120,8 +122,12 @@ def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) 
         if returns
         else [f"call void @{called}({given})"]
     )
-    head = f"define void @{symbol}({', '.join([*parameters(types), 'ptr noalias %.found'])}) {{"
-    return "\n".join([head, *(f"  {line}" for line in (*call, "ret void")), "}"])
+    return defined(f"void @{symbol}({', '.join([*parameters(types), 'ptr noalias %.found'])})", [*call, "ret void"])
+
+
+def defined(head: str, lines: Iterable[str]) -> str:
+    """Return the definition of a function: its type, name and parameters, and its lines."""
+    return "\n".join([f"define {head} {{", *(f"  {line}" for line in lines), "}"])
 
 
 def constant(symbol: str, value: int) -> str:
@@ -152,7 +158,7 @@ def with_elementary_functions(text: str) -> list[str]:
     wanted = {one: name for name, one in intrinsics.items()} | {name: name for name in (*intrinsics, *LIBRARY)}
     declared = re.compile(r"^declare (?:[a-z]+ )*double @([\w.]+)\(.*$", re.MULTILINE)
     used = [name for name in dict.fromkeys(declared.findall(text)) if name in wanted]
-    own = {wanted[name]: f"masking_{wanted[name]}" for name in used if wanted[name] in (*OWN, "pow")}
+    own = {wanted[name]: f"masking_{wanted[name]}" for name in used if wanted[name] in OWN}
     symbols = {name: own.get(wanted[name], intrinsics.get(wanted[name], name)) for name in used}
     text = declared.sub(lambda found: "" if found[1] in symbols else found[0], text)
     text = re.sub(r"@([\w.]+)(?=\()", lambda found: f"@{symbols.get(found[1], found[1])}", text)
@@ -204,8 +210,7 @@ class _Body:
 
     def definition(self, symbol: str, kind: str) -> str:
         """Return the definition of the function, which returns what is of a kind."""
-        lines = (f"  {line}" for line in self.lines)
-        return "\n".join([f"define {kind} @{symbol}({', '.join(parameters(self.types))}) {{", *lines, "}"])
+        return defined(f"{kind} @{symbol}({', '.join(parameters(self.types))})", self.lines)
 
     def new(self, text: str) -> str:
         """Return a new name for what a line computes."""
@@ -261,7 +266,7 @@ class _Body:
 
     def _call(self, name: str, given: Sequence[str]) -> str:
         """Return the value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
-        if name in OWN and self.lanes > 1:
+        if name in OWN and name not in LESS_EXACT and self.lanes > 1:
             return self.own(name, given)
         if name in INTRINSICS:
             kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
@@ -279,8 +284,7 @@ class _Body:
         """Return the value of a function of our own, whose operations keep their order."""
         if (name, *given) not in self._known:
             free, self.free = self.free, f"{FUSED} "
-            function = elementary.power if name == "pow" else OWN[name]
-            found = function(lambda operation, *parts: self.apply(operation, parts), self.number, *given)
+            found = OWN[name](lambda operation, *parts: self.apply(operation, parts), self.number, *given)
             names, values = (PAIR, found) if name in PAIR else ((name,), (found,))
             self._known |= {(one, *given): value for one, value in zip(names, values, strict=True)}
             self.free = free

@@ -197,12 +197,13 @@ def nearest(
         IntegrationError: the motion is not finite.
     """
     found = list[tuple[Array, NormalEquations]]()
-    usable = [part for part in PARTS if start is None and part * len(record) >= FIRST_READINGS]
-    doubled = [part for part in DOUBLED if start is None and part * len(record) >= FIRST_READINGS]
+    usable, doubled = (
+        [part for part in parts if start is None and part * len(record) >= FIRST_READINGS] for parts in (PARTS, DOUBLED)
+    )
     starts = _guesses(sensing, record) if start is None else [start]
     ways = [usable[i:] for i in range(len(usable) + 1)]
-    for first, parts in itertools.product([*starts], [*ways, doubled]):
-        if parts is doubled and (not doubled or (found and not thorough)):
+    for first, parts in itertools.product(starts, [*ways, doubled] if doubled else ways):
+        if parts is doubled and found and not thorough:
             continue
         near = first
         for part in parts:
