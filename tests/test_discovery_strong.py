@@ -105,6 +105,26 @@ def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
     assert found.problem.substeps > 1
 
 
+def test_a_command_that_is_one_slow_sample_behind_is_a_delay(tmp_path):
+    """Fitted without the delay, the mass is so wrong that screens put a lag and a delay of the sensor before it.
+
+    The truth is the exact response to a force that is held between samples.
+    """
+    m, c, k, rate, count, rng = 0.133, 0.367, 7.08, 15.0, 4000, np.random.default_rng(0)
+    t, lines, phases = np.arange(count) / rate, rng.uniform(0.05, 4.0, (40, 1)), rng.uniform(0.0, 2.0 * np.pi, (40, 1))
+    force = np.sin(2.0 * np.pi * lines * t + phases).sum(0)
+    continuous = np.array([[0.0, 1.0], [-k / m, -c / m]]), np.array([[0.0], [1.0 / m]]), np.eye(2)[:1], np.zeros((1, 1))
+    exact = signal.cont2discrete(continuous, 1.0 / rate)
+    x = signal.dlsim(exact, np.concatenate([[0.0], force[:-1]]))[1][:, 0]
+    x += 5e-4 * x.std() * rng.standard_normal(count)
+    model = MODEL.replace("value: 2,", "value: 0.132,").replace("1.5", "0.37").replace("800", "7.1")
+    (tmp_path / "mass.yaml").write_text(model)
+    np.savetxt(tmp_path / "late.csv", np.column_stack([t, force, x]), delimiter=",", header="t,force,x", comments="")
+    found = masking.discover(tmp_path / "late.csv", model=tmp_path / "mass.yaml")
+    assert (found.verdict, [(e.name, e.on) for e in found.effects]) == ("named", [("delay", "force")])
+    assert found.effects[0].parameters["tau"][0] == pytest.approx(1.0 / rate, abs=1e-4)
+
+
 @pytest.mark.search
 def test_a_command_of_the_other_sign_hides_no_spring(discovered):
     found = discovered(lambda x, v: 5e4 * x**3, sign=-1.0)

@@ -30,8 +30,9 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """
     floor = found.simulation_error.validation_noise_floor
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        law = None if found.verdict != "unknown" or found.is_hidden else law_of(found, found.validation, substeps, OPEN)
-        none = 0.0 if law is None else 1.0 if law.reaches(floor) else calibration.REFUSED
+        is_open = found.verdict == "unknown"
+        law = law_of(found, found.validation, substeps, OPEN) if is_open and not found.is_hidden else None
+        none = 0.0 if not is_open else 1.0 if law is not None and law.reaches(floor) else calibration.REFUSED
         return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
     law, left, better = None, _left(found), -np.inf
     size, rules = found.problem.record.readings.size, found.problem.rules

@@ -160,7 +160,9 @@ class Search:
             tried = tried or tuple(scores)
             if not found or self._is_too_little(base, now, found[0]):
                 break
+            # In steps that are too large, the right law leaves so much that one nested in it is taken in its place.
             needed = self._steps_of(base, found[0])
+            needed = needed if likeliest is found[0] else max(needed, self._steps_of(base, likeliest))
             if needed > self.problem.substeps or (not steps and self.ends(self.problem, found)):
                 return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
             if len(now.hypothesis.instances) > 1 and now is not settled:
@@ -260,10 +262,13 @@ class Search:
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))
             found += self._noted(some, self.problem.work, rival, made)
-        rival = min(e.hypothesis.cost for e in (now, *found))
-        if found and ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best):
-            # Screens expect too much here: others than those that they put first may be right.
-            others, variants = self._worth_a_fit(now, scores, screen, np.inf)
+        first = min((now, *found), key=lambda e: e.hypothesis.cost)
+        rival = first.hypothesis.cost
+        if found and not verdict.reaches_noise(rival, self.size, rules):
+            # Screens expect too much of others: those that they put beside the best fit may be right.
+            is_more = ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best)
+            gain = next((one.gain for one in scores if one.candidate.key in first.names[-1:]), best)
+            others, variants = self._worth_a_fit(now, scores, screen, np.inf if is_more else screen.total - gain)
             more = [added(p) for p in others if all(p is not one for one in chosen)]
             found += self._noted([(n, job) for n, job in more if not is_far(n)], self.problem.work, rival, made)
         if parameters and not known:
