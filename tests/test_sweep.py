@@ -93,9 +93,30 @@ def test_a_run_that_fails_is_a_row_with_a_reason(tmp_path):
     assert np.isnan(found["chi"][2])
     assert np.isfinite(found["chi"][:2]).all()
     assert "3 runs over mu1, 1 failed" in found.sentence
+    over = {"mu1": [0.1, 1.5, 0.25, -0.1], "th2'": [0.0, 0.1]}
+    found = sweep("huygens", over=over, virtual=True, **given, out=tmp_path / "v", measure=["period"])
+    assert [text.partition("mu1 = ")[2] for text in found["error"]] == [
+        "", "", *["1.5 is above its upper bound 1"] * 2, "", "", *["-0.1 is below its lower bound 0"] * 2,
+    ]  # fmt: skip
+    assert np.isfinite(found["period"]).tolist() == [not text for text in found["error"]]
     found = sweep("huygens", over={"th1": [-0.5, 0.5]}, virtual=True, **given, out=tmp_path / "b", measure=[failing])
     assert found["error"] == ["", "ValueError: it begins on the right"]
     assert "it begins on the right" in (tmp_path / "b" / "sweep.html").read_text()
+
+
+def test_runs_of_which_nothing_varies_begin_where_the_model_declares(tmp_path):
+    def first(recording):
+        return float(recording["virtual.x"][0])
+
+    (tmp_path / "pulled.yaml").write_text(
+        "name: a spring\ncoordinates: {x: {meaning: displacement, initial: 0.3}}\nequations: {\"x''\": -x}\n"
+    )
+    (tmp_path / "pulled_cart.yaml").write_text(
+        "name: a spring\nplant: cart\nvirtual: pulled.yaml\ntransform: {matrix: [[1]]}\n"
+        "controller: {rate: continuous}\nduration: 10\n"
+    )
+    found = sweep(tmp_path / "pulled_cart.yaml", runs=2, virtual=True, measure=[first], workers=1, out=tmp_path / "a")
+    assert found["first"].tolist() == [0.3, 0.3]
 
 
 def test_imperfections_of_a_plant_are_drawn_about_their_declared_values(tmp_path):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 
 import numpy as np
 
 from masking.codegen import cuda
 from masking.codegen.kernels import Trajectory, in_order
 from masking.declaration.expression import Expression
-from masking.errors import IntegrationError, ModelError, SingularityError, nearest
+from masking.errors import DeclarationError, IntegrationError, ModelError, SingularityError, nearest
 from masking.modelling.series import Inputs, Simulated, row_of_times
 from masking.numerics.arrays import Array
 
@@ -48,8 +49,8 @@ def simulate(
     runs = len(next(iter(columns.values())))
     parameters = {name: values for name, values in columns.items() if name in model.parameters}
     states = {name: values for name, values in columns.items() if name not in model.parameters}
-    for pick in (np.min, np.max):  # bounds are intervals
-        model.with_parameters(**{name: float(pick(values)) for name, values in parameters.items()})
+    for error in refused(model, columns).values():
+        raise error
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
         if gpu:
             raise ModelError(
@@ -66,6 +67,28 @@ def simulate(
     share = max(1, min(threads or os.cpu_count() or 1, runs))
     p = _parameters(model, parameters, runs)
     return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share, gpu=gpu)
+
+
+def refused(model: Simulated, ensemble: Mapping[str, Array]) -> dict[int, DeclarationError]:
+    """Return why runs of an ensemble cannot be made, by their number: a parameter is out of its bounds.
+
+    Args:
+        model: the model.
+        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
+    """
+    columns = {name: values for name, values in ensemble.items() if name in model.parameters}
+
+    def why(pick: Callable[[Array], float]) -> DeclarationError | None:
+        try:
+            model.with_parameters(**{name: float(pick(values)) for name, values in columns.items()})
+        except DeclarationError as error:
+            return error
+        return None
+
+    if not (why(np.min) or why(np.max)):  # bounds are intervals
+        return {}
+    found = {i: why(itemgetter(i)) for i in range(len(next(iter(ensemble.values()))))}
+    return {i: error for i, error in found.items() if error}
 
 
 def check_gpu() -> None:
