@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from masking import cli, load_sweep, merge_sweeps, sweep
 from masking.errors import DeclarationError, RecordError
 from masking.reports.sweep_figures import figures
+from masking.reports.text import share
 from masking.runs.design import Design
 from masking.runs.experiment import Experiment
 from masking.workflows import sweep_work
@@ -229,8 +230,25 @@ def test_pictures_name_words_units_and_shares():
     assert curve.figure.axes[0].get_ylabel() == "τ$_s$ (units of time)"
     low, high = flat.figure.axes[0].get_ylim()
     assert high - low >= 1e-3  # nothing that a reader would take for a change
+    table = {"run": np.arange(20000), "m": np.repeat([1.0, 2.0], 10000), "k": np.tile([1.0, 2.0], 10000)}
+    table["end"] = ["rest", *["other"] * 19999]
+    over += [{"name": "k", "grid": [1.0, 2.0], "factor": False}]
+    mapped, *_ = figures({"over": over, "measures": ["end"]}, table)
+    assert [text.get_text() for text in mapped.figure.legends[0].get_texts()] == ["rest < 0.01 %", "other > 99.99 %"]
     words, *_ = figures({"over": [], "measures": ["end"]}, columns)
     assert [text.get_text() for text in words.figure.axes[0].get_yticklabels()] == ["rest", "other"]
+
+
+@pytest.mark.parametrize(
+    ("runs", "of", "text"),
+    [
+        (0, 7, "0 %"), (7, 7, "100 %"), (1, 160_000, "< 0.01 %"), (159_999, 160_000, "> 99.99 %"),
+        (1, 10_000, "0.01 %"), (9_999, 10_000, "99.99 %"), (1, 300, "0.33 %"), (1, 30, "3.3 %"), (1, 3, "33 %"),
+        (299, 300, "99.67 %"), (1, 200, "0.5 %"), (118_880, 160_000, "74 %"), (24, 25, "96 %"),
+    ],
+)  # fmt: skip
+def test_a_share_is_all_or_none_only_if_it_is(runs, of, text):
+    assert share(runs / of) == text
 
 
 def test_the_command_says_what_happened_and_refuses_what_cannot_be(tmp_path, capsys):

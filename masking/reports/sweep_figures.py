@@ -19,7 +19,7 @@ from masking.reports import style
 from masking.reports.run_measures import MEANINGS
 from masking.reports.stability_figures import END_COLOURS, edges, is_geometric
 from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, CaptionedFigure
-from masking.reports.text import capital
+from masking.reports.text import capital, share
 
 _KINDS: Final = {
     **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
@@ -166,7 +166,7 @@ def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) 
         [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
     ]
     cells = edges(values)
-    steps = [[*share, share[-1]] for share in shares]
+    steps = [[*of_kind, of_kind[-1]] for of_kind in shares]
     axes.stackplot(cells, steps, colors=[_KINDS[kind] for kind in kinds], step="post")
     axes.set_xlim(cells[[0, -1]])
     axes.grid(visible=False)
@@ -194,10 +194,9 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
         chosen = [kind for kind in _KINDS if kind and kind in column]
         axes.pcolormesh(edges(across), edges(up), table, cmap=ListedColormap(list(_KINDS.values())), vmin=-0.5,
                         vmax=len(_KINDS) - 0.5, rasterized=True)  # fmt: skip
-        share = Counter(text for text in column if text)
-        total = sum(share.values())
+        runs = Counter(text for text in column if text)
         keys = [
-            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {100 * share[k] / total:.3g} %") for k in chosen
+            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {share(runs[k] / runs.total())}") for k in chosen
         ]
         parts.legend(figure, None, keys)
     else:
