@@ -119,10 +119,10 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     figure, (axes,) = style.sheet([3.2], top=BARE if isinstance(column, np.ndarray) else LEGEND)
     if not isinstance(column, np.ndarray):
         _shares(figure, axes, at, values, [str(text) for text in column])
-        axes.set(xlabel=labels[over], ylabel="part of the runs", ylim=(0.0, 1.0))
+        axes.set(xlabel=labels[over], ylabel="share of the runs", ylim=(0.0, 1.0))
         _over(axes.xaxis, values)
         parts.ticks(axes)
-        caption = f"{capital(_words(name))}, over {over}: the part of the runs."
+        caption = f"{capital(_words(name))}, over {over}: the share of the runs."
         return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
     with np.errstate(all="ignore"):
         groups = [column[at == value] for value in values]
@@ -210,11 +210,11 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
         _over(axis, values)
     several = len(column) > len(across) * len(up)
     middle = (
-        ": the commonest of the runs at each point, and the part of all runs"
+        ": the commonest at each point; the legend has the share of each in all runs"
         if is_word
         else ": the median of the runs at each point"
     ) * several
-    more = f", whatever {' and '.join(grid[2:])}" if len(grid) > 2 else ""
+    more = f", over all values of {' and '.join(grid[2:])}" if len(grid) > 2 else ""
     title = f"{capital(name)} over {grid[0]} and {grid[1]}"
     return CaptionedFigure(f"map_{_file(name)}", title, f"{capital(_words(name))}{middle}{more}.", figure)
 
@@ -246,8 +246,8 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
     axes.set_yticks(range(len(kinds)), kinds)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
-    return CaptionedFigure(file, title, f"{capital(_words(name))}: the part of the runs.", figure)
+    axes.set(xlabel="share of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
+    return CaptionedFigure(file, title, f"{capital(_words(name))}: the share of the runs.", figure)
 
 
 def _file(name: str) -> str:

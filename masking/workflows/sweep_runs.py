@@ -103,8 +103,8 @@ class Plan:
                     raise DeclarationError(Problem(None, axis.label, message, "leave --virtual out"))
                 variation.value(where, 1.0, is_factor=axis.is_factor)
         if self.continuation and not (self.virtual and self.design.grid and self.design.runs == 1):
-            message = "follows one grid of values with the virtual system by itself"
-            raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and grids or lists only"))
+            message = "follows a grid or a list with the virtual system by itself"
+            raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and no distributions"))
         if self.gpu and (self.continuation or not self.virtual):
             message = "runs the virtual system by itself, each run from its own initial state"
             raise DeclarationError(Problem(None, "gpu", message, "give --virtual, and no --continuation"))
