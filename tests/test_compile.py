@@ -21,7 +21,7 @@ from masking.codegen.c import EXTREMES
 from masking.codegen.files import write_whole
 from masking.codegen.graph import Graph
 from masking.codegen.printers import PYTHON, C, statements
-from masking.codegen.source import LANES, Module
+from masking.codegen.source import Module
 from masking.codegen.taylor import degree, is_analytic
 from masking.declaration import registry
 from masking.declaration.expression import Expression
@@ -32,6 +32,7 @@ from masking.errors import ModelError
 from masking.modelling.lowering import module
 from masking.modelling.model import Model
 from masking.numerics import integrators
+from masking.numerics.rig_sizes import LANES
 
 NAMES = ("x", "y", "z")
 SYMBOLS = {name: sp.Symbol(name, real=True) for name in NAMES}

@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import importlib.util
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import mpmath
@@ -77,7 +78,6 @@ class Processor:
 def on_this_processor(monkeypatch):
     stands_for_gpu = Processor(free=2 * 3 * 22 * 6 * 8)  # three runs of six states
     monkeypatch.setattr(cuda, "available", lambda: stands_for_gpu)
-    monkeypatch.setattr(cuda, "code", lambda function: function)
     monkeypatch.setattr(cuda, "_loaded", stands_for_gpu.kernel)
     return stands_for_gpu
 
@@ -154,12 +154,22 @@ def test_elementary_functions_are_right(name):
     del library
 
 
-def test_the_code_is_that_of_a_gpu_and_is_kept():
-    kernels = load_model("huygens").dimensionless().kernels
-    text = cuda.code(kernels.solve_taylor)
-    assert f".visible .entry {cuda.KERNEL}(" in text
-    assert ".extern" not in text
-    assert cuda.code(kernels.solve_taylor) == text
+def test_the_code_is_that_of_a_gpu_and_is_linked_once(monkeypatch):
+    """In a process, for all models of the same equations; in another process, it is found on disk."""
+    linked = []
+
+    def module(path):
+        linked.append(Path(path).read_text())
+        return SimpleNamespace(get_function=lambda name: (name, len(linked)))
+
+    monkeypatch.setattr(cuda, "available", lambda: SimpleNamespace(RawModule=module, cuda=None))
+    monkeypatch.setattr(cuda, "_kernels", {})
+    for _ in range(2):
+        assert cuda._loaded(load_model("huygens").dimensionless().kernels.solve_taylor) == (cuda.KERNEL, 1)
+    assert f".visible .entry {cuda.KERNEL}(" in linked[0]
+    assert ".extern" not in linked[0]
+    monkeypatch.setattr(cuda, "_assembly", None)
+    assert [cuda.code(load_model("huygens").dimensionless().kernels.solve_taylor)] == linked
 
 
 @pytest.mark.parametrize(

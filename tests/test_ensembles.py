@@ -86,10 +86,25 @@ def test_a_run_that_cannot_go_on_is_named_and_the_others_go_on():
         assert "t = " in error
 
 
+def test_runs_with_inputs_by_name_may_all_end_early(declared):
+    """x'' = x^3 from x = a and x' = a^2/sqrt(2) is a/(1 - a t/sqrt(2)), infinite at sqrt(2)/a."""
+    model = declared(coordinates={"x": {}}, inputs={"F": {}}, equations={"x''": "x**3 + F"})
+    a = np.array([1.0, 0.1, 2.0])
+    values = {"x": a, "x'": a**2 / 2**0.5}
+    found = model.simulate(TIMES, inputs={"F": 0.0}, ensemble=values)
+    assert set(found.errors) == {0, 2}
+    assert np.abs(found["x"][1] * (1.0 - a[1] * TIMES / 2**0.5) / a[1] - 1.0).max() < 1e-9
+    found = model.simulate(TIMES, inputs={"F": 0.0}, ensemble={name: x[::2] for name, x in values.items()})
+    assert set(found.errors) == {0, 1}
+    assert np.isnan(found.states).all()
+
+
 def test_names_and_values_that_do_not_fit_are_refused(huygens):
     with pytest.raises(ModelError, match="no parameter or state 'zz'; did you mean 'z'"):
         huygens.simulate(TIMES, ensemble={"zz": [0.1]})
     with pytest.raises(ModelError, match="as many values for each name, one for each run; got z 2, x 1"):
         huygens.simulate(TIMES, ensemble={"z": [0.1, 0.2], "x": [0.0]})
+    with pytest.raises(IntegrationError, match="times must be one row"):
+        load_model("escapements").simulate(TIMES[[0, 2, 1]], ensemble={"x1": [0.1]})
     with pytest.raises(DeclarationError, match="mu1"):
         huygens.simulate(TIMES, ensemble={"mu1": [0.1, 1.5]})

@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from masking import cli, load_sweep, merge_sweeps, sweep
 from masking.errors import DeclarationError, RecordError
 from masking.reports.sweep_figures import figures
+from masking.reports.text import share
 from masking.runs.design import Design
 from masking.runs.experiment import Experiment
 from masking.workflows import sweep_work
@@ -93,9 +94,30 @@ def test_a_run_that_fails_is_a_row_with_a_reason(tmp_path):
     assert np.isnan(found["chi"][2])
     assert np.isfinite(found["chi"][:2]).all()
     assert "3 runs over mu1, 1 failed" in found.sentence
+    over = {"mu1": [0.1, 1.5, 0.25, -0.1], "th2'": [0.0, 0.1]}
+    found = sweep("huygens", over=over, virtual=True, **given, out=tmp_path / "v", measure=["period"])
+    assert [text.partition("mu1 = ")[2] for text in found["error"]] == [
+        "", "", *["1.5 is above its upper bound 1"] * 2, "", "", *["-0.1 is below its lower bound 0"] * 2,
+    ]  # fmt: skip
+    assert np.isfinite(found["period"]).tolist() == [not text for text in found["error"]]
     found = sweep("huygens", over={"th1": [-0.5, 0.5]}, virtual=True, **given, out=tmp_path / "b", measure=[failing])
     assert found["error"] == ["", "ValueError: it begins on the right"]
     assert "it begins on the right" in (tmp_path / "b" / "sweep.html").read_text()
+
+
+def test_runs_of_which_nothing_varies_begin_where_the_model_declares(tmp_path):
+    def first(recording):
+        return float(recording["virtual.x"][0])
+
+    (tmp_path / "pulled.yaml").write_text(
+        "name: a spring\ncoordinates: {x: {meaning: displacement, initial: 0.3}}\nequations: {\"x''\": -x}\n"
+    )
+    (tmp_path / "pulled_cart.yaml").write_text(
+        "name: a spring\nplant: cart\nvirtual: pulled.yaml\ntransform: {matrix: [[1]]}\n"
+        "controller: {rate: continuous}\nduration: 10\n"
+    )
+    found = sweep(tmp_path / "pulled_cart.yaml", runs=2, virtual=True, measure=[first], workers=1, out=tmp_path / "a")
+    assert found["first"].tolist() == [0.3, 0.3]
 
 
 def test_imperfections_of_a_plant_are_drawn_about_their_declared_values(tmp_path):
@@ -208,8 +230,25 @@ def test_pictures_name_words_units_and_shares():
     assert curve.figure.axes[0].get_ylabel() == "τ$_s$ (units of time)"
     low, high = flat.figure.axes[0].get_ylim()
     assert high - low >= 1e-3  # nothing that a reader would take for a change
+    table = {"run": np.arange(20000), "m": np.repeat([1.0, 2.0], 10000), "k": np.tile([1.0, 2.0], 10000)}
+    table["end"] = ["rest", *["other"] * 19999]
+    over += [{"name": "k", "grid": [1.0, 2.0], "factor": False}]
+    mapped, *_ = figures({"over": over, "measures": ["end"]}, table)
+    assert [text.get_text() for text in mapped.figure.legends[0].get_texts()] == ["rest < 0.01 %", "other > 99.99 %"]
     words, *_ = figures({"over": [], "measures": ["end"]}, columns)
     assert [text.get_text() for text in words.figure.axes[0].get_yticklabels()] == ["rest", "other"]
+
+
+@pytest.mark.parametrize(
+    ("runs", "of", "text"),
+    [
+        (0, 7, "0 %"), (7, 7, "100 %"), (1, 160_000, "< 0.01 %"), (159_999, 160_000, "> 99.99 %"),
+        (1, 10_000, "0.01 %"), (9_999, 10_000, "99.99 %"), (1, 300, "0.33 %"), (1, 30, "3.3 %"), (1, 3, "33 %"),
+        (299, 300, "99.67 %"), (1, 200, "0.5 %"), (118_880, 160_000, "74 %"), (24, 25, "96 %"),
+    ],
+)  # fmt: skip
+def test_a_share_is_all_or_none_only_if_it_is(runs, of, text):
+    assert share(runs / of) == text
 
 
 def test_the_command_says_what_happened_and_refuses_what_cannot_be(tmp_path, capsys):

@@ -17,31 +17,32 @@ MERGE = "merge"
 def _add(sub: argparse.ArgumentParser) -> None:
     add_json(sub)
     sub.epilog = (
-        "VALUES are LOW:HIGH:NUMBER, LOW:HIGH:NUMBER:log, A,B,C, normal:MEAN:DEVIATION, uniform:LOW:HIGH or "
-        "loguniform:LOW:HIGH, each after x: for multiples of the declared value; plant=fit:FILE draws from the "
-        "covariance of a fit. NAME is a parameter, coordinate or velocity of the virtual system, EFFECT.PARAMETER of "
-        "the plant, plant.PARAMETER of its model, or a number of the experiment such as duration; several with commas "
-        "between them get the same value. The same command goes on where an earlier one was ended. 'masking sweep "
-        "merge FOLDER... --out DIR' puts parts together."
+        "NAME is a parameter, coordinate or velocity of the virtual system; EFFECT.PARAMETER of the plant; "
+        "plant.PARAMETER of its model; or a number of the experiment, such as duration. Several names with commas "
+        "between them get the same value. VALUES are a grid, LOW:HIGH:NUMBER or LOW:HIGH:NUMBER:log; a list, A,B,C; or "
+        "a distribution, normal:MEAN:DEVIATION, uniform:LOW:HIGH or loguniform:LOW:HIGH; with x: in front they "
+        "multiply the declared value. plant=fit:FILE draws from the covariance of a fit. If a sweep is interrupted, "
+        "the same command makes the runs that are missing. 'masking sweep merge FOLDER... --out DIR' puts parts "
+        "together."
     )
-    sub.add_argument("names", metavar="EXPERIMENT", nargs="+", help=f"{NAMED}; or merge, and the folders of parts")
-    sub.add_argument("--over", metavar="NAME=VALUES", action="append", default=[], help="what varies, and how")
-    sub.add_argument("--runs", metavar="N", type=int, help="runs that are drawn at each point of the grid")
-    sub.add_argument("--seed", metavar="N", type=int, default=0, help="of what is drawn (default: 0)")
-    text = "of each run: alpha, eps, tau_s, phase, verdict, end, period, chi, peak, used, chi.X, peak.V, maxima.X"
+    sub.add_argument("names", metavar="EXPERIMENT", nargs="+", help=f"{NAMED}; or 'merge', and the folders of parts")
+    sub.add_argument("--over", metavar="NAME=VALUES", action="append", default=[], help="what varies: see below")
+    sub.add_argument("--runs", metavar="N", type=int, help="how many times values are drawn at each point of the grid")
+    sub.add_argument("--seed", metavar="N", type=int, default=0, help="seed of all that is drawn (default: 0)")
+    text = "what is measured: alpha, eps, tau_s, phase, verdict, end, period, chi, peak, used, chi.X, peak.V, maxima.X"
     text += ", section.X@Y"
     sub.add_argument("--measure", metavar="NAME", action="append", default=[], help=text)
-    sub.add_argument("--sampling", choices=("random", "latin", "sobol"), default="random", help="of what is drawn")
+    sub.add_argument("--sampling", choices=("random", "latin", "sobol"), default="random", help="how values are drawn")
     sub.add_argument("--virtual", action="store_true", help="integrate the virtual system by itself, without a rig")
-    text = "with --virtual: follow the last grid up and down, each run from the end of the one before"
+    text = "with --virtual: follow the last grid up, then down; each run begins where the one before it ended"
     sub.add_argument("--continuation", action="store_true", help=text)
-    sub.add_argument("--trajectories", action="store_true", help="keep the virtual motion of each run")
-    sub.add_argument("--gpu", action="store_true", help="with --virtual: let a GPU of NVIDIA make the runs, with CuPy")
+    sub.add_argument("--trajectories", action="store_true", help="keep the virtual motion of each run, too")
+    sub.add_argument("--gpu", action="store_true", help="with --virtual: make the runs on an NVIDIA GPU, with CuPy")
     sub.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
-    sub.add_argument("--duration", metavar="TIME", type=float, help="of each run, in units of virtual time")
-    sub.add_argument("--part", metavar="K/N", default="1/1", help="make the K-th of N parts, on a machine each")
-    sub.add_argument("--workers", metavar="N", type=int, help="processes (default: the number of cores)")
-    sub.add_argument("--dask", metavar="ADDRESS", help="scheduler of dask, whose workers make the runs")
+    sub.add_argument("--duration", metavar="TIME", type=float, help="duration of each run, in units of virtual time")
+    sub.add_argument("--part", metavar="K/N", default="1/1", help="make the K-th of N parts, one on each machine")
+    sub.add_argument("--workers", metavar="N", type=int, help="number of processes (default: the number of cores)")
+    sub.add_argument("--dask", metavar="ADDRESS", help="scheduler of a dask cluster, whose workers make the runs")
     add_out(sub, "results/EXPERIMENT_sweep")
 
 
@@ -54,9 +55,9 @@ def _sweep(chosen: argparse.Namespace) -> int:
         found = merge_sweeps(*chosen.names[1:], out=out, overwrite=chosen.overwrite)
         return answer(chosen.json, found.as_dict(), f"{found}\npage: {out / 'sweep.html'}")
     if len(chosen.names) > 1:
-        message = f"one experiment is swept, not {len(chosen.names)}"
+        message = f"a sweep has one experiment, not {len(chosen.names)}"
         raise DeclarationError(
-            Problem(None, chosen.names[1], message, "name one, or 'merge' before the folders of parts")
+            Problem(None, chosen.names[1], message, "name one; or write 'merge' before the folders of parts")
         )
     out = Path(chosen.out or f"results/{Path(chosen.names[0]).stem}_sweep")
     raise_interrupts()
@@ -83,7 +84,7 @@ def _sweep(chosen: argparse.Namespace) -> int:
                 tell=bar.tell,
             )
     except KeyboardInterrupt:
-        print(f"masking: interrupted; the runs that are done are in {out}, the same command goes on", file=sys.stderr)
+        print(f"masking: interrupted; {out} has the finished runs, the same command makes the others", file=sys.stderr)
         return INTERRUPTED
     return answer(chosen.json, found.as_dict(), f"{found}\npage: {out / 'sweep.html'}")
 

@@ -9,7 +9,6 @@ import importlib
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +47,7 @@ def each(function: NativeFunction, runs: int, *given: Any) -> np.ndarray:  # noq
     Raises:
         MaskingError: there is no GPU, or no CuPy; runs do not fit into its memory, or it fails.
     """
-    cupy, kernel = available(), _loaded(code(function))
+    cupy, kernel = available(), _loaded(function)
     results, pool = np.zeros((runs, RESULTS)), cupy.cuda.MemoryPool()
     types = _types(function)
     arguments = {name: (types[name], one) for name, one in zip(types, (*given, results), strict=True)}
@@ -209,14 +208,20 @@ def _assembly(text: str) -> str:
     return found
 
 
-@cache
-def _loaded(assembly: str) -> Any:  # noqa: ANN401  (a kernel of CuPy)
-    """Return what is started of an assembly, as the driver has linked it."""
-    cupy = available()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "runs.ptx"
-        path.write_text(assembly)
-        try:
-            return cupy.RawModule(path=str(path)).get_function(KERNEL)
-        except cupy.cuda.driver.CUDADriverError as error:
-            raise MaskingError(f"the driver of the GPU refuses the code ({error}); the GPU may be too old") from None
+_kernels: dict[Path, Any] = {}  # of this process, by the stems of functions, which are hashes of their content
+
+
+def _loaded(function: NativeFunction) -> Any:  # noqa: ANN401  (a kernel of CuPy)
+    """Return what is started of a function; the driver links it once in a process."""
+    if function.stem not in _kernels:
+        cupy = available()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "runs.ptx"
+            path.write_text(code(function))
+            try:
+                _kernels[function.stem] = cupy.RawModule(path=str(path)).get_function(KERNEL)
+            except cupy.cuda.driver.CUDADriverError as error:
+                raise MaskingError(
+                    f"the driver of the GPU refuses the code ({error}); the GPU may be too old"
+                ) from None
+    return _kernels[function.stem]

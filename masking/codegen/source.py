@@ -26,6 +26,7 @@ from masking.codegen import llvm_text, native
 from masking.codegen.graph import Graph, Node
 from masking.codegen.printers import PYTHON, Language, needed
 from masking.codegen.taylor import coefficients, polynomials, step_terms
+from masking.numerics.rig_sizes import LANES
 
 # measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
 # order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
@@ -33,9 +34,6 @@ TAYLOR_ORDERS = (14, 12)
 MOST_PRODUCTS_OF_HIGH_ORDER = 8
 # measured: beyond this number of products of series, straight-line code costs seconds to compile.
 LARGEST_TAYLOR_COST = 40
-# measured: pendula take as long in 4 lanes as in 8, and 5 % longer in 16. A processor whose vectors are shorter takes
-# several for each.
-LANES = 8
 
 HEADER = '''"""Generated from {title!r}; do not edit."""
 

@@ -128,14 +128,22 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
         beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
     theta, basis, least = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
-    steps, (state, found) = _finite(partial(nearest, sensing, theta, beginning, weights, thorough=True), least)
+
+    @cache
+    def reproduced(number: int) -> tuple[Array, NormalEquations]:
+        return nearest(sensing, theta, beginning, weights, steps=number, thorough=True)
+
+    # At rest, where steps are chosen, what is fast may stand still, such as the slider of a play.
+    most, any_change = MOST_REFINEMENT * least, np.full_like(size, np.inf)
+    steps = refined(lambda number: reproduced(number)[1].simulated, least, most, any_change, ahead=1)
+    state, found = reproduced(steps)
 
     def simulated(first: Array, number: int) -> Array:
         return sensing.normal_equations(basis, first, beginning, weights, number).simulated
 
     allowed, enough = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning))), steps
     for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
-        enough = refined(partial(simulated, begun), enough, MOST_REFINEMENT * least, allowed, ahead=4)
+        enough = refined(partial(simulated, begun), enough, most, allowed, ahead=4)
     if enough > steps:
         tried = list[tuple[Array, NormalEquations]]()
         for first in (state, None):  # larger steps may have led to another minimum
@@ -150,23 +158,6 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     plant = twin.declaration.sensors
     units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
     return Simulated(record, twin.sensors, units, found.simulated)
-
-
-def _finite(
-    made: Callable[..., tuple[Array, NormalEquations]], least: int
-) -> tuple[int, tuple[Array, NormalEquations]]:
-    """Return integration steps between samples, doubled until the motion is finite, and what is made in them.
-
-    At rest, where steps are chosen, what is fast may stand still, such as the slider of a play.
-    """
-    steps = least
-    while True:
-        try:
-            return steps, made(steps=steps)
-        except IntegrationError:
-            if steps >= MOST_REFINEMENT * least:
-                raise
-            steps *= 2
 
 
 def nearest(
@@ -227,7 +218,7 @@ def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: A
         least: steps that are tried first.
         most: steps at most.
         allowed: change of the readings, rms (sensors,).
-        ahead: factor of the smaller steps.
+        ahead: factor of the smaller steps; 1 if the motion is to be finite only.
     """
 
     @cache

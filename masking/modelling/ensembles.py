@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 
 import numpy as np
 
 from masking.codegen import cuda
-from masking.codegen.kernels import Trajectory
+from masking.codegen.kernels import Trajectory, in_order
 from masking.declaration.expression import Expression
-from masking.errors import IntegrationError, ModelError, SingularityError, nearest
+from masking.errors import DeclarationError, IntegrationError, ModelError, SingularityError, nearest
 from masking.modelling.series import Inputs, Simulated, row_of_times
 from masking.numerics.arrays import Array
 
@@ -40,15 +41,16 @@ def simulate(
 
     Raises:
         ModelError: a name is no parameter or state, the values are not as many for each, or no GPU makes such runs.
+        IntegrationError: the times are not in order.
         MaskingError: there is no GPU.
         DeclarationError: a parameter is out of its bounds.
     """
-    times, columns = row_of_times(times), _columns(model, ensemble)
+    times, columns = in_order(row_of_times(times)), _columns(model, ensemble)
     runs = len(next(iter(columns.values())))
     parameters = {name: values for name, values in columns.items() if name in model.parameters}
     states = {name: values for name, values in columns.items() if name not in model.parameters}
-    for pick in (np.min, np.max):  # bounds are intervals
-        model.with_parameters(**{name: float(pick(values)) for name, values in parameters.items()})
+    for error in refused(model, columns).values():
+        raise error
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
         if gpu:
             raise ModelError(
@@ -59,12 +61,34 @@ def simulate(
         def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
             return changed.simulate(times, {**initial, **start}, inputs, tolerance)
 
-        return _one_by_one(model, parameters, states, one)
+        return _one_by_one(model, times, parameters, states, one)
     y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.state_names)))
     u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
     share = max(1, min(threads or os.cpu_count() or 1, runs))
     p = _parameters(model, parameters, runs)
     return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share, gpu=gpu)
+
+
+def refused(model: Simulated, ensemble: Mapping[str, Array]) -> dict[int, DeclarationError]:
+    """Return why runs of an ensemble cannot be made, by their number: a parameter is out of its bounds.
+
+    Args:
+        model: the model.
+        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
+    """
+    columns = {name: values for name, values in ensemble.items() if name in model.parameters}
+
+    def why(pick: Callable[[Array], float]) -> DeclarationError | None:
+        try:
+            model.with_parameters(**{name: float(pick(values)) for name, values in columns.items()})
+        except DeclarationError as error:
+            return error
+        return None
+
+    if not (why(np.min) or why(np.max)):  # bounds are intervals
+        return {}
+    found = {i: why(itemgetter(i)) for i in range(len(next(iter(ensemble.values()))))}
+    return {i: error for i, error in found.items() if error}
 
 
 def check_gpu() -> None:
@@ -111,20 +135,22 @@ def _parameters(model: Simulated, varied: Mapping[str, Array], runs: int) -> Arr
 
 
 def _one_by_one(
-    model: Simulated, parameters: Mapping[str, Array], states: Mapping[str, Array], run: Callable[..., Trajectory]
+    model: Simulated,
+    times: Array,
+    parameters: Mapping[str, Array],
+    states: Mapping[str, Array],
+    run: Callable[..., Trajectory],
 ) -> Trajectory:
     """Integrate runs that need Python on their way: events, delays, inputs that are series."""
-    found, errors = list[Trajectory | None](), dict[int, str]()
-    for i in range(len(next(iter({**parameters, **states}.values())))):
+    meta, runs = model.kernels.meta, len(next(iter({**parameters, **states}.values())))
+    out = np.full((runs, len(times), len(model.state_names) + meta["lags"]), np.nan)
+    steps, errors = 0, dict[int, str]()
+    for i in range(runs):
         changed = model.with_parameters(**{name: float(values[i]) for name, values in parameters.items()})
         try:
-            found.append(run(changed, {name: float(values[i]) for name, values in states.items()}))
+            found = run(changed, {name: float(values[i]) for name, values in states.items()})
         except (IntegrationError, SingularityError) as error:
             errors[i] = str(error)
-            found.append(None)
-    whole = [one for one in found if one is not None]
-    if not whole:
-        raise IntegrationError(f"no run of the ensemble could be made; the first: {errors[0]}")
-    first, steps = whole[0], sum(one.steps for one in whole)
-    out = np.array([np.full_like(first.states, np.nan) if one is None else one.states for one in found])
-    return Trajectory(first.times, out, first.coordinates, steps, first.internal, errors=errors)
+        else:
+            out[i], steps = found.states, steps + found.steps
+    return Trajectory(times, out, tuple(meta["coordinates"]), steps, tuple(meta["states"]), errors=errors)

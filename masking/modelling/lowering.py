@@ -10,10 +10,11 @@ import lazy_loader as lazy
 
 from masking.codegen.graph import Graph, Node
 from masking.codegen.linear import health, solve
-from masking.codegen.source import LANES, LARGEST_TAYLOR_COST, Module, taylor_order
+from masking.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
 from masking.codegen.taylor import cost, degree, hides_a_switch, is_analytic
 from masking.modelling.equations import Equations
 from masking.modelling.scales import Units
+from masking.numerics.rig_sizes import LANES
 from masking.numerics.sizes import lane_work
 
 if TYPE_CHECKING:

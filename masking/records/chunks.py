@@ -51,7 +51,7 @@ def write(folder: Path, first: int, last: int, columns: Mapping[str, Column]) ->
             pq.write_table(pa.table(arrays), stream, compression="zstd", write_page_checksum=True)
     except OSError as error:
         raise RecordError(
-            f"{folder} cannot be written ({error}); make room, then start the same again: what is done is kept"
+            f"{folder} cannot be written ({error}); make room, then start the same again: finished runs are kept"
         ) from error
 
 

@@ -16,6 +16,7 @@ from masking.numerics.arrays import Array
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, CaptionedFigure, Series
+from masking.reports.text import share
 
 _MOST = len(COLOURS)
 END_COLOURS: Final = dict(zip(LABELS, (MUTED, COLOURS[0], COLOURS[1], COLOURS[3], "#ffffff"), strict=True))
@@ -117,7 +118,7 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
     axes.set(xlabel=f"initial {style.symbol(found.names[0])}", ylabel=f"initial {style.symbol(found.names[1])}")
     shares = found.shares()
     handles = [
-        Patch(facecolor=colour, edgecolor=MUTED, label=f"{label} {100 * shares[label]:.0f} %")
+        Patch(facecolor=colour, edgecolor=MUTED, label=f"{label} {share(shares[label])}")
         for label, colour in END_COLOURS.items()
         if shares[label] > 0.0
     ]

@@ -19,7 +19,7 @@ from masking.reports import style
 from masking.reports.run_measures import MEANINGS
 from masking.reports.stability_figures import END_COLOURS, edges, is_geometric
 from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, CaptionedFigure
-from masking.reports.text import capital
+from masking.reports.text import capital, share
 
 _KINDS: Final = {
     **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
@@ -119,10 +119,10 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     figure, (axes,) = style.sheet([3.2], top=BARE if isinstance(column, np.ndarray) else LEGEND)
     if not isinstance(column, np.ndarray):
         _shares(figure, axes, at, values, [str(text) for text in column])
-        axes.set(xlabel=labels[over], ylabel="part of the runs", ylim=(0.0, 1.0))
+        axes.set(xlabel=labels[over], ylabel="share of the runs", ylim=(0.0, 1.0))
         _over(axes.xaxis, values)
         parts.ticks(axes)
-        caption = f"{capital(_words(name))}, over {over}: the part of the runs."
+        caption = f"{capital(_words(name))}, over {over}: the share of the runs."
         return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
     with np.errstate(all="ignore"):
         groups = [column[at == value] for value in values]
@@ -166,7 +166,7 @@ def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) 
         [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
     ]
     cells = edges(values)
-    steps = [[*share, share[-1]] for share in shares]
+    steps = [[*of_kind, of_kind[-1]] for of_kind in shares]
     axes.stackplot(cells, steps, colors=[_KINDS[kind] for kind in kinds], step="post")
     axes.set_xlim(cells[[0, -1]])
     axes.grid(visible=False)
@@ -194,10 +194,9 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
         chosen = [kind for kind in _KINDS if kind and kind in column]
         axes.pcolormesh(edges(across), edges(up), table, cmap=ListedColormap(list(_KINDS.values())), vmin=-0.5,
                         vmax=len(_KINDS) - 0.5, rasterized=True)  # fmt: skip
-        share = Counter(text for text in column if text)
-        total = sum(share.values())
+        runs = Counter(text for text in column if text)
         keys = [
-            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {100 * share[k] / total:.3g} %") for k in chosen
+            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {share(runs[k] / runs.total())}") for k in chosen
         ]
         parts.legend(figure, None, keys)
     else:
@@ -211,11 +210,11 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
         _over(axis, values)
     several = len(column) > len(across) * len(up)
     middle = (
-        ": the commonest of the runs at each point, and the part of all runs"
+        ": the commonest at each point; the legend has the share of each in all runs"
         if is_word
         else ": the median of the runs at each point"
     ) * several
-    more = f", whatever {' and '.join(grid[2:])}" if len(grid) > 2 else ""
+    more = f", over all values of {' and '.join(grid[2:])}" if len(grid) > 2 else ""
     title = f"{capital(name)} over {grid[0]} and {grid[1]}"
     return CaptionedFigure(f"map_{_file(name)}", title, f"{capital(_words(name))}{middle}{more}.", figure)
 
@@ -247,8 +246,8 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
     axes.set_yticks(range(len(kinds)), kinds)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
-    axes.set(xlabel="part of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
-    return CaptionedFigure(file, title, f"{capital(_words(name))}: the part of the runs.", figure)
+    axes.set(xlabel="share of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
+    return CaptionedFigure(file, title, f"{capital(_words(name))}: the share of the runs.", figure)
 
 
 def _file(name: str) -> str:

@@ -33,6 +33,14 @@ def much(part: float) -> str:
     return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"
 
 
+def share(part: float) -> str:
+    """Write a share in percent, to at most two digits after the point: 100 % is all, and 0 % none."""
+    smaller = round(100.0 * min(part, 1.0 - part), 9)
+    if 0.0 < smaller < 0.01:
+        return "< 0.01 %" if part < 0.5 else "> 99.99 %"
+    return f"{round(100.0 * part, (smaller < 1.0) + (smaller < 10.0)):g} %"
+
+
 def short(text: str, most: int) -> str:
     """Return a text cut to a number of letters, an ellipsis for the rest."""
     return text if len(text) <= most else f"{text[: most - 1].rstrip(' ,')}…"

@@ -181,7 +181,7 @@ def _axis(key: str, given: Values) -> Axis:
         return Axis(names, distribution=given, is_factor=is_factor)
     values = np.atleast_1d(np.asarray(given, dtype=float))
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        _refuse(key, "has no row of finite values", _FORMS)
+        _refuse(key, "needs finite values in one row", _FORMS)
     return Axis(names, values=values, is_factor=is_factor)
 
 
@@ -213,7 +213,7 @@ def _fit(key: str, path: str) -> tuple[list[str], Array, Array]:
         values = {name: entry["value"] for name, entry in content["parameters"].items()}
         return [*values], np.array([*values.values()]), np.array(content["covariance"], dtype=float)
     except (OSError, ValueError, KeyError, TypeError):
-        _refuse(key, f"{path} is no fit with its covariance", "name the fit.json of 'masking identify'")
+        _refuse(key, f"{path} has no fit with a covariance", "name the fit.json that 'masking identify' writes")
 
 
 def _refuse(name: str, message: str, mend: str = "") -> NoReturn:

@@ -98,8 +98,8 @@ def sweep(
 
         masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
 
-    What is on disk is done: started again after any end, it goes on with the runs that are missing. In a script, call
-    it under `if __name__ == "__main__":`, since processes of its own make the runs.
+    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. In a script, call
+    it under `if __name__ == "__main__":`, since the processes that make the runs import the script.
 
     Args:
         experiment: an experiment file, the name of a packaged one, or an `Experiment`.
@@ -130,7 +130,7 @@ def sweep(
     Raises:
         DeclarationError: a declaration, a name, values or a measure is wrong.
         RecordError: the folder cannot be written, or holds another sweep.
-        MaskingError: there is no GPU; or a process of the sweep ended: what is done is kept.
+        MaskingError: there is no GPU; or a process of the sweep ended: finished runs are kept.
     """
     whole = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
     usual = run_measures.defaults(whole.virtual.declaration.oscillators or (), has_rig=not virtual)

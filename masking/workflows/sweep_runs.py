@@ -103,8 +103,8 @@ class Plan:
                     raise DeclarationError(Problem(None, axis.label, message, "leave --virtual out"))
                 variation.value(where, 1.0, is_factor=axis.is_factor)
         if self.continuation and not (self.virtual and self.design.grid and self.design.runs == 1):
-            message = "follows one grid of values with the virtual system by itself"
-            raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and grids or lists only"))
+            message = "follows a grid or a list with the virtual system by itself"
+            raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and no distributions"))
         if self.gpu and (self.continuation or not self.virtual):
             message = "runs the virtual system by itself, each run from its own initial state"
             raise DeclarationError(Problem(None, "gpu", message, "give --virtual, and no --continuation"))
@@ -189,28 +189,24 @@ class Plan:
         return [one for part in parts for one in self._together(part)]
 
     def _together(self, rows: Rows) -> list[dict[str, Measured]]:
-        model, initial, columns = self.experiment.virtual, self._initial, self._values(rows)
-        refused = self._refused(columns, len(rows))
-        wanted = np.array([i for i in range(len(rows)) if i not in refused], dtype=np.int64)
-        found = {i: self._failed(why) for i, why in refused.items()}
-        if len(wanted):
-            first = model.state_names[0]
-            given = {name: values[wanted] for name, values in columns.items()} or {
-                first: np.full(len(wanted), initial.get(first, 0.0))
-            }
-            tolerance = self.experiment.declaration.tolerance
-            runs = ensembles.simulate(
-                model, self._times, given, initial=initial, inputs=None, tolerance=tolerance, threads=1, gpu=self.gpu
-            )
-            measured = self._measured_together(runs.states)
-            for k, i in enumerate(wanted.tolist()):
-                if k in runs.errors:
-                    found[i] = self._failed(runs.errors[k])
-                elif measured is None:
-                    found[i] = self._measured(partial(self._recorded, runs.states[k]))
-                else:
-                    found[i] = {**{name: values[k] for name, values in measured.items()}, ERROR: ""}
-        return [found[i] for i in range(len(rows))]
+        """Run the virtual system for some rows by one call, without those whose parameters are out of their bounds."""
+        model, columns = self.experiment.virtual, self._values(rows)
+        if refused := ensembles.refused(model, columns):
+            others = iter(self._virtual_rows(np.delete(rows, [*refused])))
+            return [self._failed(str(refused[i])) if i in refused else next(others) for i in range(len(rows))]
+        runs = ensembles.simulate(
+            model, self._times, columns, initial=self._initial, inputs=None, threads=1, gpu=self.gpu,
+            tolerance=self.experiment.declaration.tolerance,
+        )  # fmt: skip
+        together, found = self._measured_together(runs.states), list[dict[str, Measured]]()
+        for i in range(len(rows)):
+            if i in runs.errors:
+                found.append(self._failed(runs.errors[i]))
+            elif together is None:
+                found.append(self._measured(partial(self._recorded, runs.states[i])))
+            else:
+                found.append({**{name: values[i] for name, values in together.items()}, ERROR: ""})
+        return found
 
     def _measured_together(self, states: Array) -> dict[str, list[str]] | None:
         """Return measures of all runs (runs, m, .) by name, if they can be taken together."""
@@ -221,30 +217,16 @@ class Plan:
         places = [model.state_names.index(name) for name in model.oscillators]
         return run_measures.measure_each([states[:, :, i] for i in places], names)
 
-    def _refused(self, columns: Mapping[str, Array], count: int) -> dict[int, str]:
-        """Return why rows have no run, by their place: a parameter is out of its bounds, which are intervals."""
-        model = self.experiment.virtual
-        parameters = {name: values for name, values in columns.items() if name in model.parameters}
-
-        def why(values: Mapping[str, float]) -> str:
-            try:
-                model.with_parameters(**values)
-            except MaskingError as error:
-                return str(error)
-            return ""
-
-        if not any(why({n: float(pick(x)) for n, x in parameters.items()}) for pick in (np.min, np.max)):
-            return {}
-        reasons = {i: why({name: float(x[i]) for name, x in parameters.items()}) for i in range(count)}
-        return {i: reason for i, reason in reasons.items() if reason}
-
     @property
     def _initial(self) -> Mapping[str, float]:
         names = self.experiment.virtual.state_names
         return {name: x for name, x in self.experiment.declaration.initial.items() if name in names}
 
     def _values(self, rows: Rows) -> dict[str, Array]:
-        """Return the values of rows by parameter and state, each (rows,)."""
+        """Return the values of rows by parameter and state, each (rows,); those of one state if nothing varies."""
+        if not self.design.axes:
+            name = self.experiment.virtual.state_names[0]
+            return {name: np.full(len(rows), variation.place(self.experiment, name).declared, dtype=float)}
         points = self.design.points[self._points(rows)]
         return {
             where.path[-1]: np.array([float(variation.value(where, x, is_factor=axis.is_factor)) for x in column])

@@ -119,8 +119,9 @@ def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ah
                 yield one
     except BrokenProcessPool:
         raise MaskingError(
-            "a process of the sweep ended, such as for want of memory; what is done is kept: start the same again, "
-            "with fewer --workers. In a script of your own, call masking.sweep under 'if __name__ == \"__main__\":'"
+            "a process of the sweep has ended, perhaps for want of memory. Finished runs are kept: start the same "
+            "again, with fewer --workers. In a script of your own, call masking.sweep under "
+            "'if __name__ == \"__main__\":'"
         ) from None
 
 
@@ -146,9 +147,7 @@ def _cluster(plan: Plan, address: str) -> Iterator[tuple[Submit, int]]:
     try:
         client = distributed.Client(address, timeout=10)
     except OSError as error:
-        raise MaskingError(
-            f"no scheduler of dask answers at {address} ({error}); start one, or correct --dask"
-        ) from None
+        raise MaskingError(f"no dask scheduler answers at {address} ({error}); start one, or correct --dask") from None
     with client:
         shared = client.scatter(plan, broadcast=True)
         count = max(1, len(client.scheduler_info()["workers"]))

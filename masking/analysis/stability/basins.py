@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.analysis.stability.modes import pair_of
-from masking.errors import IntegrationError, ModelError, SingularityError
+from masking.errors import ModelError
 from masking.modelling.model import Model
 from masking.numerics.arrays import Array
 
 LABELS: Final = ("rest", "in-phase", "anti-phase", "other", "lost")
-_THREADS = 2
 _ROWS = 400  # samples of the last part
 
 
@@ -76,29 +74,16 @@ def basins(
     if not 0.0 < last < duration:
         raise ModelError(f"the last part, {last:g}, must be shorter than the duration, {duration:g}, and positive")
     a, b = np.asarray(first[1], dtype=float), np.asarray(second[1], dtype=float)
-    kernels, p, u = model.kernels, model.values(), np.zeros(len(model.inputs))
     times = np.concatenate([[0.0], np.linspace(duration - last, duration, _ROWS)])
-    starts = [[model.initial_state({**(initial or {}), first[0]: float(x), second[0]: float(z)}) for z in b] for x in a]
-    size = max(float(np.max(np.abs(s[: len(model.coordinates)]))) for row in starts for s in row) or 1.0
-    kernels.integrate(times[:1], starts[0][0], u, p, tolerance=tolerance)  # compiled once, before the threads
-
-    def row(i: int) -> list[int]:
-        found = []
-        for state in starts[i]:
-            try:
-                run = kernels.integrate(times, state, u, p, tolerance=tolerance)
-            except (IntegrationError, SingularityError):
-                found.append(LABELS.index("lost"))
-            else:
-                found.append(int(end_of(run[pair[0]][1:], run[pair[1]][1:], near, rest * size)))
-        return found
-
+    starts = model.initial_state({**(initial or {}), first[0]: a[:, None], second[0]: b})
+    size = float(np.max(np.abs(starts[..., : len(model.coordinates)]))) or 1.0
     ends = np.zeros((len(a), len(b)), dtype=np.int64)
-    with ThreadPoolExecutor(_THREADS) as pool:
-        for i, found in enumerate(pool.map(row, range(len(a)))):
-            ends[i] = found
-            if progress is not None:
-                progress((i + 1) / len(a))
+    for i, value in enumerate(a):
+        ensemble = {first[0]: np.full(len(b), value), second[0]: b}
+        found = model.simulate(times, initial, tolerance=tolerance, ensemble=ensemble)
+        ends[i] = end_of(found[pair[0]][:, 1:], found[pair[1]][:, 1:], near, rest * size)
+        if progress is not None:
+            progress((i + 1) / len(a))
     return Basins((first[0], second[0]), a, b, ends)
 
 
