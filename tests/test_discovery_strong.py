@@ -138,6 +138,7 @@ def test_a_command_of_the_other_sign_hides_no_spring(discovered):
 def test_commands_that_were_measured_are_told_from_those_that_are_held(discovered):
     found = discovered(lambda x, v: 0.0, rate=4000.0, seconds=20.0, every=8)
     assert found.verdict == "unknown"
+    assert found.none_of_these > 0.5
     assert found.first_order_hold["x"] < 0.2 * found.simulation_error.estimation[1]["x"]
 
 
