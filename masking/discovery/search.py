@@ -427,8 +427,8 @@ class Search:
                 is_same = other.key == now.names[i] and other.sticks == instance.sticks
                 if is_same and {*instance.free} < {*other.free} and not {*more} & {*other.factors}:
                     starts = {tuple(one.values[j] for j in more): None for one in other.instances}
-                    freed = replace(instance, free=other.free)
-                    jobs += [partial(self._with_shape, now, i, freed.with_values(more, start)) for start in starts]
+                    wider = replace(instance, free=other.free)
+                    jobs += [partial(self._with_shape, now, i, wider.with_values(more, start)) for start in starts]
         found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
         if not found:
             return now

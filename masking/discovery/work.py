@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from threading import Lock
 
-MOST_STEPS = 4e8  # times states and columns: about 50 s on one core
+MOST_STEPS = 5e8  # times states and columns: about 60 s on one core
 FEWEST_RUNS = 500  # of a record, however long it is
 WHOLE = 1.5  # times what one search may do that all searches of an answer may do together
 
