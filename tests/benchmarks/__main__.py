@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.benchmarks import table
 
-PARTS = ("trajectory", "sampled", "twin", "step", "loop", "authentication", "identification", "start")
+PARTS = ("trajectory", "ensembles", "sampled", "twin", "step", "loop", "authentication", "identification", "start")
 
 
 def main() -> None:

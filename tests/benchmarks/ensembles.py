@@ -1,0 +1,126 @@
+"""Runs of Huygens' clocks at a relative error of 1e-6, each with its own damping and angle, beside heyoka's batch."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import resource
+import statistics
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from masking.modelling import ensembles
+from tests.benchmarks.systems import SYSTEMS, Array, huygens_symbolic
+from tests.benchmarks.table import Row, interleaved, judged, limited, missing, ratio
+from tests.benchmarks.trajectory import SCAN, WANTED_ERROR
+
+RUNS, CALLS, ROUNDS = 2000, 500, 15  # CALLS times RUNS are 10^6
+TIMES = np.linspace(0.0, 100.0, 2)
+BATCHES = (4, 8)
+EXACT = 1e-13
+
+Solve = Callable[[float], Array]  # the last states (runs, 2 n), at a tolerance
+
+
+def rows() -> Iterator[Row]:
+    """Measure runs beside heyoka, on one core and on all, and a million of them."""
+    ours = _tolerance(_masking(threads=1))
+    yield _against_heyoka(ours)
+    yield _on_all_cores(ours)
+    yield _a_million(ours)
+
+
+def _values() -> dict[str, Array]:
+    return {"z": np.linspace(0.1, 0.3, RUNS), "th1": np.linspace(-0.8, 0.8, RUNS)}
+
+
+def _masking(threads: int | None) -> Solve:
+    model, values = SYSTEMS["huygens"].model, _values()
+
+    def run(tolerance: float) -> Array:
+        found = ensembles.simulate(model, TIMES, values, initial={}, inputs=None, tolerance=tolerance, threads=threads)
+        return found.states[:, -1]
+
+    return run
+
+
+def _heyoka(heyoka: Any, size: int) -> Solve:
+    system, values = SYSTEMS["huygens"], _values()
+    equations = huygens_symbolic({**system.model.parameter_values(), "z": heyoka.par[0]})
+    names = [*system.model.coordinates, *(f"{name}'" for name in system.model.coordinates)]
+    starts = np.repeat(system.model.initial_state({})[:, None], RUNS, axis=1)
+    starts[names.index("th1")] = values["th1"]
+    built: dict[float, Any] = {}
+
+    def run(tolerance: float) -> Array:
+        if tolerance not in built:
+            built[tolerance] = heyoka.taylor_adaptive_batch(
+                equations, starts[:, :size].copy(), tol=tolerance, fast_math=True, compact_mode=False,
+                pars=np.zeros((1, size)),
+            )  # fmt: skip
+        integrator, found = built[tolerance], np.empty((RUNS, len(names)))
+        for first in range(0, RUNS, size):
+            part = slice(first, first + size)
+            integrator.set_time(0.0)
+            integrator.state[:] = starts[:, part]
+            integrator.pars[:] = values["z"][part]
+            integrator.propagate_until(float(TIMES[-1]))
+            found[part] = integrator.state.T
+        return found
+
+    return run
+
+
+def _tolerance(solve: Solve) -> float:
+    """Return the loosest tolerance that meets the wanted error in each run."""
+    exact = _masking(threads=None)(EXACT)
+    size = np.abs(exact).max()
+    return next(one for one in SCAN if np.abs(solve(one) - exact).max() <= WANTED_ERROR * size)
+
+
+def _against_heyoka(ours: float) -> Row:
+    what = f"huygens, {RUNS} runs, one core: heyoka's batch / masking"
+    try:
+        heyoka = importlib.import_module("heyoka")
+    except ImportError as error:
+        return missing(what, str(error))
+    solve, batches = _masking(threads=1), {size: _heyoka(heyoka, size) for size in BATCHES}
+    theirs = {size: _tolerance(one) for size, one in batches.items()}
+    seconds = interleaved(
+        {"ours": lambda: solve(ours), **{str(n): (lambda n=n: batches[n](theirs[n])) for n in BATCHES}}, ROUNDS
+    )
+    best = min(map(str, BATCHES), key=lambda n: min(seconds[n]))
+    note = f"tolerance {ours:.2g}; heyoka's batch of {best} at {theirs[int(best)]:.2g}"
+    return judged(
+        what, _each(seconds["ours"]), _each(seconds[best]), ratio(seconds, best, "ours"), at_least=3.0, note=note
+    )
+
+
+def _on_all_cores(tolerance: float) -> Row:
+    what, cores = f"huygens, {RUNS} runs: one core / all", os.cpu_count() or 1
+    if cores < 2:
+        return missing(what, "there is one core")
+    one, every = _masking(threads=1), _masking(threads=None)
+    seconds = interleaved({"one": lambda: one(tolerance), "all": lambda: every(tolerance)}, ROUNDS)
+    note = f"{cores} cores, as the system counts them"
+    return judged(
+        what, _each(seconds["all"]), _each(seconds["one"]), ratio(seconds, "one", "all"), at_least=1.8, note=note
+    )
+
+
+def _a_million(tolerance: float) -> Row:
+    solve = _masking(threads=1)
+    begin = interleaved({"few": lambda: solve(tolerance)}, ROUNDS)["few"]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    every = interleaved({"many": lambda: solve(tolerance)}, CALLS)["many"]
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    value = statistics.fmean(every) / statistics.median(begin)
+    what = f"huygens: a run of {RUNS * CALLS:g} / of {RUNS}"
+    note = f"{RUNS * CALLS:g} runs take {sum(every):.0f} s; largest memory grows by {grown / 1024:.0f} MB"
+    return limited(what, _each([statistics.fmean(every)]), _each(begin), value, at_most=1.1, note=note)
+
+
+def _each(seconds: list[float]) -> str:
+    return f"{min(seconds) * 1e6 / RUNS:.3g} us"
