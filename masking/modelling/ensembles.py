@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -49,7 +49,7 @@ def simulate(
     runs = len(next(iter(columns.values())))
     parameters = {name: values for name, values in columns.items() if name in model.parameters}
     states = {name: values for name, values in columns.items() if name not in model.parameters}
-    for error in refused(model, columns).values():
+    for _, error in refused(model, columns):
         raise error
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
         if gpu:
@@ -69,8 +69,8 @@ def simulate(
     return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share, gpu=gpu)
 
 
-def refused(model: Simulated, ensemble: Mapping[str, Array]) -> dict[int, DeclarationError]:
-    """Return why runs of an ensemble cannot be made, by their number: a parameter is out of its bounds.
+def refused(model: Simulated, ensemble: Mapping[str, Array]) -> Iterator[tuple[int, DeclarationError]]:
+    """Give the runs of an ensemble that cannot be made, by their number, and why: a parameter is out of its bounds.
 
     Args:
         model: the model.
@@ -85,10 +85,10 @@ def refused(model: Simulated, ensemble: Mapping[str, Array]) -> dict[int, Declar
             return error
         return None
 
-    if not (why(np.min) or why(np.max)):  # bounds are intervals
-        return {}
-    found = {i: why(itemgetter(i)) for i in range(len(next(iter(ensemble.values()))))}
-    return {i: error for i, error in found.items() if error}
+    if why(np.min) or why(np.max):  # bounds are intervals
+        for i in range(len(next(iter(columns.values())))):
+            if error := why(itemgetter(i)):
+                yield i, error
 
 
 def check_gpu() -> None:

@@ -191,7 +191,7 @@ class Plan:
     def _together(self, rows: Rows) -> list[dict[str, Measured]]:
         """Run the virtual system for some rows by one call, without those whose parameters are out of their bounds."""
         model, columns = self.experiment.virtual, self._values(rows)
-        if refused := ensembles.refused(model, columns):
+        if refused := dict(ensembles.refused(model, columns)):
             others = iter(self._virtual_rows(np.delete(rows, [*refused])))
             return [self._failed(str(refused[i])) if i in refused else next(others) for i in range(len(rows))]
         runs = ensembles.simulate(

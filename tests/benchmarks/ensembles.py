@@ -7,6 +7,7 @@ import os
 import resource
 import statistics
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -49,9 +50,7 @@ def _masking(threads: int | None) -> Solve:
 def _heyoka(heyoka: Any, size: int) -> Solve:
     system, values = SYSTEMS["huygens"], _values()
     equations = huygens_symbolic({**system.model.parameter_values(), "z": heyoka.par[0]})
-    names = [*system.model.coordinates, *(f"{name}'" for name in system.model.coordinates)]
-    starts = np.repeat(system.model.initial_state({})[:, None], RUNS, axis=1)
-    starts[names.index("th1")] = values["th1"]
+    starts = system.model.initial_state({"th1": values["th1"]}).T
     built: dict[float, Any] = {}
 
     def run(tolerance: float) -> Array:
@@ -60,7 +59,7 @@ def _heyoka(heyoka: Any, size: int) -> Solve:
                 equations, starts[:, :size].copy(), tol=tolerance, fast_math=True, compact_mode=False,
                 pars=np.zeros((1, size)),
             )  # fmt: skip
-        integrator, found = built[tolerance], np.empty((RUNS, len(names)))
+        integrator, found = built[tolerance], np.empty((RUNS, len(starts)))
         for first in range(0, RUNS, size):
             part = slice(first, first + size)
             integrator.set_time(0.0)
@@ -86,13 +85,12 @@ def _against_heyoka(ours: float) -> Row:
         heyoka = importlib.import_module("heyoka")
     except ImportError as error:
         return missing(what, str(error))
-    solve, batches = _masking(threads=1), {size: _heyoka(heyoka, size) for size in BATCHES}
-    theirs = {size: _tolerance(one) for size, one in batches.items()}
-    seconds = interleaved(
-        {"ours": lambda: solve(ours), **{str(n): (lambda n=n: batches[n](theirs[n])) for n in BATCHES}}, ROUNDS
-    )
-    best = min(map(str, BATCHES), key=lambda n: min(seconds[n]))
-    note = f"tolerance {ours:.2g}; heyoka's batch of {best} at {theirs[int(best)]:.2g}"
+    batches = {str(size): _heyoka(heyoka, size) for size in BATCHES}
+    theirs = {size: _tolerance(solve) for size, solve in batches.items()}
+    contenders = {size: partial(solve, theirs[size]) for size, solve in batches.items()}
+    seconds = interleaved({"ours": partial(_masking(threads=1), ours), **contenders}, ROUNDS)
+    best = min(batches, key=lambda size: min(seconds[size]))
+    note = f"tolerance {ours:.2g}; heyoka's batch of {best} at {theirs[best]:.2g}"
     return judged(
         what, _each(seconds["ours"]), _each(seconds[best]), ratio(seconds, best, "ours"), at_least=3.0, note=note
     )
@@ -102,8 +100,8 @@ def _on_all_cores(tolerance: float) -> Row:
     what, cores = f"huygens, {RUNS} runs: one core / all", os.cpu_count() or 1
     if cores < 2:
         return missing(what, "there is one core")
-    one, every = _masking(threads=1), _masking(threads=None)
-    seconds = interleaved({"one": lambda: one(tolerance), "all": lambda: every(tolerance)}, ROUNDS)
+    contenders = {"one": _masking(threads=1), "all": _masking(threads=None)}
+    seconds = interleaved({name: partial(solve, tolerance) for name, solve in contenders.items()}, ROUNDS)
     note = f"{cores} cores, as the system counts them"
     return judged(
         what, _each(seconds["all"]), _each(seconds["one"]), ratio(seconds, "one", "all"), at_least=1.8, note=note
@@ -111,10 +109,10 @@ def _on_all_cores(tolerance: float) -> Row:
 
 
 def _a_million(tolerance: float) -> Row:
-    solve = _masking(threads=1)
-    begin = interleaved({"few": lambda: solve(tolerance)}, ROUNDS)["few"]
+    solve = partial(_masking(threads=1), tolerance)
+    begin = interleaved({"few": solve}, ROUNDS)["few"]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    every = interleaved({"many": lambda: solve(tolerance)}, CALLS)["many"]
+    every = interleaved({"many": solve}, CALLS)["many"]
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     value = statistics.fmean(every) / statistics.median(begin)
     what = f"huygens: a run of {RUNS * CALLS:g} / of {RUNS}"

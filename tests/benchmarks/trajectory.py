@@ -144,7 +144,7 @@ def against_control(system: System, ours: Contender) -> Row:
     import control
 
     rhs = system.plain(system.model.parameter_values())
-    names = [n.replace("'", "_rate") for n in (*system.model.coordinates, *(f"{c}'" for c in system.model.coordinates))]
+    names = [name.replace("'", "_rate") for name in system.model.state_names]
     plant = control.NonlinearIOSystem(
         lambda t, x, u, params: rhs(t, x),
         None,
