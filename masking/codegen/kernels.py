@@ -129,9 +129,10 @@ class Kernels:
         y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
         out = np.empty((len(times), len(state) + lags))
         t, steps = float(times[0]), 0
-        pieces = 1 if lags else pieces  # the past is that of one call
-        for piece in np.array_split(np.arange(len(times)), max(1, min(pieces, len(times)))):
-            first, last, status = piece[0], piece[-1] + 1, EVENT
+        pieces = 1 if lags else max(1, min(pieces, len(times)))  # the past is that of one call
+        for piece in range(pieces):
+            first, last = (len(times) * i // pieces for i in (piece, piece + 1))
+            status = EVENT
             while status == EVENT:
                 rows = slice(first, last)
                 status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
@@ -141,7 +142,7 @@ class Kernels:
             if status != REACHED:
                 self.stop(status, t, y[: len(state)])
             if progress is not None:
-                progress((piece[-1] + 1) / len(times))
+                progress(last / len(times))
         names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
         return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
 

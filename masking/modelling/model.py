@@ -232,10 +232,14 @@ class Model:
 
     def values(self) -> np.ndarray:
         """Return the parameter array (len(parameters),) in SI units, or in the declared scales."""
-        return np.array(list(self.parameter_values().values()), dtype=float)
+        return np.array(list(self._values.values()), dtype=float)
 
     def parameter_values(self) -> dict[str, float]:
         """Return the parameters by name, in SI units, or in the declared scales."""
+        return dict(self._values)
+
+    @cached_property
+    def _values(self) -> dict[str, float]:
         return self.units.parameter_values(self.overrides, dimensionless=self.is_dimensionless)
 
     def exact_values(self) -> dict[str, sp.Expr]:
@@ -249,7 +253,7 @@ class Model:
             DeclarationError: there is no such parameter.
         """
         self.units.check_names([parameter])
-        return self.parameter_values()[parameter]
+        return self._values[parameter]
 
     @cached_property
     def units(self) -> Units:

@@ -117,7 +117,7 @@ def timed(command: Sequence[str], cache: str) -> list[float]:
 
 def process(command: Sequence[str], cache: str) -> str:
     """Run a process in the repository and give what it prints."""
-    environment = {**os.environ, "MASKING_CACHE": cache}
+    environment = {**os.environ, "MASKING_CACHE": cache, "PYTHONDONTWRITEBYTECODE": ""}  # as most users have it
     done = subprocess.run(command, cwd=TOP, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr[-2000:]}")
