@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -228,6 +229,19 @@ def test_an_error_while_saving_leaves_the_folder_as_it_was(tmp_path, monkeypatch
     with pytest.raises(RecordError, match="the recording cannot be written: No space left on device"):
         Recording({"t": T}, {"name": "other"}).save(tmp_path, overwrite=True)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_what_a_killed_process_had_begun_to_save_is_removed_by_the_next(tmp_path):
+    begun = "import os, sys; from pathlib import Path; from masking.records.parquet import replacing\n"
+    begun += "with replacing(Path(sys.argv[1])) as stream: os.kill(os.getpid(), 9)"
+    path = tmp_path / "recording.parquet"
+    assert subprocess.run([sys.executable, "-c", begun, path], check=False).returncode == -9
+    (left,) = tmp_path.iterdir()
+    beside = tmp_path / f".{path.name}.{os.getpid()}-0.partial"  # of a process that runs
+    beside.touch()
+    sample().save(tmp_path)
+    assert not left.exists()
+    assert beside.exists()
 
 
 def test_save_says_when_the_folder_is_a_file(tmp_path):

@@ -5,6 +5,7 @@ This module alone touches pyarrow, so that whoever only handles a recording in m
 
 from __future__ import annotations
 
+import glob
 import math
 import os
 import threading
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from masking.errors import RecordError
 from masking.records import bounds
+from masking.records.switch import is_running
 
 MANIFEST_KEY = b"masking.manifest"
 ROWS: Final = 2**16  # of a group of rows, what is read or written at once of a long table
@@ -32,7 +34,14 @@ _WRITTEN: Final[Mapping[str, Any]] = {"compression": "zstd", "use_dictionary": F
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched."""
+    """Give a stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched.
+
+    What processes that were killed had begun of it is removed.
+    """
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*-*.partial"):
+        process = left.name.removesuffix(".partial").rpartition(".")[2].partition("-")[0]
+        if process.isdigit() and not is_running(int(process)):
+            left.unlink(missing_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
     try:
         with partial.open("wb") as stream:
