@@ -175,9 +175,9 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
         again = _explained(problem, unseen, noise, say) if is_worth else found
     except IntegrationError:
         return found
-    left, excess = (verdict.excess_cost(one.explanation.cost, one.record.readings.size) for one in (again, found))
+    costs, size = (again.explanation.cost, found.explanation.cost), found.record.readings.size
     is_directed = any(one.at in directed.places(problem) for one in again.explanation.hypothesis.instances)
-    return again if is_directed and left < found.problem.rules.trace_fraction * excess else found
+    return again if is_directed and verdict.leaves_little(*costs, size, problem.rules) else found
 
 
 def _stated(found: Discovery) -> Discovery:
@@ -242,8 +242,8 @@ def _near(found: Discovery) -> Hypothesis | None:
         return found.explanation.hypothesis
     base, size = found.search.base, found.problem.record.readings.size
     first = found.search.steps[0][0] if found.search.steps else base
-    left, excess = (verdict.excess_cost(one.cost, size) for one in (first, base))
-    return first.hypothesis if left < found.problem.rules.trace_fraction * excess else None
+    is_near = verdict.leaves_little(first.cost, base.cost, size, found.problem.rules)
+    return first.hypothesis if is_near else None
 
 
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:

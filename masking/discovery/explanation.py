@@ -22,7 +22,7 @@ from masking.errors import IntegrationError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
-AT_ONCE = 4  # fits between which it is asked whether the work ends
+AT_ONCE, FEWEST = 4, 2  # fits between which it is asked whether the work ends, and those that are made where it is over
 ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
 
 
@@ -85,7 +85,7 @@ def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> 
     Args:
         jobs: the fits, the likeliest first.
         rival: cost of another hypothesis.
-        work: of the search; the first fits are made however much that is.
+        work: of the search; the first fits are made however much that is, of which there are fewer where it is over.
     """
 
     def found(job: Callable[[float], Fit]) -> Fit | None:
@@ -97,7 +97,8 @@ def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> 
     made: list[Fit | None] = []
     with ThreadPoolExecutor(2) as pool:
         while len(made) < len(jobs) and not (made and work.ends()):
-            made += pool.map(found, jobs[len(made) : len(made) + AT_ONCE])
+            many = FEWEST if work.is_over else AT_ONCE
+            made += pool.map(found, jobs[len(made) : len(made) + many])
     return made + [None] * (len(jobs) - len(made))
 
 

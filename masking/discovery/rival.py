@@ -119,8 +119,8 @@ def _takes_a_rest(found: Discovery) -> bool:
     if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
         return False
     size = found.problem.record.readings.size
-    left, whole = (verdict.excess_cost(one.cost, size) for one in (found.search.steps[-2][0], found.search.base))
-    return left < found.problem.rules.trace_fraction * whole
+    before = found.search.steps[-2][0]
+    return verdict.leaves_little(before.cost, found.search.base.cost, size, found.problem.rules)
 
 
 def _left(found: Discovery) -> float:

@@ -205,8 +205,7 @@ class Search:
 
     def _steps_of(self, base: Explanation, best: Explanation) -> int:
         """Return the integration steps between samples that an explanation needs, if it leaves hardly anything."""
-        left, excess = (verdict.excess_cost(one.cost, self.size) for one in (best, base))
-        if best.kind != "effects" or left >= self.rules.trace_fraction * excess:
+        if best.kind != "effects" or not verdict.leaves_little(best.cost, base.cost, self.size, self.rules):
             return self.problem.substeps
         return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
 
@@ -357,7 +356,12 @@ class Search:
         return chosen, variants
 
     def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
-        """Return what fits give where the motion is finite, and note them by their numbers."""
+        """Return what fits give where the motion is finite, and note them by their numbers.
+
+        A round in which some are noted already begins no more where the work is over.
+        """
+        if jobs and made and work.ends():
+            return []
         every = zip(jobs, fitted([job for _, job in jobs], rival, work), strict=True)
         found = {number: e for (number, _), e in every if e is not None}
         made.update({number: e for number, e in found.items() if number not in made or e.cost < made[number].cost})

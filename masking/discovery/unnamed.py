@@ -230,9 +230,11 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int, part:
     """
     found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
     steps = min(found.problem.substeps, MOST_FINER * substeps)
-    law = _law_of(found, validation, steps)
+    law, size = _law_of(found, validation, steps), found.problem.record.readings.size
     if law is None or found.problem.work.ends():
         return law
+    if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, found.problem.rules):
+        return law  # smaller steps would make nothing of it
     with threadpool_limits(1):
         needed = shooting.finer(law.free.problem, law.free.hypothesis, substeps)
     if needed <= steps:

@@ -162,6 +162,18 @@ def excess_cost(cost: float, readings: int) -> float:
     return max(cost - readings, 0.0)
 
 
+def leaves_little(cost: float, base: float, size: int, rules: DecisionRules) -> bool:
+    """Return whether causes leave hardly anything of what the model alone does, however far above noise.
+
+    Args:
+        cost: with them.
+        base: of the model alone.
+        size: number of readings.
+        rules: the thresholds.
+    """
+    return excess_cost(cost, size) < rules.trace_fraction * excess_cost(base, size)
+
+
 def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
     """Return whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m).
 

@@ -70,6 +70,11 @@ class Work:
         """Return whether this alone is done, whatever others do that run beside it."""
         return self.done > self.most
 
+    @property
+    def is_over(self) -> bool:
+        """Return whether this is done, or what it is a part of."""
+        return self.is_done or (self.whole is not None and self.whole.is_over)
+
     def ends(self) -> bool:
         """Return whether a search is to begin nothing more; that it was so is noted.
 
