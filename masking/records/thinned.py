@@ -34,7 +34,8 @@ def thinned(chunks: Iterable[Columns], step: int, sampled: Collection[str]) -> d
         rest = {name: column[length:].copy() for name, column in whole.items()}
     if rest and len(next(iter(rest.values()))):
         parts.append({name: _last(column, step, name in sampled) for name, column in rest.items()})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    # Column by column, so that a long record is not in memory twice.
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
 
 
 def _kept(column: Column, step: int, is_sampled: bool) -> Column:
