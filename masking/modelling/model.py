@@ -247,11 +247,7 @@ class Model:
         return self.units.exact_values(self.overrides, dimensionless=self.is_dimensionless)
 
     def value(self, parameter: str) -> float:
-        """Return one parameter, in SI units, or in the declared scales.
-
-        Raises:
-            DeclarationError: there is no such parameter.
-        """
+        """Return one parameter, in SI units or in the declared scales; a `DeclarationError` says that there is none."""
         self.units.check_names([parameter])
         return self._values[parameter]
 
