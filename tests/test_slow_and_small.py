@@ -10,7 +10,7 @@ import pytest
 from scipy import signal
 
 import masking
-from masking.discovery.explanation import AT_ONCE, fitted
+from masking.discovery.explanation import AT_ONCE, FEWEST, fitted
 from masking.discovery.work import FEWEST_RUNS, MOST_STEPS, Work
 from masking.estimation.data import Data
 
@@ -123,3 +123,14 @@ def test_fits_of_which_the_first_take_all_the_work_end_there():
     assert sorted(made) == [*range(AT_ONCE)]
     assert found == [*range(AT_ONCE), *[None] * (11 - AT_ONCE)]
     assert work.is_cut
+
+
+def test_fits_that_begin_where_the_work_of_the_whole_answer_is_over_are_fewer():
+    answer = Work(100.0)
+    search = Work(100.0, answer)
+    answer.add(101, 1)  # by another search
+    assert not search.is_done
+    assert search.is_over
+    found = fitted([partial(lambda number, _: number, i) for i in range(11)], 0.0, search)
+    assert found == [*range(FEWEST), *[None] * (11 - FEWEST)]
+    assert search.is_cut
