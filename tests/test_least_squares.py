@@ -138,3 +138,12 @@ def test_a_fit_without_hope_is_given_up():
         **SETTINGS,
     )  # fmt: skip
     assert 0.0 < found.at.cost < 4.5
+
+
+@pytest.mark.parametrize(("wanted", "left"), [(0.0, 0.0), (30.0, 24.2)])
+def test_a_fit_that_is_expected_to_gain_too_little_is_given_up(wanted, left):
+    """Rosenbrock's function is 24.2 at (-1.2, 1), which is all that a step can take."""
+    found = minimise(
+        problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, wanted=lambda _: wanted, **SETTINGS
+    )
+    assert found.at.cost == pytest.approx(left, abs=1e-9)

@@ -6,7 +6,7 @@ from scipy import signal
 
 from masking.discovery.noise import noise_of, steps_of
 from masking.estimation.data import Data
-from masking.records.noise import white_noise
+from masking.records.noise import bandwidth, white_noise
 from masking.workflows import inputs
 
 COUNT = 20_000
@@ -46,6 +46,25 @@ def test_of_coloured_noise_it_is_what_the_quietest_bands_hold(pole):
     found = white_noise(signal.lfilter([1.0], [1.0, -pole], white(), axis=0))
     assert (found > 0.95 * least).all()
     assert (found < 1.15 * least).all()
+
+
+@pytest.mark.parametrize("frequency", [0.003, 0.02, 0.1, 0.3])
+def test_motion_ends_where_its_highest_line_is(frequency):
+    """To a band above it, of 64 lines or a third of an octave."""
+    t = np.arange(COUNT)
+    columns = [np.sin(2 * np.pi * 0.5 * frequency * t), 0.5 * np.sin(2 * np.pi * frequency * t), 0.0 * t]
+    found = bandwidth(white() + 10.0 * np.stack(columns, axis=1))
+    assert frequency < found < max(1.3 * frequency, frequency + 65.0 / (COUNT / 4))
+
+
+def test_motion_that_decays_counts_where_it_is():
+    t = np.arange(COUNT)
+    decay = 30.0 * np.exp(-t / 1000.0) * np.sin(2 * np.pi * 0.05 * t)
+    assert 0.05 < bandwidth(white(columns=1) + decay[:, None]) < 0.07
+
+
+def test_noise_alone_has_no_motion():
+    assert [bandwidth(white(seed=seed)) for seed in range(20)].count(0.0) >= 19
 
 
 def test_each_column_is_by_itself():

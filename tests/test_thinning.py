@@ -6,7 +6,7 @@ import pytest
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.prior import prior_of
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.thinning import FEWEST, thinned, thinning
+from masking.discovery.thinning import FEWEST, Thinning, middles, thinned
 from masking.estimation.data import Data
 from masking.rig.twin import Twin
 
@@ -21,7 +21,15 @@ def test_a_record_at_any_rate_has_means(tmp_path, rate):
     twin, columns = Twin.load(tmp_path / "plant.yaml"), np.zeros((1380, 1))
     record = Data("made", rate, columns, columns + np.arange(1380.0)[:, None])
     rig = AugmentedModel(twin, ("a",))
-    thin, every = thinning(EstimationProblem(rig, record, prior_of(twin, rig, 0.01), np.ones(1), 2))
-    assert every % thin == 0
-    assert len(record) // every >= FEWEST
-    assert len(thinned(record.readings, thin)) >= FEWEST
+    thinning = Thinning.of(EstimationProblem(rig, record, prior_of(twin, rig, 0.01), np.ones(1), 2))
+    assert thinning.readings % thinning.motion == 0
+    assert thinning.motion % thinning.stride == 0 and thinning.stride % 2
+    assert len(record) // thinning.readings >= FEWEST
+    assert len(thinned(record.readings, thinning.motion)) >= FEWEST
+
+
+@pytest.mark.parametrize("stride", [1, 3, 5])
+def test_middles_have_the_means_of_a_straight_line(stride):
+    line = np.arange(100.0)
+    expected = thinned(line[:, None], stride)[:, 0]
+    assert np.array_equal(middles(line, stride), expected)

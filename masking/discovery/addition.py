@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from masking.discovery import fitting
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
@@ -16,6 +18,7 @@ from masking.discovery.screening import Score, Screen
 from masking.numerics.arrays import Array
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
+ENOUGH = 0.5  # of the gain in a screen: values that take so much off the cost are near enough to begin from
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,14 @@ class Addition:
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
 
     def _fitted(self, scores: Sequence[Score], rival: float) -> Explanation:
-        """Return a fit from parameters as they are, declared or screened, whatever costs least."""
+        """Return a fit from screened parameters, or from those as they are or declared where these cost less."""
         made, now = [ready(self.problem, score) for score in scores], self.now.hypothesis
-        around, mean = self.screen.around([score.instance for score in scores]), self.problem.prior.mean
-        at = min(((now.theta, now.start), around, (mean, now.start)), key=partial(self._cost, made))
+        at = self.screen.around([score.instance for score in scores])
+        least = self._cost(made, at)
+        if now.cost - least < ENOUGH * max(score.gain for score in scores):
+            others = ((now.theta, now.start), (self.problem.prior.mean, now.start))
+            costs = [self._cost(made, other) for other in others]
+            at = others[int(np.argmin(costs))] if min(costs) <= least else at
         return self._begun(scores, made, at, rival)
 
     def _repeated(self, known: Explanation, rival: float) -> Explanation:

@@ -26,6 +26,7 @@ from masking.numerics.arrays import Array
 
 MOST_ROUNDS = 40
 CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit leaves decides nothing
+IDLE = 50.0  # times what has converged: several steps that take less together are those of a law with corners
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
@@ -400,17 +401,23 @@ class _LeastSquares:
 
     def solve(self, theta: Array, rounds: int, rival: float, is_behind: Callable[[], bool] | None = None) -> Hypothesis:
         """Return the fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`."""
-        rules, slow, steps = self.problem.rules, 0, 0
+        rules, slow, enough, costs = self.problem.rules, 0, 0.0, list[float]()
+
+        def wanted(now: float) -> float:
+            return rules.hopeless_fraction * max(now - rival, 0.0)
 
         def is_hopeless(now: float, tried: float) -> bool:
-            nonlocal slow, steps
-            steps += 1
-            slow = slow + 1 if now > rival and now - tried < rules.hopeless_fraction * (now - rival) else 0
-            is_far = steps == continuation.ROUNDS and now > BEHIND * rival
-            return slow == rules.hopeless_steps or (is_far and is_behind is not None and is_behind())
+            nonlocal slow
+            costs.append(now)
+            slow = slow + 1 if now - tried < wanted(now) else 0
+            is_idle = len(costs) > rules.hopeless_steps and costs[-1 - rules.hopeless_steps] - now < IDLE * enough
+            is_far = len(costs) == continuation.ROUNDS and now > BEHIND * rival
+            return slow == rules.hopeless_steps or is_idle or (is_far and is_behind is not None and is_behind())
 
         def tolerance(at: Linearised[Equations]) -> float:
-            return CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
+            nonlocal enough
+            enough = CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
+            return enough
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
@@ -419,7 +426,7 @@ class _LeastSquares:
         with np.errstate(over="ignore", invalid="ignore"):  # a step that runs away costs more, and is not taken
             made = minimise(
                 self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
-                is_hopeless=is_hopeless,
+                is_hopeless=is_hopeless, wanted=wanted,
             )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
         found, shared = made.at.found, self.edges[1]

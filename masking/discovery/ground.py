@@ -13,8 +13,9 @@ from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.motion_features import Kept
 from masking.discovery.problem import EstimationProblem
-from masking.discovery.screening import Along, Score, Screen
+from masking.discovery.screening import Score, Screen
 from masking.discovery.smoothing import Motion, smooth
 from masking.errors import IntegrationError
 
@@ -28,12 +29,12 @@ class View:
     Args:
         hypothesis: the fit.
         motion: smoothed record.
-        along: what candidates do along the motion.
+        kept: what candidates do along the motion.
     """
 
     hypothesis: Hypothesis
     motion: Motion
-    along: Along = field(default_factory=dict)
+    kept: Kept = field(default_factory=Kept)
 
 
 def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: float = FAR) -> tuple[View, ...]:
@@ -104,7 +105,7 @@ class Ground:
             return float(off @ off)
 
         near = min(self.views, key=distance)
-        return Screen(problem, looked_at, near.motion, found, taken=taken, along=near.along)
+        return Screen(problem, looked_at, near.motion, found, taken=taken, kept=near.kept)
 
     def screened(self, problem: EstimationProblem, now: Explanation) -> tuple[Screen, list[Score]]:
         """Return the screen in which a candidate takes most, of the model or of what is found, and the scores.

@@ -210,6 +210,8 @@ class DecisionRules:
     screened_frequency: float = 60.0
     """Highest frequency in Hz that a screen resolves, or twice that of the fastest mode of the rig if that is higher.
 
+    It resolves less, twice the frequency where readings fall below their noise, if that is lower.
+
     Why: beyond twice its fastest mode a rig passes less than a third of a force, 1 / (2^2 - 1), and less and less
     above. 60 Hz hold ten harmonics of motions of up to 6 Hz if all modes are slower.
     """

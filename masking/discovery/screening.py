@@ -8,7 +8,7 @@ Source: Frisch and Waugh (1933), Econometrica 1(4), for regression with some col
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableMapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -18,9 +18,10 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.discovery.candidates import Candidate
 from masking.discovery.fitting import Hypothesis, bounds
+from masking.discovery.motion_features import Kept, MotionFeatures
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import Motion
-from masking.discovery.thinning import thinned, thinning
+from masking.discovery.thinning import Thinning, thinned
 from masking.errors import IntegrationError
 from masking.estimation.least_squares import System
 from masking.numerics import decompositions
@@ -35,7 +36,6 @@ GROWTH = 20.0  # by which a time constant may grow to first order: the ratio of 
 LEAST, STEPS = 1e-3, 8  # of the largest factor: where one beyond its bounds begins; steps that sharpen a shape
 ZOOMS = (0.08, 0.02, 0.005, 0.00125)  # widths about a converter's step, nine points each: the next is their distance
 LIGHTEST = 0.7  # of a mass: most that an inertia may take away
-KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,6 @@ class Products:
     columns: Sequence[IntVector]
 
 
-Along = MutableMapping[tuple[tuple[int, ...], EffectInstance], tuple[Array, Array]]  # thin features, columns
-
-
 class Screen:
     """A record with what the rig's own parameters explain taken out.
 
@@ -87,7 +84,7 @@ class Screen:
         motion: the smoothed record.
         found: effects that were found before; what they and their parameters explain is taken out too.
         taken: whether these effects are in the fit already.
-        along: what candidates do along this motion, from screens before; it is added to.
+        kept: what candidates do along this motion, from screens before; it is added to.
 
     Raises:
         IntegrationError: along what was found the rig's motion runs away, to first order.
@@ -101,13 +98,15 @@ class Screen:
         found: Sequence[EffectInstance] = (),
         *,
         taken: bool = False,
-        along: Along | None = None,
+        kept: Kept | None = None,
     ) -> None:
-        self.rig, self.record, self.base, self.motion = problem.rig, problem.record, base, motion
+        self.rig, self.record, self.base = problem.rig, problem.record, base
         self.rules, self.bounds, self.work = problem.rules, problem.prior, problem.work
-        self.along: Along = {} if along is None else along
         rig, record, prior, sigma = problem.rig, problem.record, problem.prior, problem.sigma
-        self.thin, self.every = thinning(problem)
+        thinning = Thinning.of(problem)
+        self.thin, self.every = thinning.motion, thinning.readings
+        simulated = record.readings - base.residuals
+        self._features = MotionFeatures(rig, record, motion, simulated, thinning, kept or Kept())
         self.blocks = len(record) // self.every
         self.interval_samples = problem.interval_samples // self.thin if problem.interval else len(record)
         self._states = thinned(motion.states, self.thin)
@@ -163,8 +162,8 @@ class Screen:
         """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
         features, at = [], []
         for instance in instances:
-            made, columns = self._with_slopes(instance)
-            features.append(thinned(made, self.thin))
+            made, columns = self._features.with_slopes(instance)
+            features.append(made)
             at.append(columns)
         found: list[Array] = []
         for part in _chunks([table.shape[1] for table in features]):
@@ -208,20 +207,6 @@ class Screen:
         free = [*self.rig.twin.free]
         start[:, free] += step[len(theta) : len(theta) + len(start) * len(free)].reshape(len(start), len(free))
         return np.clip(theta + step[: len(theta)], self.bounds.low, self.bounds.high), start
-
-    def _with_slopes(self, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return what an instance adds where it acts, with slopes by its free parameters (m, c), and columns (c,)."""
-        if instance.effect == laws.DELAY:
-            half = 0.5 / self.record.rate
-            late, at = self._late(instance)
-            later, _ = self._late(instance.with_values((0,), (instance.values[0] + half,)))
-            return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
-        x, rate, column = self._subject(instance)
-        instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        made = self._follows(instance, x, rate, instance.free)
-        if instance.where != "element":
-            made[:, 0] -= x
-        return made, np.full(made.shape[1], column)
 
     def scores(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Return what each candidate could take off, the best first."""
@@ -298,7 +283,7 @@ class Screen:
 
     def products(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> Products:
         """Return the products of the columns of instances of candidates."""
-        features, at = zip(*(self._thin(candidate, instance) for candidate, instance in jobs), strict=True)
+        features, at = zip(*(self._features.by_factors(*job) for job in jobs), strict=True)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == laws.DELAY else table
             for (candidate, _), table in zip(
@@ -355,59 +340,6 @@ class Screen:
             factors = np.clip(factors, box.low, box.high)
             instance = instance.with_values(candidate.factors, factors)
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
-
-    def _thin(self, candidate: Candidate, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return what a candidate does along the motion, thinned (m, c), and the columns where it acts (c,)."""
-        key = candidate.factors, instance
-        found = self.along.get(key)
-        if found is None:
-            made, at = self._features(candidate, instance)
-            found = thinned(made, self.thin), at
-            follows_fit = instance.where == "sensor"  # it acts on readings as they are simulated
-            many = sum(table.size for table, _ in [*self.along.values(), found])
-            if instance in candidate.instances and not follows_fit and many < KEPT:
-                self.along[key] = found
-        return found
-
-    def _features(self, candidate: Candidate, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return what a candidate does along the motion (m, c), by its factors, and the columns where it acts (c,)."""
-        if candidate.effect == laws.DELAY:
-            return self._late(instance)
-        x, rate, column = self._subject(instance)
-        if not candidate.factors or instance.entry.scaled:
-            value = self._follows(instance, x, rate)
-            return (value[:, :1] - (0.0 if instance.where == "element" else x[:, None])), np.array([column])
-        instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        return self._follows(instance, x, rate, candidate.factors)[:, 1:], np.full(len(candidate.factors), column)
-
-    def _follows(self, instance: EffectInstance, x: Array, rate: Array, free: tuple[int, ...] = ()) -> Array:
-        """Return what an effect makes of a motion (m, 1 + f), with its slopes by some of its parameters."""
-        return self.rig.along(instance, x, rate, 1.0 / self.record.rate, free)
-
-    def _late(self, instance: EffectInstance) -> tuple[Array, Array]:
-        """Return what a delay changes of each command (m, actuators), and the columns where these act (actuators,)."""
-        acting, m = self.record.acting, len(self.record)
-        early = np.clip(np.arange(m) - instance.values[0] * self.record.rate, 0.0, None)
-        low = np.floor(early).astype(int)
-        share = (early - low)[:, None]
-        late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
-        actuators = self.rig.twin.actuators
-        at = [actuators.index(instance.at)] if instance.at else [*range(len(actuators))]
-        return (late - acting)[:, at], np.array([self.rig.columns[2][i] for i in at], dtype=float)
-
-    def _subject(self, instance: EffectInstance) -> tuple[Array, Array, float]:
-        """Return what an effect acts on and its rate (m,), and the column where it acts."""
-        rig, record, motion = self.rig, self.record, self.motion
-        where, at = instance.where, rig.index(instance)
-        nothing = np.zeros(len(record))
-        if where == "element":
-            x, rate = motion.acted_on(instance.entry, at)
-            column = float(rig.columns[1][at])
-        elif where == "actuator":
-            x, rate, column = record.acting[:, at], nothing, float(rig.columns[2][at])
-        else:
-            x, rate, column = (record.readings - self.base.residuals)[:, at], nothing, float(at)
-        return np.ascontiguousarray(x), np.ascontiguousarray(rate), column
 
     def _spread(self, features: Array, at: Array, initial: IntVector | None = None) -> Array:
         """Return what forces (m, M) at columns (M,), or `initial` states, do to the sensors (blocks, sensors, M)."""

@@ -17,7 +17,7 @@ from masking.discovery import fitting, initial_states
 from masking.discovery.fitting import Hypothesis
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised, smooth
-from masking.discovery.thinning import thinning
+from masking.discovery.thinning import Thinning
 from masking.errors import IntegrationError, RecordError
 from masking.estimation.simulation import refined
 from masking.numerics import decompositions
@@ -43,7 +43,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
         raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
     if seconds * rate >= count:
         return 0
-    _, block = thinning(problem)
+    block = Thinning.of(problem).readings
     samples = round(seconds * rate / block) * block
     return samples if samples < count else 0
 

@@ -2,23 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from masking.discovery.problem import EstimationProblem
 from masking.discovery.smoothing import linearised
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
+from masking.records.noise import bandwidth
 
 FEWEST = 200  # means of a record that are compared at least, however short it is
+BEYOND = 2.0  # times the frequency at which readings fall below their noise: means over many samples show more
 
 
-def thinning(problem: EstimationProblem) -> tuple[int, int]:
-    """Return the samples over which motions, and over which readings are averaged."""
-    rig, rate = problem.rig, problem.record.rate
-    own = np.abs(decompositions.eigenvalues(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
-    highest = max(problem.rules.screened_frequency, 2.0 * float(own), 0.5 * FEWEST * rate / len(problem.record))
-    thin = max(1, int(rate / (6.0 * highest)))
-    return thin, thin * max(1, int(rate / (2.0 * highest) / thin))
+@dataclass(frozen=True)
+class Thinning:
+    """Samples over which means are taken.
+
+    Args:
+        motion: of motions, a multiple of `stride`.
+        readings: of readings, a multiple of `motion`.
+        stride: of which a law in an element looks at the middle one; odd.
+    """
+
+    motion: int
+    readings: int
+    stride: int = 1
+
+    @classmethod
+    def of(cls, problem: EstimationProblem) -> Thinning:
+        """Return the thinning that keeps what a record shows."""
+        rig, record, rate = problem.rig, problem.record, problem.record.rate
+        own = np.abs(decompositions.eigenvalues(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
+        seen = min(problem.rules.screened_frequency, BEYOND * rate * bandwidth(record.readings))
+        highest = max(seen, 2.0 * float(own), 0.5 * FEWEST * rate / len(record))
+        motion = max(1, int(rate / (6.0 * highest)))
+        stride = max(1, (motion // 2 - 1) // 2 * 2 + 1)
+        motion -= motion % stride
+        return cls(motion, motion * max(1, int(rate / (2.0 * highest) / motion)), stride)
+
+
+def middles(samples: Array, stride: int) -> Array:
+    """Return the middle one of every `stride` samples (m,), which is odd."""
+    return np.ascontiguousarray(samples[: len(samples) // stride * stride][stride // 2 :: stride])
 
 
 def thinned(table: Array, thin: int) -> Array:

@@ -203,6 +203,7 @@ def minimise(
     rounds: int,
     tolerance: Callable[[Linearised[T]], float],
     is_hopeless: Callable[[float, float], bool] | None = None,
+    wanted: Callable[[float], float] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Minimum[T]:
     """Minimise a sum of squares by the Levenberg-Marquardt method.
@@ -215,6 +216,7 @@ def minimise(
         rounds: most steps that are tried.
         tolerance: reduction of the cost below which the method stops, at a linearised problem.
         is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
+        wanted: least reduction of a cost that is expected of a step without damping; below it the method gives up.
         progress: called with the part done.
 
     Raises:
@@ -231,13 +233,14 @@ def minimise(
     for number in range(1, rounds + 1):
         if progress is not None:
             progress((number - 1) / rounds)
+        is_vain = wanted is not None and at.equations.step(damping.least)[1] < wanted(at.cost)
         step, gain = at.equations.step(damping.value)
         enough = tolerance(at)
         if gain < enough and damping.value > damping.least and not is_last:
             # A direction in which the cost hardly bends is damped, however far its minimum is.
             damping, is_last = replace(damping, value=damping.least), True
             step, gain = at.equations.step(damping.value)
-        if gain < enough:
+        if gain < enough or is_vain:
             return Minimum(x, at, number, converged=True)
         farther = box.after(x, step)
         tried = attempted(farther)
