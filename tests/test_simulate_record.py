@@ -191,3 +191,26 @@ def test_what_is_fast_only_in_motion_is_followed(tmp_path):
     np.savez(tmp_path / "dragged.npz", t=t, x=read)
     made = masking.simulate(tmp_path / "play.yaml", tmp_path / "dragged.npz")
     assert made.residual.std() == pytest.approx(1e-6, rel=0.2)
+
+
+def test_a_mass_that_no_sensor_reads_does_not_run_away(tmp_path):
+    """Two masses swing together, on a spring between them that gives way 30 mm apart; only one is read, 0.1 m away."""
+    kept, between, reach = 100.0, 1000.0, 0.03
+
+    def rates(_, y):
+        d = y[0] - y[1]
+        force = between * d * (1.0 - (d / reach) ** 4)
+        return [y[2], y[3], -kept * y[0] - force, -1.1 * kept * y[1] + force]
+
+    t, noise = np.arange(3000) / 500.0, 1e-5
+    x = integrate.solve_ivp(rates, (0.0, t[-1]), [0.1, 0.095, 0.0, 0.1], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    np.savetxt(tmp_path / "read.csv", np.column_stack([t, x + noise * np.random.default_rng(0).standard_normal(len(t))]))
+    (tmp_path / "pair.yaml").write_text(f"""
+name: pair
+coordinates: {{x: position, y: position of the other}}
+definitions: {{force: "{between}*(x - y)*(1 - ((x - y)/{reach})**4)"}}
+equations: {{"x''": "-{kept}*x - force", "y''": "-{1.1 * kept}*y + force"}}
+""")
+    (tmp_path / "rig.yaml").write_text("name: rig\nmodel: pair.yaml\nsensors: {x: {measures: x}}\n")
+    made = masking.simulate(tmp_path / "rig.yaml", tmp_path / "read.csv", columns=["t", "x"])
+    assert made.residual.std() == pytest.approx(noise, rel=0.1)

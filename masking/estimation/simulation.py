@@ -25,6 +25,7 @@ DOUBLED = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # the same where these 
 FIRST_READINGS = 20  # readings that the initial state is guessed from
 STUCK = 4.0  # cost per reading from which another initial state is sought
 CLEAN = 1.2  # the same where time is no matter
+SMALL = 1e-6  # part of a motion in which forces that grow faster than the displacement vanish
 BESIDE = 1e-9  # displacement from rest at which sensors that fold are linearised
 MOST_SIDES = 16  # combinations of sides of these that are tried
 ROUNDS = 25  # steps for the initial state, at most
@@ -173,7 +174,9 @@ def nearest(
     """Return the initial state (states,) from which a record is reproduced best, and what is simulated from there.
 
     Internal states begin about as far from where they are declared as their size says. In a short first part, what no
-    sensor reads may go anywhere: where much more than noise is left, it is sought from longer ones, too.
+    sensor reads may go anywhere: where much more than noise is left, it is sought from longer ones, too. Where the
+    motion is not finite from what the readings alone tell, it begins where a motion as small as linear equations have
+    would begin.
 
     Args:
         sensing: the twin.
@@ -191,9 +194,12 @@ def nearest(
     usable, doubled = (
         [part for part in parts if start is None and part * len(record) >= FIRST_READINGS] for parts in (PARTS, DOUBLED)
     )
-    starts = _guesses(sensing, record) if start is None else [start]
     ways = [usable[i:] for i in range(len(usable) + 1)]
-    for first, parts in itertools.product(starts, [*ways, doubled] if doubled else ways):
+    starts = itertools.product(
+        _guesses(sensing, record) if start is None else [start], ways + [doubled] * bool(doubled)
+    )
+    nearer = ((first, doubled) for first in _small(sensing, theta, record, weights, usable) if not found)
+    for first, parts in itertools.chain(starts, nearer):
         if parts is doubled and found and not thorough:
             continue
         near = first
@@ -258,6 +264,18 @@ def _nearest(
     found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
     first[free] = found.x
     return first, found.at.found
+
+
+def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, parts: Sequence[float]) -> Iterator[Array]:
+    """Give states (states,) near those from which parts of a record are reproduced best if its motion is small."""
+    rest = sensing.twin.rest(np.zeros(len(sensing.twin.model.coordinates)))
+    read, _ = sensing.sensed(rest)
+    for part in parts:
+        first = record.first(part * len(record) / record.rate)
+        small = replace(first, commands=SMALL * first.commands, readings=read + SMALL * (first.readings - read))
+        with suppress(IntegrationError):
+            begun = first_start(sensing, small)
+            yield rest + (_nearest(sensing, theta, small, weights / SMALL**2, begun)[0] - rest) / SMALL
 
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
