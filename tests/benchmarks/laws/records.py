@@ -128,7 +128,7 @@ class Rig:
         return [(-passed[i] + (passed[i + 1] if i + 1 < n else 0.0)) / float(self.m[i]) for i in range(n)]
 
     def simulated(self, push: Callable[[float], float], times: Array) -> Array:
-        """Return coordinates and velocities (2 n, m) under a force on the last mass."""
+        """Return coordinates and velocities (2 n, m) under a force on the last mass, infinite if they run away."""
         n = len(self.m)
 
         def rates(t: float, y: Array) -> list[float]:
@@ -138,11 +138,14 @@ class Rig:
             return [*state[n:], *a]
 
         step, scale = 2.0 * np.pi / self.speed / SAMPLES, 1e-8 * self.size
-        found = solve_ivp(
-            rates, (0.0, times[-1]), np.zeros(2 * n), "LSODA", t_eval=times, rtol=1e-7, max_step=step,
-            atol=[scale] * n + [scale * self.speed] * n,
-        )  # fmt: skip
-        return np.asarray(found.y)
+        try:
+            found = solve_ivp(
+                rates, (0.0, times[-1]), np.zeros(2 * n), "LSODA", t_eval=times, rtol=1e-7, max_step=step,
+                atol=[scale] * n + [scale * self.speed] * n,
+            )  # fmt: skip
+        except OverflowError:
+            return np.full((2 * n, len(times)), np.inf)
+        return np.asarray(found.y) if found.success else np.full((2 * n, len(times)), np.inf)
 
 
 @dataclass(frozen=True)
