@@ -204,7 +204,9 @@ def test_a_mass_that_no_sensor_reads_does_not_run_away(tmp_path):
 
     t, noise = np.arange(3000) / 500.0, 1e-5
     x = integrate.solve_ivp(rates, (0.0, t[-1]), [0.1, 0.095, 0.0, 0.1], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
-    np.savetxt(tmp_path / "read.csv", np.column_stack([t, x + noise * np.random.default_rng(0).standard_normal(len(t))]))
+    np.savetxt(
+        tmp_path / "read.csv", np.column_stack([t, x + noise * np.random.default_rng(0).standard_normal(len(t))])
+    )
     (tmp_path / "pair.yaml").write_text(f"""
 name: pair
 coordinates: {{x: position, y: position of the other}}
