@@ -7,6 +7,7 @@ to a rig of random size: lengths from tenths of a millimetre to metres, masses f
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from math import atan, exp, fabs, sin, sinh, tan, tanh
 
@@ -138,14 +139,14 @@ class Rig:
             return [*state[n:], *a]
 
         step, scale = 2.0 * np.pi / self.speed / SAMPLES, 1e-8 * self.size
-        try:
+        with suppress(OverflowError):
             found = solve_ivp(
                 rates, (0.0, times[-1]), np.zeros(2 * n), "LSODA", t_eval=times, rtol=1e-7, max_step=step,
                 atol=[scale] * n + [scale * self.speed] * n,
             )  # fmt: skip
-        except OverflowError:
-            return np.full((2 * n, len(times)), np.inf)
-        return np.asarray(found.y) if found.success else np.full((2 * n, len(times)), np.inf)
+            if found.success:
+                return np.asarray(found.y)
+        return np.full((2 * n, len(times)), np.inf)
 
 
 @dataclass(frozen=True)
