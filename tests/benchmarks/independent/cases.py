@@ -135,13 +135,13 @@ class Case:
         k, c, row = rig.stiffness[i], rig.damping[i], rig.rows[i]
         d = rig.linear(u, self.rate) @ row
         v = np.gradient(d) * self.rate
-        size, speed, most = float(d.std()), float(v.std()), float(np.abs(d).max())
+        size, speed, reach = float(d.std()), float(v.std()), (float(-d.min()), float(d.max()))
         force = float((k * d + c * v).std())
         elements = [rig.element(j) for j in range(rig.size)]
         contacts, late = list[Contact](), [0.0] * rig.size
         made = LAWS.get(self.effect)
         if made is not None:
-            elements[i] = made(Drawn(row, k, c, size, speed, most, rng))
+            elements[i] = made(Drawn(row, k, c, size, speed, reach, rng))
         elif self.effect == "delay":
             late[i] = float(rng.integers(2, 9)) / (self.rate * PIECES) * 2.0
         else:
@@ -159,14 +159,21 @@ class Case:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the law of an element is drawn for: the element, and its motion while it is linear."""
+    """What the law of an element is drawn for: the element, and its motion while it is linear.
+
+    Args:
+        row, k, c: of the element: its displacement by the coordinates (n,), stiffness and damping.
+        size, speed: rms of its displacement and rate.
+        reach: how far it moves to the negative and to the positive side.
+        random: numbers.
+    """
 
     row: Array
     k: float
     c: float
     size: float
     speed: float
-    most: float
+    reach: tuple[float, float]
     random: np.random.Generator
 
 
@@ -195,7 +202,8 @@ def _dragged(e: Drawn) -> Element:
 
 
 def _stop(e: Drawn) -> Element:
-    edge, side = float(e.random.uniform(0.4, 0.8)) * e.most, float(e.random.choice([-1.0, 1.0]))
+    part, side = float(e.random.uniform(0.4, 0.8)), float(e.random.choice([-1.0, 1.0]))
+    edge = part * e.reach[side > 0.0]
     stiff, loss = float(e.random.uniform(3.0, 20.0)) * e.k, float(e.random.uniform(0.1, 1.0)) / e.speed
 
     def force(d: float, v: float, z: float, t: float) -> float:
