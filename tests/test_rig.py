@@ -511,8 +511,8 @@ def test_a_controller_that_is_killed_leaves_the_rig_at_zero(tmp_path, seconds):
     last = int(np.flatnonzero(own["fresh"])[-1])
     given = own.array("input")
     assert np.all(np.abs(applied(own)[last - 20 : last]).max(axis=0) > 0.0)
-    # The last command holds until the watchdog has seen nothing for 20 ms, of which its clock may be 5 % early; from then
-    # on all is zero to the end. These are fewer ticks where the machine missed some.
+    # The last command holds until the watchdog has seen nothing for 20 ms, which may be 5 % early; from then
+    # on all is zero to the end, after fewer ticks where the machine missed some.
     zero = last + int(np.flatnonzero(~given[last:].any(axis=1))[0])
     assert np.array_equal(given[last:zero], np.tile(given[last], (zero - last, 1)))
     due = own["wall"] - np.where(own["late"] * RATE <= 1.0, own["late"], 0.0)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from masking import load_model
+from masking.discovery.places import opened, taken
 from masking.errors import DeclarationError
+from masking.modelling.model import Model
 
 M, K, C = 2.0, 8.0, 0.6
 W = math.sqrt(K / M)
@@ -110,3 +112,19 @@ def test_a_force_of_another_unit_than_its_element_is_refused(declared):
             equations={"m*x''": "0"},
             elements={"spring": {"displacement": "x", "unit": "N", "force": "k*d", "acts": {"x": -1}}},
         ).validate()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("force", "names"), [("k*d", "mk"), ("c*d_rate", "mc"), ("k*d + c*d_rate", "mkc"), ("k", "mk")]
+)
+def test_an_element_whose_force_follows_a_part_of_its_motion_can_be_in_series(spring, force, names):
+    element = {"displacement": "x", "force": force, "acts": {"x": -1}}
+    made = spring(parameters=dict.fromkeys(names, 2.0), elements={"spring": element})
+    open_to_effects = Model(opened(made.declaration)[0])
+    open_to_effects.validate()
+    values = open_to_effects.parameter_values()
+    assert {*taken("spring")} <= values.keys()
+    rates = [np.empty(2), np.empty(2)]
+    for rate, model in zip(rates, (made, open_to_effects), strict=True):
+        model.kernels.derivative(0.0, np.array([0.3, -0.7]), np.empty(0), model.values(), rate)
+    assert np.array_equal(*rates)

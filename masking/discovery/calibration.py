@@ -45,7 +45,7 @@ def none_of_these(
         explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
     """
     found = LEAST + (1.0 - LEAST) / (1.0 + (HALF / left) ** SHARPNESS) if left > 0.0 else LEAST
-    found = max(found, (1.0 - LEAST) * float(special.expit(0.5 * better)))
+    found = max(found, (1.0 - LEAST) * float(special.expit(0.5 * float(better))))
     beyond = min(LIKELIER, 1.0 - (1.0 - ABOVE) * min(1.0, EXPLAINED / above)) if above else 0.0
     found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, beyond)
     return found if explained else min(found, REFUSED)

@@ -73,8 +73,7 @@ class Twin:
     built: InitVar[Mapping[str, object] | None] = None
 
     def __post_init__(self, built: Mapping[str, object] | None) -> None:
-        for name, value in (built or {}).items():
-            object.__setattr__(self, name, value)
+        vars(self).update(built or {})
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Twin:
@@ -333,9 +332,10 @@ class Twin:
     def with_parameters(self, values: Mapping[str, float]) -> Twin:
         """Return the twin with other values of parameters, in their declared units; nothing is recompiled."""
         model = {name: value for name, value in values.items() if self.parameter_names[name] is None}
-        chain = {name: value for name, value in values.items() if self.parameter_names[name] is not None}
-        plant = self.declaration.model_copy(update={"parameters": {**self.declaration.parameters, **model}})
-        built = {"dictionary": self.dictionary, "attached": self.attached, "kernels": self.kernels}
+        chain = {name: value for name, value in values.items() if name not in model}
+        plant = self.declaration.model_copy(update={"parameters": self.declaration.parameters | model})
+        built = {name: getattr(self, name) for name in ("dictionary", "attached", "effects", "kernels")}
+        built["model"] = self.model.with_parameters(**model)
         return replace(self, declaration=plant, chosen={**self.chosen, **chain}, built=built)
 
     @property
