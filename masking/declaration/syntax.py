@@ -45,7 +45,7 @@ _CALL = re.compile(r"(?P<primes>'*) *(?P<open>\()?")  # what may follow a name
 _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what it is, and what to write instead
     ("^", "'^' is not an operator", "write ** for a power"),
     ("//", "'//' is not an operator", "write a/b"),
-    ("%", "'%' is not an operator", "write the unit as percent"),
+    ("%", "'%' is not an operator", "of a unit, write percent"),
     ("==", "'==' is not allowed", _COMPARE_MEND),
     ("!=", "'!=' is not allowed", _COMPARE_MEND),
     ("<<", "'<<' is not an operator", ""),

@@ -179,10 +179,9 @@ def opened(model: ModelDeclaration, *, directed: bool = False) -> tuple[ModelDec
             per_second = unit if time is None else f"({unit})/({describe(time)})"
             lost, lost_rate = taken(name)
             parameters |= {lost: Parameter(value=0.0, unit=unit), lost_rate: Parameter(value=0.0, unit=per_second)}
-            less = {"d": f"(d - {lost})", "d_rate": f"(d_rate - {lost_rate})"}
-            unused = "".join(
-                f"*{one}**0" for of, one in zip(less, taken(name), strict=True) if of not in element.force.names
-            )
+            names = {"d": lost, "d_rate": lost_rate}
+            less = {motion: f"({motion} - {one})" for motion, one in names.items()}
+            unused = "".join(f"*{one}**0" for motion, one in names.items() if motion not in element.force.names)
             text = f"({element.force.renamed(less)}){unused}"
             elements[name] = element.model_copy(update={"force": Expression(text)})
     return model.model_copy(update={"elements": elements, "parameters": parameters}), found
