@@ -1,10 +1,10 @@
-"""Discovery on rigs of its users: an actuator that is late, a free decay; records by exact discretisation (scipy)."""
+"""Discovery on rigs of its users: an actuator that is late, a free decay; records by exact solutions."""
 
 import re
 
 import numpy as np
 import pytest
-from scipy import linalg, signal
+from scipy import integrate, linalg, signal
 
 import masking
 from masking.reports import discovery_text
@@ -94,3 +94,46 @@ def test_a_delay_of_one_actuator_has_its_name_time_and_unit(late):
     assert (found.verdict, effect.name, effect.on) == ("named", "delay", "F2")
     assert effect.parameters["tau"][0] == pytest.approx(5 / RATE, rel=1e-3)
     assert re.match(r"A delay of F2, tau = 0\.0\d+ ± 0\.\d+ s, is missing", discovery_text.sentence(found))
+
+
+def free_decay(k, band, samples, vs):
+    """Return times and displacement (m,) of 1 kg on a spring of k N/m, let go at 0.1 m with dry friction k*band N.
+
+    Friction that sticks is solved by hand: between two turns, x = s band + (X - s band) cos(w t) with s = sign(X) from
+    the turn at X, at rest where |X| <= band. Friction k*band*tanh(rate/vs), which creeps there, is integrated by LSODA.
+    """
+    t, w, turns = np.arange(samples) / 200.0, np.sqrt(k), [0.1]
+    if vs:
+        law = [lambda _, y: [y[1], -k * y[0] - k * band * np.tanh(y[1] / vs)], (0.0, t[-1]), [0.1, 0.0]]
+        return t, integrate.solve_ivp(*law, method="LSODA", t_eval=t, rtol=1e-9, atol=1e-11).y[0]
+    while abs(turns[-1]) > band:
+        turns.append(2.0 * band * np.sign(turns[-1]) - turns[-1])
+    half = np.minimum((t * w / np.pi).astype(int), len(turns) - 1)
+    turn = np.array(turns)[half]
+    side = band * np.sign(turn)
+    return t, np.where(half < len(turns) - 1, side + (turn - side) * np.cos(w * t - np.pi * half), turn)
+
+
+@pytest.mark.parametrize(("samples", "vs"), [(3600, 0.0), (4200, 7e-4)], ids=["sticks", "creeps"])
+def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_path, samples, vs):
+    """Where the mass comes to rest, and how it creeps, shows in the last part alone, which is held out."""
+    k, band, noise = 40.0, 1.3e-3, 1e-4  # N/m, m, m
+    t, x = free_decay(k, band, samples, vs)
+    x = x + noise * np.random.default_rng(4).standard_normal(len(t))
+    np.savetxt(tmp_path / "record.csv", np.column_stack([t, x]), delimiter=",", header="t,x", comments="", fmt="%.9g")
+    (tmp_path / "model.yaml").write_text(
+        "name: mass on a spring\ncoordinates: {x: {unit: m}}\nequations: {m*x'': -k*x}\n"
+        "parameters: {m: {value: 1, unit: kg, std: 0}, k: {value: 40.2, unit: N/m}}\n"
+        "elements: {guide: {displacement: x, unit: N, acts: {x: -1}}}\n"
+    )
+    found = masking.discover(tmp_path / "record.csv", model=tmp_path / "model.yaml")
+    (effect,) = found.effects
+    assert (found.verdict, effect.name, effect.on) == ("named", "dry_friction", "guide")
+    assert effect.parameters["fc"][0] == pytest.approx(k * band, rel=1e-3)
+    assert effect.probability > 0.95
+    errors = found.simulation_error
+    assert errors.validation[1]["x"] < 1.1 * errors.validation_noise_floor["x"]
+    assert ("fitted to both records" in discovery_text.sentence(found)) == bool(vs) == bool(errors.alone)
+    if vs:
+        assert effect.parameters["vs"][0] == pytest.approx(vs, rel=0.1)
+        assert errors.alone["x"] > 1.2 * errors.validation_noise_floor["x"]

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.discovery import directed, fitting, imperfections, shooting, unit_check, verdict
+from masking.discovery import directed, fitting, held_out, imperfections, shooting, unit_check, verdict
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.composites import are_composite
-from masking.discovery.discovery import Discovery, Named, SimulationError, Withheld
+from masking.discovery.discovery import Discovery, Named, SimulationError
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis, by_instance
 from masking.discovery.next_experiment import next_experiment
@@ -28,7 +28,6 @@ from masking.discovery.rules import DecisionRules
 from masking.discovery.search import SearchResult, Tell
 from masking.discovery.settings import DiscoverySettings
 from masking.discovery.smoothing import centred
-from masking.discovery.tempered_fits import tempered
 from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.verdict import Scored
 from masking.discovery.work import Work
@@ -271,7 +270,8 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         is_demoted = verdict.is_demoted(_scored(rivals, problem, tempering), size, rules)
         if is_demoted:
             rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
-        rivals, chosen, after, withheld = _no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
+        given = held_out.no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
+        rivals, chosen, after = given.rivals, given.explanation, given.after
         adjusted = after if rivals[0] is found.base else adjusted
     tempering = problem.tempering(chosen.hypothesis.residuals)
     excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
@@ -282,6 +282,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         problem.noise_floor,
         validation.noise_floor,
         validation.errors(adjusted.squares),
+        given.alone,
     )
     scored = _scored(rivals, problem, tempering)
     decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
@@ -306,48 +307,8 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
     return Discovery(
         verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
         simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
-        before=before, after=after, adjusted=adjusted, next_experiment=coming, withheld=withheld,
+        before=before, after=after, adjusted=adjusted, next_experiment=coming, withheld=given.withheld,
     )  # fmt: skip
-
-
-def _no_worse(
-    offered: Sequence[tuple[Explanation, ...]],
-    problem: EstimationProblem,
-    validation: EstimationProblem,
-    before: Hypothesis,
-) -> tuple[tuple[Explanation, ...], Explanation, Hypothesis, Withheld | None]:
-    """Return the first rivals of which the best is no worse on unseen data than the model as declared.
-
-    Args:
-        offered: rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself.
-        problem: of the estimation record.
-        validation: of the validation record.
-        before: the model as declared on that.
-
-    Returns:
-        The rivals; the best of them, the prior holding what the record hardly determines, here and on the validation
-        record; and what was worse before these.
-    """
-    withheld, declared = None, float(before.squares @ validation.weights)
-    for rivals in offered[:-1]:
-        chosen = _tempered(rivals[0], problem)
-        try:
-            after = fitting.validated(validation, chosen.hypothesis)
-        except IntegrationError:
-            withheld = withheld or Withheld(chosen.names, None)
-            continue
-        cost = float(after.squares @ validation.weights)
-        if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
-            return rivals, chosen, after, withheld
-        withheld = withheld or Withheld(chosen.names, validation.errors(after.squares))
-    return offered[-1], offered[-1][0], before, withheld
-
-
-def _tempered(explanation: Explanation, problem: EstimationProblem) -> Explanation:
-    """Return an explanation with its parameters where the prior holds those that the record hardly determines."""
-    return replace(
-        explanation, hypothesis=tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
-    )
 
 
 def _name(explanation: Explanation) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from masking.discovery.augmented_model import AugmentedModel
 from masking.discovery.explanation import Explanation
 from masking.discovery.fitting import Hypothesis
+from masking.discovery.held_out import Withheld
 from masking.discovery.latent_force import Explained
 from masking.discovery.localisation import Localisation, localise
 from masking.discovery.next_experiment import NextExperiment
@@ -17,7 +18,7 @@ from masking.discovery.problem import EstimationProblem
 from masking.discovery.rules import DecisionRules
 from masking.discovery.unit_check import UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
-from masking.discovery.verdict import Key, at_noise_floor, is_closed
+from masking.discovery.verdict import at_noise_floor, is_closed
 from masking.display import fragments, symbols
 from masking.effects import Effect
 from masking.estimation.data import Data
@@ -52,27 +53,11 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Withheld:
-    """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given.
-
-    Args:
-        names: (parameter, '') or (effect, place) of each cause; none for adjusted parameters alone.
-        error: relative error of each sensor in the validation record, by name; None where the motion is not finite.
-    """
-
-    names: tuple[Key, ...]
-    error: dict[str, float] | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON can hold it."""
-        return {"causes": [{"name": name, "on": on} for name, on in self.names], "validation_error": self.error}
-
-
-@dataclass(frozen=True)
 class SimulationError:
     """Relative error of each sensor, by name: before and after, in both records; and the noise floor.
 
-    `adjusted` is that of the model with its parameters adjusted alone, in the validation record.
+    `adjusted` is that of the model with its parameters adjusted alone, in the validation record; `alone` that of the
+    causes fitted to the estimation record alone, where they are fitted to both.
     """
 
     estimation: tuple[dict[str, float], dict[str, float]]
@@ -80,6 +65,7 @@ class SimulationError:
     noise_floor: dict[str, float]
     validation_noise_floor: dict[str, float]
     adjusted: dict[str, float]
+    alone: dict[str, float] | None = None
 
     def is_noise(self, readings: int, rules: DecisionRules) -> bool:
         """Return whether each sensor is at the noise floor in the validation record, with its number of readings."""
@@ -89,7 +75,7 @@ class SimulationError:
         """Return the errors as JSON can hold it."""
         return {
             "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
-            "validation": {"before": self.validation[0], "after": self.validation[1]},
+            "validation": {"before": self.validation[0], "after": self.validation[1], "alone": self.alone},
             "noise_floor": self.noise_floor,
             "validation_noise_floor": self.validation_noise_floor,
         }

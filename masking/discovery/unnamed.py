@@ -190,11 +190,12 @@ def _deviation(rows: Array, covariance: Array) -> Array:
 
 
 def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
-    """Return by how much the closed form of a law has a better score than the names in both records.
+    """Return by how much the closed form of a law has a better score than the names, each fitted to both records.
 
-    It is no rival, and this is -inf, where it is known in other intervals, or where it leaves nearly all of what the
-    names leave beyond noise: then both are the same law. With more numbers than the names, a form may imitate what else
-    is missing: it is no rival either, unless it alone leaves no more than noise.
+    So a parameter that shows in the validation record alone is no evidence against either. The form is no rival, and
+    this is -inf, where it is known in other intervals, a motion of both fits is not finite, or it leaves nearly all of
+    what the names leave beyond noise: then both are the same law. With more numbers than the names, it may imitate what
+    else is missing: it is no rival either, unless it alone leaves no more than noise.
 
     Args:
         found: the record with its explanation.
@@ -209,10 +210,15 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     if (numbers[1] > numbers[0] and not alone) or len(form.validated.start) != len(validated.start):
         return -np.inf
     penalty = float(np.log(named.residuals.size + validated.residuals.size))
-    costs = [
-        one.cost + float(unseen.squares @ law.problem.weights)
-        for one, unseen in ((named, validated), (form.hypothesis, form.validated))
-    ]
+    known, unseen = found.explanation.with_prior(found.problem), law.problem
+    of_form = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
+    of_names = known, replace(unseen, substeps=known.substeps, rig=known.rig, prior=known.prior)
+    pairs = (of_names, named), (of_form, form.hypothesis)
+    try:
+        with threadpool_limits(1):
+            costs = [fitting.together(*both, one).cost for both, one in pairs]
+    except IntegrationError:
+        return -np.inf
     noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
     if costs[0] > noise and costs[1] - noise > (1.0 - LITTLE) * (costs[0] - noise):
         return -np.inf

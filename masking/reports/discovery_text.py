@@ -130,7 +130,7 @@ def unnamed(found: Discovery) -> str:
     alone, noise = found.simulation_error.adjusted[name], found.simulation_error.validation_noise_floor[name]
     short = law.problem.interval and law.problem.interval != found.problem.interval
     seconds = law.problem.interval / law.problem.record.rate
-    within = f" in shooting intervals of {quantity(seconds, 's', 2)}, beyond which the motion is lost" if short else ""
+    within = f" in shooting intervals of {quantity(seconds, 's', 2)}, the longest that it follows" if short else ""
     unsure = f". {HARDLY_A_FORCE}" if 1.0 <= law.coverage.band < np.inf else ""
     return (
         f"A law without a name in {law.place} {does}: {form(found, law)}. The validation error of {name} is "
@@ -348,9 +348,11 @@ def gap(found: Discovery) -> str:
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     if not found.effects:
         before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
+    alone = found.simulation_error.alone
+    both = f"fitted to both records, since a fit to one alone leaves {percent(alone[name])}" if alone else ""
     return (
-        f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}; the noise "
-        f"floor is {percent(floor[name])}"
+        f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}"
+        f"{f', {both}' if both else ''}; the noise floor is {percent(floor[name])}"
     )
 
 
