@@ -137,3 +137,36 @@ def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_pat
     if vs:
         assert effect.parameters["vs"][0] == pytest.approx(vs, rel=0.1)
         assert errors.alone["x"] > 1.2 * errors.validation_noise_floor["x"]
+
+
+def test_stribeck_friction_that_creeps_is_one_law(tmp_path):
+    """A disc whose speed alone is known, by the classical Runge-Kutta method in steps of 0.5 ms."""
+    inertia, drag, low, high, falls, vs, rate = 0.01, 0.02, 0.03, 0.05, 0.4, 0.01, 200.0
+    t = np.arange(6000) / rate
+    torque = 0.12 * np.sin(2.0 * np.pi * 0.1 * t) + 0.05 * np.sin(2.0 * np.pi * 0.37 * t + 1.0)
+
+    def slope(w, u):
+        return (u - drag * w - (low + (high - low) * np.exp(-((w / falls) ** 2))) * np.tanh(w / vs)) / inertia
+
+    w, h, speed = 0.0, 5e-4, np.empty(len(t))
+    for i, u in enumerate(torque):
+        speed[i] = w
+        for _ in range(round(1.0 / (rate * h))):
+            a = slope(w, u)
+            b = slope(w + 0.5 * h * a, u)
+            c = slope(w + 0.5 * h * b, u)
+            w += h / 6.0 * (a + 2.0 * b + 2.0 * c + slope(w + h * c, u))
+    speed += 5e-3 * np.random.default_rng(7).standard_normal(len(t))
+    table = np.column_stack([t, torque, speed])
+    np.savetxt(tmp_path / "record.csv", table, delimiter=",", header="t,torque,speed", comments="", fmt="%.9g")
+    (tmp_path / "model.yaml").write_text(
+        "name: rotating disc\nstates: {w: {unit: rad/s}}\ninputs: {torque: {unit: N*m}}\n"
+        "parameters: {J: {value: 0.01, unit: kg*m**2}, b: {value: 0.02, unit: N*m*s/rad}}\n"
+        "equations: {w': (torque - b*w)/J}\noutputs: {speed: {expression: w, unit: rad/s}}\n"
+        "elements: {bearing: {rate: w, unit: N*m, acts: {w: -1/J}}}\n"
+    )
+    found = masking.discover(tmp_path / "record.csv", model=tmp_path / "model.yaml")
+    (effect,) = found.effects
+    assert (found.verdict, effect.name, effect.on) == ("named", "stribeck_friction", "bearing")
+    for name, value, part in (("fc", low, 0.01), ("fs", high, 0.02), ("vst", falls, 0.05), ("vs", vs, 0.3)):
+        assert effect.parameters[name][0] == pytest.approx(value, rel=part)

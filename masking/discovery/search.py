@@ -420,7 +420,10 @@ class Search:
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _widened(self, now: Explanation, ground: Ground) -> Explanation:
-        """Free further parameters of the shape of each effect, where another trial of it estimates them."""
+        """Free further parameters of the shape of each effect, where another trial of it estimates them.
+
+        One that sticks may also creep, where a trial of it does.
+        """
         rules = self.rules
         if verdict.reaches_noise(now.cost, self.size, rules) and not verdict.is_excess(now.cost, self.size, rules):
             return now
@@ -428,10 +431,11 @@ class Search:
         for i, instance in enumerate(now.hypothesis.instances):
             for other in ground.every:
                 more = tuple(sorted({*other.free} - {*instance.free}))
-                is_same = other.key == now.names[i] and other.sticks == instance.sticks
+                one = instance if other.sticks == instance.sticks else instance.creeping
+                is_same = other.key == now.names[i] and other.sticks == one.sticks
                 if is_same and {*instance.free} < {*other.free} and not {*more} & {*other.factors}:
-                    starts = {tuple(one.values[j] for j in more): None for one in other.instances}
-                    wider = replace(instance, free=other.free)
+                    starts = {tuple(each.values[j] for j in more): None for each in other.instances}
+                    wider = replace(one, free=other.free)
                     jobs += [partial(self._with_shape, now, i, wider.with_values(more, start)) for start in starts]
         found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
         if not found:

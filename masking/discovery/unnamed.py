@@ -211,12 +211,12 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
         return -np.inf
     penalty = float(np.log(named.residuals.size + validated.residuals.size))
     known, unseen = found.explanation.with_prior(found.problem), law.problem
-    of_form = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
-    of_names = known, replace(unseen, substeps=known.substeps, rig=known.rig, prior=known.prior)
-    pairs = (of_names, named), (of_form, form.hypothesis)
+    seen = replace(unseen, substeps=known.substeps, rig=known.rig, prior=known.prior)
+    fine, other = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
     try:
         with threadpool_limits(1):
-            costs = [fitting.together(*both, one).cost for both, one in pairs]
+            pairs = (known, seen, named), (fine, other, form.hypothesis)
+            costs = [fitting.together(*both).cost for both in pairs]
     except IntegrationError:
         return -np.inf
     noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)

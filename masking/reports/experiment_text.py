@@ -118,6 +118,8 @@ def _of_range(found: Discovery, name: str) -> str:
     at = [place.name for place in found.rig.places].index(name)
     motion, (_, length, speed) = found.search.motion, latent_force.element_units(found.rig, name)
     x, fastest = motion.displacement[:, at], float(np.abs(motion.rate[:, at]).max())
+    if not np.ptp(x):
+        return f"the record moves {name} at no more than {quantity(fastest, speed, 2)}: a faster motion would tell more"
     far = _between(float(x.min()), float(x.max()), length)
     return (
         f"the record moves {name} from {far}, at no more than {quantity(fastest, speed, 2)}: a motion that is larger, "
