@@ -228,7 +228,7 @@ def test_a_parameter_named_twice_is_refused(linear):
 
 def test_a_record_that_is_too_short_is_refused(linear):
     with pytest.raises(
-        RecordError, match=r"20 samples of 3 sensors are too few for 17 unknowns \(11 parameters, and 6 of"
+        RecordError, match=r"20 samples of 3 sensors are too few for 17 unknowns: 11 parameters, and 6 of"
     ):
         fit(linear, recorded(linear, sines(0.04)), ALL)
 
@@ -237,7 +237,7 @@ def saved(t, columns=None, **changes):
     """Return a recording of the rig's six channels, with some of them changed."""
     generator = np.random.default_rng(0)
     names = ("input.V1", "input.V2", "input.V3", "sensor.s1", "sensor.s2", "sensor.s3")
-    made = {"t": t, **{name: generator.standard_normal(len(t)) for name in names}}
+    made = {"t": t, **{name: np.cumsum(generator.standard_normal(len(t))) for name in names}}
     made |= {name.replace("_", "."): values for name, values in changes.items()}
     return Recording({name: values for name, values in made.items() if values is not None}, {})
 
@@ -267,11 +267,22 @@ RATES = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
         (T[:3], {}, r"it has 3 samples; give a longer record"),
         (T, {f"{kind}_{name}": np.full(len(T), 0.2) for kind, names in (("input", ("V1", "V2", "V3")),
              ("sensor", ("s1", "s2", "s3"))) for name in names}, r"nothing moves: the commands are constant"),
+        (T, {"sensor_s2": np.full(len(T), 0.2)}, r"s2 reads 0\.2 throughout, although others change; look"),
+        (T, {f"sensor_s{i}": 0.2 + 0.01 * np.random.default_rng(i).standard_normal(len(T)) for i in (1, 2, 3)},
+         r"the commands change, but the readings are white noise, which follows none of them; look at"),
     ],
 )  # fmt: skip
 def test_a_record_that_cannot_be_fitted_is_refused(linear, t, changes, said):
     with pytest.raises(RecordError, match=said):
         Data.of(saved(t, **changes), linear)
+
+
+def test_readings_that_follow_a_command_by_any_time_are_no_noise():
+    generator = np.random.default_rng(2)
+    commands, readings = np.cumsum(generator.standard_normal((4000, 2)), axis=0), generator.standard_normal((4000, 3))
+    assert not Data("noise", 500.0, commands, readings).answers
+    readings[40:, 1] += 0.4 * (commands[:-40, 0] - commands[:, 0].mean()) / commands[:, 0].std()
+    assert Data("buried", 500.0, commands, readings).answers
 
 
 # What is written.

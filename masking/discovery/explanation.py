@@ -119,7 +119,8 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
         return np.inf
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     try:
-        information = decompositions.inverse(covariance / np.outer(size, size), ROUNDING, hermitian=True)
+        with np.errstate(over="ignore"):  # what is not finite has no inverse
+            information = decompositions.inverse(covariance / np.outer(size, size), ROUNDING, hermitian=True)
     except IntegrationError:
         return np.inf
     strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations

@@ -256,7 +256,8 @@ class Search:
             wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
             jobs += [(-1 - i, partial(self._freed, now, i)) for i in wrong]
         jobs = [(number, job) for number, job in jobs if not is_far(number)]
-        self.tell(f"fitting {len(jobs)} of them", 0.3)
+        if jobs:
+            self.tell(f"fitting {len(jobs)} of them", 0.3)
         found: list[Explanation] = []
         for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
             rival = min(e.hypothesis.cost for e in (now, *found))

@@ -24,6 +24,9 @@ _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-lim
 NOT_LATE = np.zeros(())
 
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
+_LOUD = 1.1  # times their noise: readings that vary by more hold something else
+_FEW = 1000  # readings, of which noise is not told from motion that looks like it
+_SURELY = 6.0  # deviations of a correlation by chance: none of a million is as large
 _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
 
 
@@ -142,7 +145,7 @@ class Data:
         """Refuse a record without information about a plant.
 
         Raises:
-            RecordError: a column is not finite, or nothing moves.
+            RecordError: a column is not finite, nothing moves, a reading is constant, or all of them are noise alone.
         """
         for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
             for column, values in zip(names, table.T, strict=True):
@@ -157,12 +160,34 @@ class Data:
                 f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
                 "noise; excite the rig, or let it go from somewhere else than rest"
             )
+        for name, values in zip(twin.sensors, self.readings.T, strict=True):
+            if not np.ptp(values):
+                raise RecordError(
+                    f"{self.name}: {name} reads {values[0]:g} throughout, although others change; look at its cable "
+                    "and column, or leave it out of the plant"
+                )
+        if not self.answers:
+            raise RecordError(
+                f"{self.name}: the commands change, but the readings are white noise, which follows none of them; "
+                "look at the cables, columns and gains, or excite the rig more"
+            )
 
     @property
     def moves(self) -> bool:
         """Return whether a command changes, or the readings vary by more than their noise."""
         far = 2.0 * _STILL * np.maximum(self.noise, 1e-300)
         return bool(np.ptp(self.commands, axis=0).any() or np.any(np.ptp(self.readings, axis=0) > far))
+
+    @property
+    def answers(self) -> bool:
+        """Return whether a reading holds more than white noise, or follows a command; a short record does."""
+        if len(self) < _FEW or (self.readings.std(axis=0) > _LOUD * self.noise).any():
+            return True
+        spectra = [np.fft.rfft(table - table.mean(axis=0), axis=0) for table in (self.commands, self.readings)]
+        power = [np.maximum((np.abs(spectrum) ** 2).sum(axis=0), 1e-300) for spectrum in spectra]
+        cross = np.fft.irfft(spectra[0][:, :, None].conj() * spectra[1][:, None, :], len(self), axis=0)
+        size = np.sqrt(np.outer(*power)) * 2.0 / len(self)  # correlations of white noise have variance 1/len
+        return bool((np.abs(cross) > _SURELY / np.sqrt(len(self)) * size).any())
 
     def until_rest(self) -> Data:
         """Return the record up to where it comes to rest; all of it where it moves to its end."""

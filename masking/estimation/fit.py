@@ -36,6 +36,7 @@ INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, t
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with,
 COARSE_SAMPLES = 2000  # and samples at least: processes that are sampled slowly move slowly
+BEYOND = 3.0  # times the noise: a model that leaves more lacks something
 FEWEST = 5  # samples of each sensor for each unknown
 
 
@@ -258,9 +259,9 @@ class _Problem:
         unknown = self.k + len(self.free) * len(pieces)
         if samples * sensors < FEWEST * unknown:
             raise RecordError(
-                f"{samples} samples of {sensors} sensors are too few for {unknown} unknowns ({self.k} parameters, and "
-                f"{len(self.free)} of the initial state for each of {len(pieces)} pieces); give longer records, or "
-                "fewer parameters"
+                f"{samples} samples of {sensors} sensor{'s' * (sensors != 1)} are too few for {unknown} unknowns: "
+                f"{self.k} parameters, and {len(self.free)} of the initial state of each record or interval; give "
+                "longer records, or fewer parameters"
             )
         self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
         self.starts = [first_start(sensitivity, piece) for piece in pieces]
@@ -332,6 +333,7 @@ class _Problem:
         ]
         twin = self.sensitivity.twin_at(theta)
         chi, floor = relative(twin.sensors, self.pieces, at.found), noise_alone(twin.sensors, self.pieces)
+        notes += [_unexplained(name, chi[name] / floor[name]) for name in chi if chi[name] > BEYOND * floor[name] > 0.0]
         return Fit(
             twin=twin, names=names, values=theta, covariance=covariance, sigma=self.sigma, chi=chi, floor=floor,
             rounds=self.rounds, notes=tuple(notes),
@@ -346,6 +348,14 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
     mend = "fix one of them (--parameters names those to fit; in Python, parameters=), or give records that excite each"
     return f"{listed} cannot be distinguished from these records; {mend}"
+
+
+def _unexplained(sensor: str, times: float) -> str:
+    """Say that the residual of a sensor is several times its noise."""
+    return (
+        f"the residual of {sensor} is {times:.2g} times its noise: the model lacks something, which the values make up "
+        "for, so that they are less sure than their intervals say; 'masking discover' looks for what is missing"
+    )
 
 
 def _each(errors: Mapping[str, float]) -> str:
