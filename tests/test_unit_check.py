@@ -124,8 +124,8 @@ elements: {spring: {displacement: x, unit: N, acts: {x: -1}, force: k*d + c*d_ra
 """
 
 
-def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
-    rng, t = np.random.default_rng(0), np.arange(1200) / RATE
+def hard_spring(t, rng):
+    """Return force and displacement (m,) of the mass on a spring that hardens, the force held between samples."""
     f = 20.0 * signal.sosfiltfilt(signal.butter(4, 0.12, output="sos"), rng.standard_normal(len(t)))
     y, xs = np.zeros(2), np.empty(len(t))
     for i, force in enumerate(f):  # held between samples
@@ -135,6 +135,12 @@ def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
             (0.0, 1.0 / RATE), y, "DOP853", rtol=1e-10, atol=1e-12,
         )  # fmt: skip
         y = made.y[:, -1]
+    return f, xs
+
+
+def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(1200) / RATE
+    f, xs = hard_spring(t, rng)
     x = 1e3 * (xs + 1e-3 * xs.std() * rng.standard_normal(len(t)))
     np.savez(tmp_path / "record.npz", t=t, f=f, x=x)
     (tmp_path / "model.yaml").write_text(SPRING)
@@ -184,3 +190,26 @@ def test_a_gain_that_is_a_factor_between_units_is_that_unit(kind, name, unit, ti
     factor = {"rpm": np.pi / 30.0, "kN": 1e3}[unit]
     doubt = UnitDoubt(("s",), kind, unit, "as declared", factor, otherwise=(((name, "s"), times),))
     assert doubt.is_gain is expected
+
+
+def test_what_is_found_in_other_units_is_written_in_these(tmp_path):
+    """An offset and a cubic spring, of readings in mm with a range and noise that a plant declares in m."""
+    rng, t = np.random.default_rng(5), np.arange(1200) / RATE
+    f, x = hard_spring(t, rng)
+    offset = 0.3 * x.std()
+    np.savez(tmp_path / "record.npz", t=t, f=f, s=1e3 * (x + offset + 1e-3 * x.std() * rng.standard_normal(len(t))))
+    (tmp_path / "model.yaml").write_text(SPRING)
+    (tmp_path / "plant.yaml").write_text(
+        "name: rig\nmodel: model.yaml\nsensors: {s: {measures: x, unit: m, range: [-0.2, 0.2], jump: 0.1}}\n"
+    )
+    out = tmp_path / "found"
+    found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml", out=out)
+    assert "declare unit: mm (sensors.s.unit)" in discovery_text.sentence(found)
+    assert {(one.name, one.on) for one in found.effects} == {("hardening_spring", "spring"), ("sensor_offset", "s")}
+    made = inputs.rig(None, out / "plant.yaml")
+    sensor = made.declaration.sensors["s"]
+    assert (sensor.unit, sensor.range, sensor.jump) == ("mm", (-200.0, 200.0), 100.0)
+    (use,) = made.declaration.effects.values()
+    assert use.parameters["e0"] == pytest.approx(1e3 * offset, rel=0.01)
+    simulated = masking.simulate(out / "plant.yaml", tmp_path / "record.npz")
+    assert simulated.chi["s"] < 1.1 * simulated.floor["s"]

@@ -75,7 +75,8 @@ class SimulationError:
         """Return the errors as JSON can hold it."""
         return {
             "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
-            "validation": {"before": self.validation[0], "after": self.validation[1], "alone": self.alone},
+            "validation": {"before": self.validation[0], "after": self.validation[1]},
+            "fitted_alone": self.alone,
             "noise_floor": self.noise_floor,
             "validation_noise_floor": self.validation_noise_floor,
         }

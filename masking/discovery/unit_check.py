@@ -27,6 +27,7 @@ from masking.errors import IntegrationError
 from masking.estimation.data import Data
 
 CLOCK, SECOND = "t", "s"
+AND = " and "  # between several units
 USUAL = (
     *("mm", "cm", "um", "m", "mm/s", "m/s", "km/h", "mm/s**2", "m/s**2", "standard_gravity", "deg", "rad", "deg/s"),
     *("rpm", "rad/s", "N", "kN", "mN", "kgf", "N*m", "N*mm", "V", "mV", "kV", "A", "mA", "Pa", "kPa", "bar"),
@@ -76,6 +77,10 @@ class UnitDoubt:
         }
         by = known.get(self.names[0], 0.0) / self.factor if len(self.names) == 1 else 0.0
         return 1.0 / LIKE < by < LIKE
+
+    def of_declared(self, unit: str) -> str:
+        """Return what channels are probably in that are declared in a unit."""
+        return dict(zip(self.declared.split(AND), self.unit.split(AND), strict=True))[unit]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the doubt as JSON can hold it."""
@@ -210,7 +215,7 @@ def _of_group(names: tuple[str, ...], kind: str, declared: Sequence[str]) -> Ite
     for factor, first in every[0].items() if every else ():
         units = [first, *(one for of in every[1:] for by, one in of.items() if np.isclose(by, factor))]
         if len(units) == len(declared):
-            yield UnitDoubt(names, kind, " and ".join(units), " and ".join(declared), factor)
+            yield UnitDoubt(names, kind, AND.join(units), AND.join(declared), factor)
 
 
 def _is_other(unit: str, declared: str) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 from masking.declaration import catalogue, registry
 from masking.declaration.checks import equation_of
 from masking.declaration.schema import ModelDeclaration, Parameter
-from masking.declaration.units import dimension_of, factor_of
+from masking.declaration.units import combined, dimension_of, factor_of
 from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
@@ -115,12 +115,12 @@ def _of_earlier(out: Path) -> set[Path]:
 
 def paths(found: Discovery, out: Path) -> Files:
     """Return where the files of a discovery lie."""
-    if not found.effects and found.law is None:
+    if not found.effects and found.law is None and not _in_other_units(found):
         return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
     names = [name for name, _ in found.written.names] if found.law else [cause.name for cause in found.effects]
-    causes = "+".join(dict.fromkeys(names))
+    causes = "+".join(dict.fromkeys(names or ["units"]))
     return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT)
 
 
@@ -193,6 +193,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         "elements": written("elements"),
         "equations": {x.text: y.text for x, y in whole.equations.items() if whole.state_of(x) in states},
         "terms": _terms(found, whole),
+        "inputs": {n: {"unit": unit} for n, unit in _in_other_units(found, "inputs").items()},
     }
     return made | {name: content for name, content in sections.items() if content or name == "parameters"}
 
@@ -231,7 +232,16 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         "model": model_file.as_posix(),
         "source": "; ".join(filter(None, (twin.declaration.source, origin.source(found)))),
     }
-    return model_files.plant(twin, folder, heading, found.rig.names, {**first, **before, **last})
+    effects = {label: _converted(found, use) for label, use in {**first, **before, **last}.items()}
+    made = model_files.plant(twin, folder, heading, found.rig.names, effects)
+    for kind in ("sensors", "actuators"):
+        for name, unit in _in_other_units(found, kind).items():
+            entry = made[kind][name] | {"unit": unit}
+            by = factor_of(discovery_text.channel_unit(found, name)) / factor_of(unit)
+            entry |= {"range": [by * end for end in entry["range"]]} if "range" in entry else {}
+            entry |= {"jump": by * entry["jump"]} if "jump" in entry else {}
+            made[kind] = made[kind] | {name: entry}
+    return made
 
 
 def labels(found: Discovery) -> dict[EffectInstance, str]:
@@ -315,10 +325,39 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
     return made | ({"std": model_files.rounded(std, STD_DIGITS)} if std > 0.0 else {})
 
 
+def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
+    """Return the units of channels that are probably in others than declared, those of a section of a file or all."""
+    doubt = found.unit
+    if doubt is None or doubt.kind == "clock":
+        return {}
+    known = {name: discovery_text.channel_unit(found, name) for name in doubt.names}
+    keys = {name: discovery_text.unit_key(found, doubt, name).partition(".")[0] for name in doubt.names}
+    return {n: doubt.of_declared(known[n]) for n, where in keys.items() if not section or where == section}
+
+
+def _converted(found: Discovery, use: dict[str, Any]) -> dict[str, Any]:
+    """Return an effect of the plant with its parameters in the unit that its channel is probably in."""
+    at = use.get("at", "")
+    other = _in_other_units(found).get(at if isinstance(at, str) else "")
+    if other is None or "parameters" not in use:
+        return use
+    known, entry = discovery_text.channel_unit(found, at), found.dictionary[use["effect"]]
+
+    def size(name: str, unit: str) -> float:
+        return factor_of(combined(entry.parameters[name].unit, dict.fromkeys("SU", unit)))
+
+    values = {
+        name: model_files.rounded(value * size(name, known) / size(name, other))
+        for name, value in use["parameters"].items()
+    }
+    return use | {"parameters": values}
+
+
 def _causes(found: Discovery) -> str:
     if found.law is None and found.explanation.kind == "parameter":
         return f"another {listed([name for name, _ in found.explanation.names])}"
-    return " and ".join(text for _, text in written(found))
+    units = [f"{name} in {unit}" for name, unit in _in_other_units(found).items()]
+    return " and ".join([*(text for _, text in written(found)), *units])
 
 
 def written(found: Discovery) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from masking.declaration.units import combined, describe, dimension_of, pretty
 from masking.discovery import latent_force, laws
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.localisation import LatentForces
-from masking.discovery.unit_check import UnitDoubt
+from masking.discovery.unit_check import AND, UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.reports import experiment_text
 from masking.reports.place_text import follows_command, portrayed, white
@@ -76,9 +76,10 @@ def units_of_channels(found: Discovery) -> str:
     before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
     names = _quoted(doubt)
     looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
-    mend = (
-        "give the times in s" if doubt.kind == "clock" else f"declare unit{'s' * (' and ' in doubt.unit)}: {doubt.unit}"
-    )
+    mend = "give the times in s"
+    if doubt.kind != "clock":
+        where = listed([f"{unit_key(found, doubt, name)}.unit" for name in doubt.names])
+        mend = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
     others = [f"{_quoted(one)} in {one.unit}" for one in doubt.alike]
     sentences = [
         f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}",
@@ -88,6 +89,13 @@ def units_of_channels(found: Discovery) -> str:
         "record is taken here",
     ]
     return ". ".join(filter(None, sentences))
+
+
+def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
+    """Return where the unit of a channel is declared: in a plant, or that of an input that it does not name a model."""
+    plant = found.twin.declaration
+    of_model = doubt.kind == "actuator" and name not in plant.actuators
+    return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
 
 
 def _quoted(doubt: UnitDoubt) -> str:
@@ -448,20 +456,24 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
     return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
 
 
+def channel_unit(found: Discovery, name: str) -> str:
+    """Return the declared unit of a sensor or an actuator."""
+    sensors = found.twin.declaration.sensors
+    return sensors[name].unit if name in sensors else latent_force.command_unit(found, name)
+
+
 def plain_units(found: Discovery, named: Named) -> dict[str, str]:
     """Return the units of the parameters of a cause, such as N/m**3."""
     if named.name not in found.dictionary:
         return {n: found.twin.base.parameters[n].unit for n in named.parameters}
     if named.name == laws.DELAY:
         return {laws.DEAD_TIME: "s"}
-    effect, twin = found.dictionary[named.name], found.twin
+    effect = found.dictionary[named.name]
     if effect.where == "element":
         force, displacement, _ = latent_force.element_units(found.written_rig, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}
-    elif effect.where == "sensor":
-        known = {"S": twin.declaration.sensors[named.on].unit}
     else:
-        known = {"U": latent_force.command_unit(found, named.on)}
+        known = dict.fromkeys("SU", channel_unit(found, named.on))
     made = {n: combined(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}
