@@ -52,6 +52,21 @@ def test_the_initial_state_may_be_that_of_the_first_readings(folder):
         masking.simulate(model, folder / "decay.csv", columns={"t": "time"}, initial=99.0)
 
 
+def test_each_shooting_interval_has_its_own_initial_state(folder):
+    """The last half of the record begins with another phase: two intervals leave the noise, one does not."""
+    record = np.loadtxt(folder / "decay.csv", delimiter=",", skiprows=1)
+    record[2000:, 1] *= -1.0
+    np.savetxt(folder / "decay.csv", record, delimiter=",", header="time,x", comments="")
+    given = folder / "oscillator.yaml", folder / "decay.csv"
+    whole, halves = (masking.simulate(*given, columns={"t": "time"}, shooting_interval=one) for one in (None, 10.0))
+    assert (whole.shooting_interval, halves.shooting_interval) == (None, 10.0)
+    assert whole.chi["x"] > 20.0 * halves.chi["x"]
+    assert halves.residual.std() == pytest.approx(NOISE, rel=0.05)
+    for wrong, said in (({"shooting_interval": 99.0}, "99 s do not hold"), ({"initial": 1.0}, "give one of them")):
+        with pytest.raises(DeclarationError, match=said):
+            masking.simulate(*given, columns={"t": "time"}, **{"shooting_interval": 10.0, **wrong})
+
+
 def test_a_wrong_model_is_said_in_a_sentence_a_table_and_a_page(folder, capsys):
     (folder / "oscillator.yaml").write_text(OSCILLATOR.replace("value: 12", "value: 12.6"))
     words = ["simulate", str(folder / "oscillator.yaml"), str(folder / "decay.csv"), "--map", "t=time"]

@@ -50,6 +50,8 @@ def discovered(folder, columns):
         ("position", 1e3, "'position' looks as if it were in mm, not m: declare unit: mm"),
         ("tilt", 180.0 / np.pi, "'tilt' looks as if it were in deg, not rad: declare unit: deg"),
         ("f", 1e-3, "'f' looks as if it were in kN, not N: declare unit: kN"),
+        ("tilt", -1.0, "'tilt' looks as if it had the other sign: turn it in the record or in the model"),
+        ("f", -1.0, "'f' looks as if it had the other sign: turn it in the record or in the model"),
         ("t", 1e3, "'t' looks as if it were in ms, not s: give the times in s"),
     ],
 )

@@ -74,6 +74,8 @@ def _add_simulate(sub: argparse.ArgumentParser) -> None:
     add_of_tables(sub)
     text = "take the initial state from the readings of the first SECONDS (default: of all)"
     sub.add_argument("--initial", type=float, metavar="SECONDS", help=text)
+    text = "length of shooting intervals, each with its own initial state (default: the whole record in one)"
+    sub.add_argument("--shooting-interval", type=float, metavar="SECONDS", help=text)
     add_out(sub, "results/simulated")
     add_json(sub, after="RECORD")
 
@@ -86,7 +88,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     out = Path(chosen.out or "results/simulated")
     prepare(chosen.json, out)
     read = {"hold": chosen.hold, "columns": columns(chosen), "dt": chosen.dt}
-    settings = {"plant": chosen.plant, "initial": chosen.initial, **read}
+    settings = {"plant": chosen.plant, "initial": chosen.initial, "shooting_interval": chosen.shooting_interval, **read}
     made = simulate(chosen.model, chosen.record, out=out, overwrite=chosen.overwrite, **settings)
     page = out / "simulation.html"
     return answer(

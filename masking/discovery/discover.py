@@ -101,7 +101,7 @@ def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: Discov
         with threadpool_limits(1):
             other = unit_check.suspected(whole, found.explanation.hypothesis)
         if other is not None:
-            say(f"once more, with {' and '.join(other.names)} in {other.unit}", 0.0)
+            say(f"once more, with another unit or sign of {' and '.join(other.names)}", 0.0)
             again, steps = _in_unit(other, whole, unseen, settings, say)
             if _explains_more(found, again):
                 found, substeps, doubt = again, steps, other

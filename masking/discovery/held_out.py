@@ -106,8 +106,8 @@ def _pooled(
 ) -> tuple[Explanation, Hypothesis] | None:
     """Return an explanation fitted to both records, and it on the validation record.
 
-    None where it explains that as well as the estimation record already, or a fit to both explains either less well, or
-    what is left is not small.
+    None where it explains that as well as the estimation record already, a fit to both explains either less
+    well, or the residual is not small.
 
     Args:
         chosen: the explanation, fitted to the estimation record.

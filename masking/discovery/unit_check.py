@@ -1,8 +1,9 @@
-"""Unit check: channels whose unit is probably another than declared, before anything is searched, and after it.
+"""Unit check: channels whose unit or sign is probably another than declared, before a search and after it.
 
 If the model as declared follows hardly anything of a record, and nearly all of it where a channel is converted from
-another usual unit of its dimension, that unit is suspected. Nothing is fitted but the initial state. A clock
-by which the model would move for periods between samples is suspected where readings and simulation are alike in ms.
+another usual unit of its dimension, or has the other sign, that is suspected. Nothing is fitted but the initial state.
+A clock by which the model would move for periods between samples is suspected where readings and simulation are alike
+in ms.
 
 A law that the model lacks may hide that. So a unit is suspected, too, where what was found needs a gain or a parameter
 that is several times what is declared, or is unknown, and readings and simulation are of one size in another unit:
@@ -27,6 +28,7 @@ from masking.errors import IntegrationError
 from masking.estimation.data import Data
 
 CLOCK, SECOND = "t", "s"
+REVERSED = -1.0  # factor of a channel with the other sign
 AND = " and "  # between several units
 USUAL = (
     *("mm", "cm", "um", "m", "mm/s", "m/s", "km/h", "mm/s**2", "m/s**2", "standard_gravity", "deg", "rad", "deg/s"),
@@ -53,7 +55,7 @@ class UnitDoubt:
         names: the channels; `t` is the clock.
         kind: 'sensor', 'actuator' or 'clock'.
         unit: what they are probably in, and `declared`: what they are declared in; of several units, each once.
-        factor: how many declared units one of the other is.
+        factor: how many declared units one of the other is; -1 where the sign is probably reversed.
         error: largest relative error of a sensor with the model as declared, in the declared and in the other unit.
         otherwise: gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many
             times what is declared they are there.
@@ -68,6 +70,11 @@ class UnitDoubt:
     error: tuple[float, float] = (np.inf, np.inf)
     otherwise: tuple[tuple[Key, float], ...] = ()
     alike: tuple[UnitDoubt, ...] = ()
+
+    @property
+    def is_sign(self) -> bool:
+        """Return whether the sign is probably another than declared, and not the unit."""
+        return self.factor < 0.0
 
     @property
     def is_gain(self) -> bool:
@@ -88,6 +95,7 @@ class UnitDoubt:
             "channels": [*self.names],
             "unit": self.unit,
             "declared": self.declared,
+            "sign": -1 if self.is_sign else 1,
             "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
             "alike": [{"channels": [*one.names], "unit": one.unit} for one in self.alike],
         }
@@ -96,7 +104,7 @@ class UnitDoubt:
         """Return a problem with the channels in the declared unit."""
         twin, sigma = problem.rig.twin, problem.sigma.copy()
         if self.kind == "sensor":
-            sigma[[twin.sensors.index(name) for name in self.names]] *= self.factor
+            sigma[[twin.sensors.index(name) for name in self.names]] *= abs(self.factor)
         record = self.of(problem, problem.record)
         steps = min(max(1, twin.substeps(record.rate) // 2), STEPS) if self.kind == "clock" else problem.substeps
         return replace(problem, record=record, sigma=sigma, substeps=steps)
@@ -195,7 +203,7 @@ def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoub
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Give other units: of each channel, of all sensors or actuators of a unit, of all sensors, and of the clock."""
+    """Give other signs and units: of each channel, and units of those alike, of all sensors, and of the clock."""
     twin, known = problem.rig.twin, problem.rig.twin.declaration
     ports = known.actuators or twin.base.inputs
     units = {"sensor": {name: known.sensors[name].unit for name in twin.sensors}}
@@ -203,6 +211,7 @@ def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
     for kind, channels in units.items():
         alike = {unit: tuple(name for name in channels if channels[name] == unit) for unit in channels.values()}
         groups = {*((name,) for name in channels), *alike.values(), *([tuple(channels)] if kind == "sensor" else [])}
+        yield from (UnitDoubt((name,), kind, unit, unit, REVERSED) for name, unit in channels.items())
         for names in sorted(groups, key=lambda group: (len(group), group)):
             yield from _of_group(names, kind, [*dict.fromkeys(channels[name] for name in names)])
     for unit in TIMES:

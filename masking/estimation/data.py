@@ -172,6 +172,10 @@ class Data:
                 "look at the cables, columns and gains, or excite the rig more"
             )
 
+    def under(self, twin: Twin) -> Data:
+        """Return the record with the dead times of a twin, where its commands are held; measured inputs have none."""
+        return replace(self, late=twin.late(self.rate)) if self.hold == "zero-order" else self
+
     @property
     def moves(self) -> bool:
         """Return whether a command changes, or the readings vary by more than their noise."""

@@ -175,7 +175,7 @@ def fit(
     sensitivity = Sensitivity(twin, tuple(names), tuple(shared))
     theta = sensitivity.start()
     if sensitivity.dead_times:  # records that were read with other ones
-        records, unseen = (tuple(replace(one, late=twin.late(one.rate)) for one in each) for each in (records, unseen))
+        records, unseen = (tuple(one.under(twin) for one in each) for each in (records, unseen))
     stages = [list(records)]
     if shooting_interval:
         stages.insert(0, [window for record in records for window in record.windows(shooting_interval)])

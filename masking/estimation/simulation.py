@@ -45,12 +45,14 @@ class Simulated:
         sensors: their names.
         units: of the readings.
         readings: simulated (m, sensors), from the best initial state.
+        shooting_interval: s of each simulation with its own initial state; None for one of the whole record.
     """
 
     record: Data
     sensors: tuple[str, ...]
     units: tuple[str, ...]
     readings: Array
+    shooting_interval: float | None = None
 
     @property
     def times(self) -> Array:
@@ -159,6 +161,18 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     plant = twin.declaration.sensors
     units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
     return Simulated(record, twin.sensors, units, found.simulated)
+
+
+def in_intervals(twin: Twin, record: Data, seconds: float) -> Simulated:
+    """Simulate a record in intervals of about a length in s, each from the initial state that reproduces it best.
+
+    Raises:
+        IntegrationError: the motion of an interval is not finite from any initial state that was tried.
+    """
+    pieces = record.windows(seconds)
+    every = [simulate(twin, piece) for piece in pieces]
+    readings = np.concatenate([one.readings for one in every])
+    return replace(every[0], record=record, readings=readings, shooting_interval=len(record) / record.rate / len(every))
 
 
 def nearest(

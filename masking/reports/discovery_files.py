@@ -115,7 +115,7 @@ def _of_earlier(out: Path) -> set[Path]:
 
 def paths(found: Discovery, out: Path) -> Files:
     """Return where the files of a discovery lie."""
-    if not found.effects and found.law is None and not _in_other_units(found):
+    if not found.effects and found.law is None and not (found.unit and found.unit.kind != "clock"):
         return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
     stem = base if base in catalogue.names("model") else Path(base).stem
@@ -217,6 +217,10 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         label = _free(f"{effect}_{at}", {*before, *first, *last})
         target[label] = {"effect": effect, "at": at, "parameters": rounded}
 
+    turned = found.unit.kind if found.unit and found.unit.is_sign else ""
+    reversing = f"{turned}_gain", found.unit.names[0] if found.unit else "", {"e": -2.0}  # a gain of -1 in all
+    if turned == "actuator":
+        add(first, *reversing)
     fitted = found.written.hypothesis
     for instance in (*found.written_rig.imperfect(fitted.theta), *fitted.instances):
         if instance.effect == laws.DELAY:
@@ -225,6 +229,8 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
             # Commands pass what was found first; readings pass it last.
             values = dict(zip(instance.entry.parameters, instance.values, strict=True))
             add(first if instance.where == "actuator" else last, instance.effect, instance.at, values)
+    if turned == "sensor":
+        add(last, *reversing)
     for cause in found.effects[len(found.explanation.names) :]:
         add(last, cause.name, cause.on, {n: value for n, (value, _) in cause.parameters.items()})
     heading = {
@@ -328,7 +334,7 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
 def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
     """Return the units of channels that are probably in others than declared, those of a section of a file or all."""
     doubt = found.unit
-    if doubt is None or doubt.kind == "clock":
+    if doubt is None or doubt.is_sign or doubt.kind == "clock":
         return {}
     known = {name: discovery_text.channel_unit(found, name) for name in doubt.names}
     keys = {name: discovery_text.unit_key(found, doubt, name).partition(".")[0] for name in doubt.names}
@@ -357,6 +363,7 @@ def _causes(found: Discovery) -> str:
     if found.law is None and found.explanation.kind == "parameter":
         return f"another {listed([name for name, _ in found.explanation.names])}"
     units = [f"{name} in {unit}" for name, unit in _in_other_units(found).items()]
+    units += [f"another sign of {found.unit.names[0]}"] if found.unit and found.unit.is_sign else []
     return " and ".join([*(text for _, text in written(found)), *units])
 
 

@@ -25,6 +25,7 @@ LOST = 0.9  # part of a reading that is left, from which the model is said not t
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
 EXCHANGED = "Unseen data alone show it: it was estimated from these, and validated by the others"
+OTHER_SIGN = "the other sign"
 HARDLY_A_FORCE = "Along the record, two of its standard deviations are as large as the force: there may be none"
 EARLY = (
     "The search ended early, after as much work as it may do: a part of the record, or fewer --parameters, leave more"
@@ -77,16 +78,18 @@ def units_of_channels(found: Discovery) -> str:
     names = _quoted(doubt)
     looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
     mend = "give the times in s"
-    if doubt.kind != "clock":
+    if doubt.is_sign:
+        mend = "turn it in the record or in the model"
+    elif doubt.kind != "clock":
         where = listed([f"{unit_key(found, doubt, name)}.unit" for name in doubt.names])
         mend = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
-    others = [f"{_quoted(one)} in {one.unit}" for one in doubt.alike]
+    so = f"had {OTHER_SIGN}" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
+    others = [f"{_quoted(one)} {_otherwise(one)}" for one in doubt.alike]
     sentences = [
-        f"{names} {looks} as if {it} were in {doubt.unit}, not {doubt.declared}: {mend}",
+        f"{names} {looks} as if {it} {so}: {mend}",
         f"This record does not tell that from {alternatives(others)}" if others else "",
         needed(found, doubt),
-        f"The model as declared leaves {before} of the readings, and {after} of them with that unit, in which the "
-        "record is taken here",
+        f"The model as declared leaves {before} of the readings, and {after} of them so, as the record is taken here",
     ]
     return ". ".join(filter(None, sentences))
 
@@ -96,6 +99,11 @@ def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
     plant = found.twin.declaration
     of_model = doubt.kind == "actuator" and name not in plant.actuators
     return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
+
+
+def _otherwise(doubt: UnitDoubt) -> str:
+    """Say how channels are taken otherwise than declared."""
+    return f"with {OTHER_SIGN}" if doubt.is_sign else f"in {doubt.unit}"
 
 
 def _quoted(doubt: UnitDoubt) -> str:
@@ -109,7 +117,11 @@ def needed(found: Discovery, doubt: UnitDoubt) -> str:
         f"{spoken(found, name, on) if on else name} {number(times, 4)} times as large"
         for (name, on), times in doubt.otherwise
     ]
-    return f"In {doubt.declared}, the record would need {listed(said)} as declared" if said else ""
+    return (
+        f"{'As it is' if doubt.is_sign else f'In {doubt.declared}'}, the record would need {listed(said)} as declared"
+        if said
+        else ""
+    )
 
 
 def withheld(found: Discovery) -> str:

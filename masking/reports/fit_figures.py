@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from masking.declaration.quantities import percent
+from masking.declaration.quantities import percent, quantity
 from masking.declaration.units import pretty
 from masking.errors import IntegrationError
 from masking.estimation.data import Data
@@ -65,7 +65,7 @@ def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data
     records: list[tuple[Data, Which]] = [(train[0], "fitted"), *((record, "validation") for record in unseen[:1])]
     for record, which in records:
         try:
-            made = simulate(found.twin, record, found.names)
+            made = simulate(found.twin, record.under(found.twin), found.names)
         except IntegrationError:
             continue
         drawn.append(fit(made, which))
@@ -84,7 +84,10 @@ def overview(made: Simulated) -> CaptionedFigure:
     ]
     figure = _over_time(made, lines, [(0.0, made.times[-1])], verdict(made, ""))
     more = parts.first_of(len(made.sensors[:_MOST_SENSORS]), len(made.sensors), "sensors")
-    caption = f"{made.record.name}: measured, simulated from the initial state that fits best, and the residual.{more}"
+    anew = " in each interval" if made.shooting_interval else ""
+    caption = (
+        f"{made.record.name}: measured, simulated from the initial state that fits best{anew}, and the residual.{more}"
+    )
     return CaptionedFigure("overview", "The whole record", caption, figure)
 
 
@@ -257,6 +260,8 @@ def _span(made: Simulated) -> float:
 def verdict(made: Simulated, which: Which) -> str:
     """Say in a sentence whether the residual of a record is above the noise floor."""
     chi, floor, record = made.chi, made.floor, f"{which} record".lstrip()
+    if made.shooting_interval:
+        record += f", simulated in intervals of {quantity(made.shooting_interval, 's')},"
     more = [name for name in chi if chi[name] > _MORE * floor[name]]
     if not more:
         sensors = ", ".join(f"{name} {percent(chi[name])}" for name in chi)

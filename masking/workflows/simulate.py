@@ -24,6 +24,7 @@ def simulate(
     columns: Names | None = None,
     dt: float | None = None,
     initial: float | None = None,
+    shooting_interval: float | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
 ) -> Simulated:
@@ -41,6 +42,8 @@ def simulate(
             names, those of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
         initial: s from the beginning in which readings are taken for the initial state; by default all.
+        shooting_interval: length in s of intervals, each simulated from an initial state of its own, as an error of a
+            discovery may be stated; by default the record is one.
         out: folder to save `simulation.html`, its figures and `simulation.json` in; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
 
@@ -60,12 +63,18 @@ def simulate(
             raise
         mend = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
         raise ColumnError(f"{error}; {mend}") from None
-    if initial is not None and not 2 <= round(initial * given.rate) <= len(given):
-        least, most = 2.0 / given.rate, len(given) / given.rate
-        message = f"{initial:g} s do not hold 2 readings or more of the record"
-        raise DeclarationError(Problem(None, "initial", message, f"give {least:g} ... {most:g} s"))
+    if initial is not None and shooting_interval is not None:
+        raise DeclarationError(Problem(None, "initial", "each shooting interval has its own", "give one of them"))
+    for name, seconds in (("initial", initial), ("shooting_interval", shooting_interval)):
+        if seconds is not None and not 2 <= round(seconds * given.rate) <= len(given):
+            least, most = 2.0 / given.rate, len(given) / given.rate
+            message = f"{seconds:g} s do not hold 2 readings or more of the record"
+            raise DeclarationError(Problem(None, name, message, f"give {least:g} ... {most:g} s"))
     try:
-        made = simulation.simulate(twin, given, initial=initial)
+        if shooting_interval is None:
+            made = simulation.simulate(twin, given, initial=initial)
+        else:
+            made = simulation.in_intervals(twin, given, shooting_interval)
     except IntegrationError as error:
         raise ModelError(
             f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "
