@@ -98,20 +98,19 @@ def next_experiment(
         names: of the two.
         limits: largest command of each actuator (actuators,); three times the record's where none are given.
     """
-    best: NextExperiment | None = None
     rates = _rates(problem.rig)
     if rates is None or not problem.rig.twin.actuators:
         return None
     size = np.abs(problem.record.commands).max(axis=0)
     most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
-    for name, settings, commands in _possible(problem, size, most, rates):
+
+    def tried(name: str, settings: dict[str, Any], commands: Array) -> NextExperiment:
         both = ((first, second), (second, first))
         separation = min(_left(problem, commands, truth, other) for truth, other in both)
-        found = NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
-        if best is None or found.separation > best.separation:
-            best = found
-    assert best is not None  # noqa: S101  # there are always excitations
-    return best
+        return NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
+
+    every = (tried(*one) for one in _possible(problem, size, most, rates))
+    return max(every, key=lambda one: one.separation)
 
 
 def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
@@ -182,7 +181,12 @@ def _excitations(problem: EstimationProblem, size: Array, most: Array) -> Iterat
                 phases = signals.schroeder_phases(np.ones(len(own)))
                 wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
                 columns.append(wave / np.abs(wave).max())
-            settings = {"peak": peak_of, "lowest": f"{low:g} Hz", "highest": f"{high:g} Hz", "seconds": seconds}
+            settings = {
+                "peak": peak_of,
+                "lowest": f"{lines[0] / period:g} Hz",
+                "highest": f"{lines[-1] / period:g} Hz",
+                "seconds": seconds,
+            }
             yield "multisine", settings, np.array(columns).T * peaks
         shape = np.interp(t / seconds, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
         shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]

@@ -129,10 +129,10 @@ class Screen:
         size = np.linalg.norm(whole, axis=0)
         size = np.where(size > 0.0, size, 1.0)
         u, s, v = decompositions.svd(whole / size)
-        independent = s > RANK * s[0]
+        independent = s > RANK * s.max(initial=0.0)
         self.taken, self._back = u[:, independent], v[independent].T / s[independent] / size[:, None]
         u, s, _ = decompositions.svd(own / size)
-        self.possible = u[:, s > RESPONSE * s[0]]
+        self.possible = u[:, s > RESPONSE * s.max(initial=0.0)]
         self.single = _apart(own[:, :k], own[:, k:], RESPONSE)
         left = self._rows((self._means(base.residuals) - (0.0 if taken else values))[:, :, None])[:, 0]
         if not np.abs(left).max() < HUGE:

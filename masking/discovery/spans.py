@@ -68,8 +68,8 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
         return ()
     frequencies = np.fft.rfftfreq(many, 1.0 / rate)
     power = np.where((frequencies > SLOWEST) & (frequencies < FASTEST * rate), power, 0.0)
-    found = []
-    for _ in range(rules.tones):
+    found = list[float]()
+    while power.any() and len(found) < rules.tones:
         i = int(np.argmax(power))
         found.append(float(frequencies[i]))
         power[max(0, i - WIDTH) : i + WIDTH + 1] = 0.0

@@ -155,7 +155,7 @@ class Data:
                         f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
                         f"{len(wrong)} samples in all; cut these out, and give the parts as records of their own"
                     )
-        if not self.moves:
+        if not self.moves or not (self.answers or np.ptp(self.commands, axis=0).any()):
             raise RecordError(
                 f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
                 "noise; excite the rig, or let it go from somewhere else than rest"
@@ -272,8 +272,13 @@ class Data:
         return [self.part(a, b) for a, b in itertools.pairwise(bounds)]
 
     def part(self, begin: int, end: int) -> Data:
-        """Return the samples from `begin` to before `end`, with the commands that act then."""
+        """Return the samples from `begin` to before `end`, with the commands that act then.
+
+        At the beginning of the record these are not known, and the readings that they make do not count.
+        """
         whole = np.floor(self.late)
+        if begin < whole.max(initial=0.0):
+            return replace(self, commands=self.commands[begin:end], readings=self.readings[begin:end])
         acting = replace(self, late=whole).acting[begin:end]
         return replace(self, commands=acting, readings=self.readings[begin:end], late=self.late - whole)
 

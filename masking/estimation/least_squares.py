@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.errors import IntegrationError, ModelError
+from masking.errors import DeclarationError, IntegrationError, ModelError
 from masking.numerics import decompositions
 from masking.numerics.arrays import Array
 
@@ -226,7 +226,7 @@ def minimise(
     def attempted(values: Array) -> Linearised[T]:
         try:
             return linearise(values)
-        except (IntegrationError, ModelError):
+        except (IntegrationError, ModelError, DeclarationError):
             return replace(at, cost=np.inf)
 
     at, number, is_last = linearise(x), 0, False
