@@ -80,6 +80,19 @@ def test_a_law_that_may_be_nothing_is_not_offered(discoveries):
     assert discovery_text.offered(replace(found, effects=(springs,))) == [springs]
 
 
+def test_opposite_cross_dampings_are_one_gyroscopic_coupling(discoveries):
+    on, back = (
+        Named("cross_damping", at, {"c": (c, 4e-6)}, 0.9) for at, c in (("q on p", -0.02), ("p on q", 0.020007))
+    )
+    found = replace(discoveries("friction"), effects=(on, back))
+    assert discovery_text.opposite(found) == (
+        "Q on p and p on q are opposite, within their uncertainty: a gyroscopic coupling"
+    )
+    away = replace(back, parameters={"c": (0.023, 4e-6)})
+    assert discovery_text.opposite(replace(found, effects=(on, away))) == ""
+    assert len(discovery_text.remedies(found)) == 1
+
+
 @pytest.mark.parametrize(("wide", "how"), [(1.0, "beyond"), (10.0, "within")])
 def test_parameters_that_moved_are_told(discoveries, wide, how):
     found = discoveries("friction")

@@ -17,7 +17,7 @@ from masking.declaration.couplings import driven_outputs
 from masking.declaration.expression import Expression
 from masking.declaration.operations import COMPARISONS, Step
 from masking.declaration.schema import Declaration, Element, ModelDeclaration
-from masking.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of
+from masking.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of, instead_of
 from masking.errors import DeclarationError, Problem
 
 _SECTIONS = ("coordinates", "states", "inputs", "parameters", "outputs", "elements", "scales")
@@ -189,7 +189,8 @@ class _Checker:
                 if section in {"scales", "states"} and not expression.symbols:
                     continue  # a number, in the unit of the entry
                 unit = self.units[f"{section}.{name}.unit"] if is_declared else None
-                self.same(unit, expression, "the declared unit is {}, the expression {}")
+                written = getattr(model, section)[name].unit
+                self.same(unit, expression, "the declared unit is {}, the expression {}", written)
             elif section == "energy":
                 self.of(expression)
         action = None if model.lagrangian is None else self.of(model.lagrangian)
@@ -282,12 +283,13 @@ class _Checker:
             self.problems += error.problems
             return None
 
-    def same(self, wanted: Dimension | None, expression: Expression, message: str) -> None:
+    def same(self, wanted: Dimension | None, expression: Expression, message: str, written: str = "") -> None:
         found = self.of(expression)
         if wanted is not None and found is not None and wanted != found:
             whole = (0, len(expression.text))
             first = describe(wanted) if "unit is {}" in message else _shown(wanted)
-            self.problems.append(expression.problem(whole, message.format(first, _shown(found))))
+            mend = instead_of(written, found)
+            self.problems.append(expression.problem(whole, message.format(first, _shown(found)), mend))
 
 
 def _shown(dimension: Dimension) -> str:

@@ -14,7 +14,7 @@ from masking.declaration.dimensions import dimension_in, is_plain, symbol_dimens
 from masking.declaration.expression import Expression
 from masking.declaration.instruments import Actuator, Limit, PowerLimit, Quantity, Sensor
 from masking.declaration.schema import ExperimentDeclaration, ModelDeclaration, PlantDeclaration
-from masking.declaration.units import Dimension, describe, dimension_of, factor_of
+from masking.declaration.units import Dimension, describe, dimension_of, factor_of, instead_of
 from masking.errors import DeclarationError, Problem
 
 _POWER = "W"
@@ -161,7 +161,10 @@ def _sensor(
     shown = f"{sensor.gain.value:g}" + ("" if sensor.gain.unit == "1" else f" {sensor.gain.unit}")
     message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
     wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
-    mend = f"measure another quantity, give the gain in {wanted} with its value in that unit, or mend the unit"
+    mend = (
+        instead_of(sensor.unit, made)
+        or f"measure another quantity, give the gain in {wanted} with its value in that unit, or mend the unit"
+    )
     yield problem_at(plant, f"sensors.{name}", message, mend)
 
 

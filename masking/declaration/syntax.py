@@ -62,7 +62,7 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
         "text in quotes is not allowed in an expression",
         "write x1'' with two single quotes for a second derivative",
     ),
-    (".", "attribute access is not allowed", ""),
+    (".", "a point stands only in a number", "write the product as a*b"),
     ("[", "square brackets are not allowed", "use parentheses"),
     ("]", "square brackets are not allowed", "use parentheses"),
     ("{", "braces are not allowed", "use parentheses"),

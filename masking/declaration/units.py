@@ -48,6 +48,7 @@ ANGLES = {
     "revolution": "rad",
     "rpm": "rad/s",
 }
+GRAM, GRAVITY = "g", "gravity"  # one that is often written for the other
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 # Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.
 USUAL: dict[str, tuple[float, dict[str, int]]] = {
@@ -88,6 +89,13 @@ class Conversion(NamedTuple):
 def dimension_of(unit: str) -> Dimension:
     """Give the exponents of a unit over `BASES`; raises `DeclarationError` for what is no unit."""
     return _unit(unit)[1]
+
+
+def instead_of(unit: str, wanted: Dimension) -> str:
+    """Say what to write for a unit whose name is that of another dimension than wanted; '' where nothing is known."""
+    if unit == GRAM and wanted == dimension_of(GRAVITY):
+        return f"{GRAM} is the gram: write {GRAVITY} for {factor_of(GRAVITY):g} m/s**2"
+    return ""
 
 
 def factor_of(unit: str) -> float:

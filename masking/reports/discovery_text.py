@@ -12,7 +12,7 @@ from masking.discovery.localisation import LatentForces
 from masking.discovery.unit_check import AND, UnitDoubt
 from masking.discovery.unnamed import UnnamedLaw
 from masking.reports import experiment_text
-from masking.reports.place_text import follows_command, portrayed, white
+from masking.reports.place_text import follows_command, opposite, portrayed, white
 from masking.reports.text import alternatives, capital, listed, much
 
 MOST = 0.5  # part of the model error from which a place or a side of the rig is stated
@@ -63,7 +63,7 @@ def sentence(found: Discovery) -> str:
     else:
         what = listed([cause(found, one) for one in found.effects], "; ")
         first = f"{capital(what)}{',' if ', ' in what else ''} {'is' if len(found.effects) == 1 else 'are'} missing"
-        sentences = [first, hardly(found), gap(found), moved(found)]
+        sentences = [first, opposite(found), hardly(found), gap(found), moved(found)]
     notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
     sentences += [withheld(found), *notes, measured(found)]
     return ". ".join(filter(None, [units_of_channels(found), *sentences]))
@@ -125,18 +125,18 @@ def needed(found: Discovery, doubt: UnitDoubt) -> str:
 
 
 def withheld(found: Discovery) -> str:
-    """Say what is not given since it is worse on unseen data than the model as declared; '' if nothing is."""
+    """Say what is withheld since it is worse on unseen data than the model as declared; '' if nothing is."""
     if found.withheld is None:
         return ""
     before, after = found.simulation_error.validation[0], found.withheld.error
     causes = [labelled(found, *one) for one in found.withheld.names]
-    what = f"{listed(causes)} would explain more of this record, but the" if causes else "With adjusted parameters, the"
+    what = f"{listed(causes)} would explain more of this record, but" if causes else "With adjusted parameters,"
     if after is None:
-        return f"{what} motion on unseen data is no longer finite then: that is not given"
+        return f"{what} the motion on unseen data would no longer be finite: left out"
     name = max(after, key=lambda sensor: after[sensor] / max(before[sensor], 1e-300))
     return (
-        f"{what} error of {name} on unseen data is {percent(after[name])} then, against {percent(before[name])} as "
-        "declared: that is not given"
+        f"{what} the error of {name} on unseen data would be {percent(after[name])}, against {percent(before[name])} "
+        "as declared: left out"
     )
 
 
@@ -459,8 +459,8 @@ def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
     dictionary = found.dictionary
     seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
-    known = [dictionary[name] for name in seen if name in dictionary]
-    return [(e.spoken, e.meaning, e.cause, e.remedy) for e in known]
+    known = {(e.spoken, e.cause): e for e in (dictionary[name] for name in reversed(seen) if name in dictionary)}
+    return [(e.spoken, e.meaning, e.cause, e.remedy) for e in reversed(known.values())]
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from masking.declaration.quantities import number, power, quantity, work
+from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import LatentForces, LocatedForce
 from masking.estimation.whiteness import Whiteness
-from masking.reports.text import listed, much
+from masking.reports.text import capital, listed, much
 
+CROSS_DAMPING = "cross_damping"
+DEVIATIONS, APART = 3.0, 0.01  # of two numbers, in parts of their own: as far as those may be apart that are the same
 NOTABLE = 0.15  # part of a force's energy from which a dependence is stated
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
 CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
@@ -26,7 +31,7 @@ def portrayed(place: LocatedForce) -> str:
     """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
     parts = place.decomposition.parts
     if parts is None:
-        return "it is hardly beyond its deviation"
+        return "it is no larger than its uncertainty"
     if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
         return "it hardly changes"
     each = {
@@ -111,3 +116,13 @@ def white(one: Whiteness) -> str:
         return "white"
     at = "an offset" if not one.frequency else f"{number(one.frequency, 2)} Hz"
     return f"not white ({'slow, ' if one.slow and one.frequency else ''}{at})"
+
+
+def opposite(found: Discovery) -> str:
+    """Say that two cross dampings are those of one gyroscopic coupling, which takes no energy; '' if none are."""
+    known = {one.on: one.parameters["c"] for one in found.effects if one.name == CROSS_DAMPING}
+    for (one, (c, std)), (other, (d, deviation)) in itertools.combinations(known.items(), 2):
+        is_pair = one.split(" on ") == other.split(" on ")[::-1]
+        if is_pair and c * d < 0.0 and abs(c + d) < max(DEVIATIONS * np.hypot(std, deviation), APART * abs(c)):
+            return f"{capital(one)} and {other} are opposite, within their uncertainty: a gyroscopic coupling"
+    return ""
