@@ -114,7 +114,8 @@ def _chain(rng: np.random.Generator) -> Problem:
     for kind, i in hidden:
         if kind in AT_ELEMENTS:
             k, c, size_of, speed_of = (float(x[i]) for x in (rig.stiffness, rig.damping, d.std(axis=0), speeds))
-            own = Drawn(rig.rows[i], k, c, size_of, speed_of, float(np.abs(d[:, i]).max()), rng)
+            reach = (float(-d[:, i].min()), float(d[:, i].max())) if pushed else (float(np.abs(d[:, i]).max()),) * 2
+            own = Drawn(rig.rows[i], k, c, size_of, speed_of, reach, rng)
             if kind in FRICTION:
                 contacts.append(_contact(kind, own))
             else:
