@@ -136,7 +136,8 @@ def test_long_sums_are_not_deep():
     [
         ("2x", "m.yaml:4:11: energy: 2 is followed by x without an operator; write 2*x for a product\n    2x\n     ^"),
         ("x^2", "m.yaml:4:11: energy: '^' is not an operator; write ** for a power\n    x^2\n     ^"),
-        ("x.real", "m.yaml:4:11: energy: a point stands only in a number; write the product as a*b\n"
+        ("x.real", "m.yaml:4:11: energy: a dot is allowed only in a number; "
+             "write sin(x) without a prefix, and a*b for a product\n"
              "    x.real\n     ^"),
         ("9**9**9", "m.yaml:4:10: energy: the exponent is larger than 64; nested powers count as their product\n"
             "    9**9**9\n    ^^^^^^^"),

@@ -267,9 +267,9 @@ RATES = np.concatenate([T[:500], T[499] + np.arange(1, 501) / 400.0])
         (T[:3], {}, r"it has 3 samples; give a longer record"),
         (T, {f"{kind}_{name}": np.full(len(T), 0.2) for kind, names in (("input", ("V1", "V2", "V3")),
              ("sensor", ("s1", "s2", "s3"))) for name in names}, r"nothing moves: the commands are constant"),
-        (T, {"sensor_s2": np.full(len(T), 0.2)}, r"s2 reads 0\.2 throughout, although others change; look"),
+        (T, {f"sensor_s{i}": np.full(len(T), 0.2) for i in (1, 2, 3)}, r"s1 reads 0\.2 throughout; check its cable"),
         (T, {f"sensor_s{i}": 0.2 + 0.01 * np.random.default_rng(i).standard_normal(len(T)) for i in (1, 2, 3)},
-         r"the commands change, but the readings are white noise, which follows none of them; look at"),
+         r"the commands change, but the readings are white noise, which follows none of them; check the"),
     ],
 )  # fmt: skip
 def test_a_record_that_cannot_be_fitted_is_refused(linear, t, changes, said):

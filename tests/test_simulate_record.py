@@ -62,7 +62,10 @@ def test_each_shooting_interval_has_its_own_initial_state(folder):
     assert (whole.shooting_interval, halves.shooting_interval) == (None, 10.0)
     assert whole.chi["x"] > 20.0 * halves.chi["x"]
     assert halves.residual.std() == pytest.approx(NOISE, rel=0.05)
-    for wrong, said in (({"shooting_interval": 99.0}, "99 s do not hold"), ({"initial": 1.0}, "give one of them")):
+    for wrong, said in (
+        ({"shooting_interval": 99.0}, "99 s do not hold"),
+        ({"initial": 1.0}, "give only one of initial and"),
+    ):
         with pytest.raises(DeclarationError, match=said):
             masking.simulate(*given, columns={"t": "time"}, **{"shooting_interval": 10.0, **wrong})
 

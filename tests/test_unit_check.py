@@ -50,8 +50,8 @@ def discovered(folder, columns):
         ("position", 1e3, "'position' looks as if it were in mm, not m: declare unit: mm"),
         ("tilt", 180.0 / np.pi, "'tilt' looks as if it were in deg, not rad: declare unit: deg"),
         ("f", 1e-3, "'f' looks as if it were in kN, not N: declare unit: kN"),
-        ("tilt", -1.0, "'tilt' looks as if it had the other sign: turn it in the record or in the model"),
-        ("f", -1.0, "'f' looks as if it had the other sign: turn it in the record or in the model"),
+        ("tilt", -1.0, "'tilt' looks as if it had its sign reversed: reverse it in the record or in the model"),
+        ("f", -1.0, "'f' looks as if it had its sign reversed: reverse it in the record or in the model"),
         ("t", 1e3, "'t' looks as if it were in ms, not s: give the times in s"),
     ],
 )
@@ -153,7 +153,7 @@ def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
     assert "In m, the record would need" in said
     assert [(one.name, one.on) for one in found.effects] == [("hardening_spring", "spring")]
     assert found.effects[0].parameters["k3"][0] == pytest.approx(HARD, rel=0.02)
-    assert found.as_dict()["unit"]["alike"] == [{"channels": ["f"], "unit": "kN"}]
+    assert found.as_dict()["unit"]["alike"] == [{"channels": ["f"], "unit": "kN", "sign": 1}]
 
 
 LEVEL = """
@@ -203,6 +203,7 @@ def test_what_is_found_in_other_units_is_written_in_these(tmp_path):
     (tmp_path / "model.yaml").write_text(SPRING)
     (tmp_path / "plant.yaml").write_text(
         "name: rig\nmodel: model.yaml\nsensors: {s: {measures: x, unit: m, range: [-0.2, 0.2], jump: 0.1}}\n"
+        "effects: {steps: {effect: quantisation, at: s, parameters: {step: 1.0e-7}}}\n"
     )
     out = tmp_path / "found"
     found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml", out=out)
@@ -211,7 +212,8 @@ def test_what_is_found_in_other_units_is_written_in_these(tmp_path):
     made = inputs.rig(None, out / "plant.yaml")
     sensor = made.declaration.sensors["s"]
     assert (sensor.unit, sensor.range, sensor.jump) == ("mm", (-200.0, 200.0), 100.0)
-    (use,) = made.declaration.effects.values()
-    assert use.parameters["e0"] == pytest.approx(1e3 * offset, rel=0.01)
+    steps, found_there = made.declaration.effects.values()
+    assert steps.parameters["step"] == pytest.approx(1e-4)
+    assert found_there.parameters["e0"] == pytest.approx(1e3 * offset, rel=0.01)
     simulated = masking.simulate(out / "plant.yaml", tmp_path / "record.npz")
     assert simulated.chi["s"] < 1.1 * simulated.floor["s"]

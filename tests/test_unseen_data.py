@@ -45,7 +45,7 @@ def test_what_is_worse_on_unseen_data_is_not_given(models, tmp_path):
     assert after["q"] <= 1.001 * before["q"]
     assert found.withheld is not None
     assert found.withheld.error["q"] > before["q"]
-    assert "as declared: left out" in discovery_text.sentence(found)
+    assert "as declared, so it is not reported" in discovery_text.sentence(found)
     assert found.as_dict()["withheld"]["validation_error"] == found.withheld.error
 
 

@@ -62,7 +62,7 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
         "text in quotes is not allowed in an expression",
         "write x1'' with two single quotes for a second derivative",
     ),
-    (".", "a point stands only in a number", "write the product as a*b"),
+    (".", "a dot is allowed only in a number", "write sin(x) without a prefix, and a*b for a product"),
     ("[", "square brackets are not allowed", "use parentheses"),
     ("]", "square brackets are not allowed", "use parentheses"),
     ("{", "braces are not allowed", "use parentheses"),

@@ -65,13 +65,14 @@ def discover(
         tell: called with what is done, and the fraction done.
 
     Raises:
-        RecordError: the record is too short, clipped, or its readings carry no noise.
+        RecordError: the record is too short or clipped, or a reading is constant.
         IntegrationError: the rig cannot be simulated along the record.
     """
     settings = settings or DiscoverySettings()
     rig = rig or AugmentedModel(twin, tuple(settings.parameters) or uncertain(twin))
     say = tell or (lambda text, part: None)
     say("preparing the rig; the first time, it is compiled", 0.0)
+    record.refuse_constant(twin)
     train, unseen = record, validation
     if unseen is None:
         train, unseen = train_validation_split(record, settings.rules.held_out)

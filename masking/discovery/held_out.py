@@ -11,6 +11,7 @@ Source: Ljung (1999), System Identification, section 16.6, for validation by dat
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,10 +81,12 @@ def no_worse(
         chosen, alone = _tempered(rivals[0], problem), None
         try:
             after = fitting.validated(validation, chosen.hypothesis)
-            made = _pooled(chosen, after, problem, validation)
         except IntegrationError:
             withheld = withheld or Withheld(chosen.names, None)
             continue
+        made = None
+        with suppress(IntegrationError):
+            made = _pooled(chosen, after, problem, validation)
         if made is not None:
             alone = validation.errors(after.squares)
             chosen, after = made
@@ -114,6 +117,9 @@ def _pooled(
         after: it on the validation record.
         problem: of the estimation record.
         validation: of the validation record.
+
+    Raises:
+        IntegrationError: the motion of a fit to both is not finite.
     """
     rules, free, fitted = problem.rules, chosen.with_prior(problem), chosen.hypothesis
     least = verdict.noise_threshold(min(len(problem.record), len(validation.record)), rules)

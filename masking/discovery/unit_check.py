@@ -49,7 +49,7 @@ ALIKE = 0.05  # relative difference of errors or sizes from which two units do t
 
 @dataclass(frozen=True)
 class UnitDoubt:
-    """A unit that is probably another than declared.
+    """A unit or a sign that is probably another than declared.
 
     Args:
         names: the channels; `t` is the clock.
@@ -97,7 +97,9 @@ class UnitDoubt:
             "declared": self.declared,
             "sign": -1 if self.is_sign else 1,
             "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
-            "alike": [{"channels": [*one.names], "unit": one.unit} for one in self.alike],
+            "alike": [
+                {"channels": [*one.names], "unit": one.unit, "sign": -1 if one.is_sign else 1} for one in self.alike
+            ],
         }
 
     def converted(self, problem: EstimationProblem) -> EstimationProblem:
@@ -203,15 +205,22 @@ def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoub
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Give other signs and units: of each channel, and units of those alike, of all sensors, and of the clock."""
+    """Give other signs and units: of each channel, and units of those alike, of all sensors, and of the clock.
+
+    A channel whose unit is not declared has another sign only.
+    """
     twin, known = problem.rig.twin, problem.rig.twin.declaration
-    ports = known.actuators or twin.base.inputs
-    units = {"sensor": {name: known.sensors[name].unit for name in twin.sensors}}
-    units["actuator"] = {name: ports[name].unit for name in twin.actuators}
-    for kind, channels in units.items():
+    sensors = {name: known.sensors[name] for name in twin.sensors}
+    actuators = {name: (known.actuators or twin.base.inputs)[name] for name in twin.actuators}
+    for kind, ports in (("sensor", sensors), ("actuator", actuators)):
+        yield from (UnitDoubt((name,), kind, port.unit, port.unit, REVERSED) for name, port in ports.items())
+        channels = {name: port.unit for name, port in ports.items() if "unit" in port.model_fields_set}
         alike = {unit: tuple(name for name in channels if channels[name] == unit) for unit in channels.values()}
-        groups = {*((name,) for name in channels), *alike.values(), *([tuple(channels)] if kind == "sensor" else [])}
-        yield from (UnitDoubt((name,), kind, unit, unit, REVERSED) for name, unit in channels.items())
+        groups = {
+            *((name,) for name in channels),
+            *alike.values(),
+            *([tuple(channels)] if kind == "sensor" and channels else []),
+        }
         for names in sorted(groups, key=lambda group: (len(group), group)):
             yield from _of_group(names, kind, [*dict.fromkeys(channels[name] for name in names)])
     for unit in TIMES:

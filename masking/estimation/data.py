@@ -145,7 +145,7 @@ class Data:
         """Refuse a record without information about a plant.
 
         Raises:
-            RecordError: a column is not finite, nothing moves, a reading is constant, or all of them are noise alone.
+            RecordError: a column is not finite, nothing moves, or the readings are constant or noise alone.
         """
         for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
             for column, values in zip(names, table.T, strict=True):
@@ -160,17 +160,26 @@ class Data:
                 f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
                 "noise; excite the rig, or let it go from somewhere else than rest"
             )
-        for name, values in zip(twin.sensors, self.readings.T, strict=True):
-            if not np.ptp(values):
-                raise RecordError(
-                    f"{self.name}: {name} reads {values[0]:g} throughout, although others change; look at its cable "
-                    "and column, or leave it out of the plant"
-                )
+        if not np.ptp(self.readings, axis=0).any():
+            self.refuse_constant(twin)
         if not self.answers:
             raise RecordError(
                 f"{self.name}: the commands change, but the readings are white noise, which follows none of them; "
-                "look at the cables, columns and gains, or excite the rig more"
+                "check the cables, columns and gains, or excite the rig more strongly"
             )
+
+    def refuse_constant(self, twin: Twin) -> None:
+        """Refuse a record with a constant reading.
+
+        Raises:
+            RecordError: a reading is constant.
+        """
+        for name, values in zip(twin.sensors, self.readings.T, strict=True):
+            if not np.ptp(values):
+                raise RecordError(
+                    f"{self.name}: {name} reads {values[0]:g} throughout; check its cable and column, give a record "
+                    "that moves it, or leave it out of the plant"
+                )
 
     def under(self, twin: Twin) -> Data:
         """Return the record with the dead times of a twin, where its commands are held; measured inputs have none."""
@@ -184,10 +193,12 @@ class Data:
 
     @property
     def answers(self) -> bool:
-        """Return whether a reading holds more than white noise, or follows a command; a short record does."""
+        """Return whether a reading is more than white noise, or follows a command or its square; a short one does."""
         if len(self) < _FEW or (self.readings.std(axis=0) > _LOUD * self.noise).any():
             return True
-        spectra = [np.fft.rfft(table - table.mean(axis=0), axis=0) for table in (self.commands, self.readings)]
+        commands = self.commands - self.commands.mean(axis=0)
+        tables = np.hstack([commands, commands**2]), self.readings
+        spectra = [np.fft.rfft(table - table.mean(axis=0), axis=0) for table in tables]
         power = [np.maximum((np.abs(spectrum) ** 2).sum(axis=0), 1e-300) for spectrum in spectra]
         cross = np.fft.irfft(spectra[0][:, :, None].conj() * spectra[1][:, None, :], len(self), axis=0)
         size = np.sqrt(np.outer(*power)) * 2.0 / len(self)  # correlations of white noise have variance 1/len
@@ -266,9 +277,12 @@ class Data:
         return replace(self, commands=whole, hold="first-order")
 
     def windows(self, seconds: float) -> list[Data]:
-        """Return the record in pieces of about a given length, each long enough to be simulated by itself."""
-        count = max(1, round(len(self) / (seconds * self.rate)))
-        bounds = [len(self) * i // count for i in range(count + 1)]
+        """Return the record in pieces of about a given length, each long enough to be simulated by itself.
+
+        The first has all readings that come from commands before the record.
+        """
+        count, unknown = max(1, round(len(self) / (seconds * self.rate))), math.ceil(self.late.max(initial=0.0))
+        bounds = [0, *(end for i in range(1, count + 1) if (end := len(self) * i // count) > unknown or i == count)]
         return [self.part(a, b) for a, b in itertools.pairwise(bounds)]
 
     def part(self, begin: int, end: int) -> Data:

@@ -36,6 +36,7 @@ INDEPENDENT = 1e-6  # part of its information that a parameter has for itself, t
 CLOSE = 0.999  # correlation from which two parameters are hardly distinguished
 COARSE = 30.0  # s of the first record that the fit of a longer one begins with,
 COARSE_SAMPLES = 2000  # and samples at least: processes that are sampled slowly move slowly
+EXACT = 1e-6  # relative error that integration may make
 BEYOND = 3.0  # times the noise: a model that leaves more lacks something
 FEWEST = 5  # samples of each sensor for each unknown
 
@@ -333,7 +334,11 @@ class _Problem:
         ]
         twin = self.sensitivity.twin_at(theta)
         chi, floor = relative(twin.sensors, self.pieces, at.found), noise_alone(twin.sensors, self.pieces)
-        notes += [_unexplained(name, chi[name] / floor[name]) for name in chi if chi[name] > BEYOND * floor[name] > 0.0]
+        notes += [
+            _unexplained(name, chi[name] / max(floor[name], 1e-300))
+            for name in chi
+            if chi[name] > max(BEYOND * floor[name], EXACT)
+        ]
         return Fit(
             twin=twin, names=names, values=theta, covariance=covariance, sigma=self.sigma, chi=chi, floor=floor,
             rounds=self.rounds, notes=tuple(notes),
@@ -353,8 +358,8 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
 def _unexplained(sensor: str, times: float) -> str:
     """Say that the residual of a sensor is several times its noise."""
     return (
-        f"the residual of {sensor} is {times:.2g} times its noise: the model lacks something, which the values make up "
-        "for, so that they are less sure than their intervals say; 'masking discover' looks for what is missing"
+        f"the residual of {sensor} is {times:.1f} times its noise: the model is missing something "
+        "that the parameters compensate for, so they are less certain than their intervals say; see 'masking discover'"
     )
 
 

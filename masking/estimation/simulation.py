@@ -110,7 +110,13 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
     return relative(sensing.twin.sensors, unseen, squares)
 
 
-def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: float | None = None) -> Simulated:
+def simulate(
+    twin: Twin,
+    record: Data,
+    shared: Sequence[str] = (),
+    initial: float | None = None,
+    noise: Array | None = None,
+) -> Simulated:
     """Simulate a record from the initial state that reproduces it best.
 
     Args:
@@ -120,13 +126,15 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
         initial: s from the beginning whose readings the initial state is estimated from; by default all. Readings that
             commands from before the record make count only where the others are too few: the first commands are then
             taken for these.
+        noise: standard deviation of each reading (sensors,); by default that of the record.
 
     Raises:
         IntegrationError: the motion is not finite from any initial state that was tried.
     """
     sensing = Sensitivity(twin, (), tuple(shared))
     size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
-    weights = np.maximum(record.noise, 1e-12 * size) ** -2.0
+    noise = record.noise if noise is None else noise
+    weights = np.maximum(noise, 1e-12 * size) ** -2.0
     beginning = record if initial is None else record.first(initial)
     if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
         beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
@@ -144,7 +152,7 @@ def simulate(twin: Twin, record: Data, shared: Sequence[str] = (), initial: floa
     def simulated(first: Array, number: int) -> Array:
         return sensing.normal_equations(basis, first, beginning, weights, number).simulated
 
-    allowed, enough = STEP_ERROR * np.maximum(record.noise, np.sqrt(found.squares / len(beginning))), steps
+    allowed, enough = STEP_ERROR * np.maximum(noise, np.sqrt(found.squares / len(beginning))), steps
     for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
         enough = refined(partial(simulated, begun), enough, most, allowed, ahead=4)
     if enough > steps:
@@ -170,7 +178,7 @@ def in_intervals(twin: Twin, record: Data, seconds: float) -> Simulated:
         IntegrationError: the motion of an interval is not finite from any initial state that was tried.
     """
     pieces = record.windows(seconds)
-    every = [simulate(twin, piece) for piece in pieces]
+    every = [simulate(twin, piece, noise=record.noise) for piece in pieces]
     readings = np.concatenate([one.readings for one in every])
     return replace(every[0], record=record, readings=readings, shooting_interval=len(record) / record.rate / len(every))
 

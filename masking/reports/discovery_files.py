@@ -21,7 +21,7 @@ from masking.discovery import laws
 from masking.discovery.augmented_model import EffectInstance
 from masking.discovery.discovery import Discovery, Named
 from masking.discovery.places import identifier
-from masking.effects import LATE, attach
+from masking.effects import LATE, Effect, attach
 from masking.modelling.model import Model
 from masking.records.json_text import json_text
 from masking.reports import discovery_text, html, model_files
@@ -238,12 +238,12 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         "model": model_file.as_posix(),
         "source": "; ".join(filter(None, (twin.declaration.source, origin.source(found)))),
     }
-    effects = {label: _converted(found, use) for label, use in {**first, **before, **last}.items()}
+    effects = _in_found_units(found, {**first, **before, **last})
     made = model_files.plant(twin, folder, heading, found.rig.names, effects)
     for kind in ("sensors", "actuators"):
         for name, unit in _in_other_units(found, kind).items():
             entry = made[kind][name] | {"unit": unit}
-            by = factor_of(discovery_text.channel_unit(found, name)) / factor_of(unit)
+            by = factor_of(discovery_text.channel_unit(found, name, kind.removesuffix("s"))) / factor_of(unit)
             entry |= {"range": [by * end for end in entry["range"]]} if "range" in entry else {}
             entry |= {"jump": by * entry["jump"]} if "jump" in entry else {}
             made[kind] = made[kind] | {name: entry}
@@ -336,35 +336,44 @@ def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
     doubt = found.unit
     if doubt is None or doubt.is_sign or doubt.kind == "clock":
         return {}
-    known = {name: discovery_text.channel_unit(found, name) for name in doubt.names}
+    known = {name: discovery_text.channel_unit(found, name, doubt.kind) for name in doubt.names}
     keys = {name: discovery_text.unit_key(found, doubt, name).partition(".")[0] for name in doubt.names}
     return {n: doubt.of_declared(known[n]) for n, where in keys.items() if not section or where == section}
 
 
-def _converted(found: Discovery, use: dict[str, Any]) -> dict[str, Any]:
-    """Return an effect of the plant with its parameters in the unit that its channel is probably in."""
-    at = use.get("at", "")
-    other = _in_other_units(found).get(at if isinstance(at, str) else "")
-    if other is None or "parameters" not in use:
-        return use
-    known, entry = discovery_text.channel_unit(found, at), found.dictionary[use["effect"]]
+def _in_found_units(found: Discovery, effects: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return effects of the plant by their labels, their parameters in the units that channels are probably in."""
+    others, made = _in_other_units(found), dict[str, dict[str, Any]]()
+    for label, use in effects.items():
+        at, entry = use.get("at", ()), found.dictionary.get(use["effect"])
+        every = [at] if isinstance(at, str) else [*at]
+        of_kind = entry is not None and found.unit is not None and entry.where == found.unit.kind
+        here = [name for name in every if name in others] if of_kind else []
+        if len(here) < len(every) or not here:
+            made[label] = use | ({"at": [name for name in every if name not in here]} if here else {})
+        for name in here:
+            own = label if len(every) == 1 else _free(f"{label}_{name}", {*effects, *made})
+            units = discovery_text.channel_unit(found, name, found.unit.kind if found.unit else ""), others[name]
+            values = {n: _rescaled(value, entry, n, units) for n, value in use.get("parameters", {}).items()}
+            made[own] = use | {"at": name} | ({"parameters": values} if values else {})
+    return made
 
-    def size(name: str, unit: str) -> float:
-        return factor_of(combined(entry.parameters[name].unit, dict.fromkeys("SU", unit)))
 
-    values = {
-        name: model_files.rounded(value * size(name, known) / size(name, other))
-        for name, value in use["parameters"].items()
-    }
-    return use | {"parameters": values}
+def _rescaled(value: float | str, entry: Effect | None, name: str, units: tuple[str, str]) -> float | str:
+    """Return the value of a parameter of an effect in the second of two units of its channel; the first has it now."""
+    if entry is None:
+        return value
+    known, other = (factor_of(combined(entry.parameters[name].unit, dict.fromkeys("SU", unit))) for unit in units)
+    return f"({value})*{known / other:.12g}" if isinstance(value, str) else model_files.rounded(value * known / other)
 
 
 def _causes(found: Discovery) -> str:
+    causes = [text for _, text in written(found)]
     if found.law is None and found.explanation.kind == "parameter":
-        return f"another {listed([name for name, _ in found.explanation.names])}"
+        causes = [f"another {listed([name for name, _ in found.explanation.names])}"]
     units = [f"{name} in {unit}" for name, unit in _in_other_units(found).items()]
     units += [f"another sign of {found.unit.names[0]}"] if found.unit and found.unit.is_sign else []
-    return " and ".join([*(text for _, text in written(found)), *units])
+    return " and ".join([*causes, *units])
 
 
 def written(found: Discovery) -> list[tuple[str, str]]:

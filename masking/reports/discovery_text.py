@@ -25,7 +25,6 @@ LOST = 0.9  # part of a reading that is left, from which the model is said not t
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
 MANY = 10.0  # relative error from which it is not given as a number
 EXCHANGED = "Unseen data alone show it: it was estimated from these, and validated by the others"
-OTHER_SIGN = "the other sign"
 HARDLY_A_FORCE = "Along the record, two of its standard deviations are as large as the force: there may be none"
 EARLY = (
     "The search ended early, after as much work as it may do: a part of the record, or fewer --parameters, leave more"
@@ -79,11 +78,11 @@ def units_of_channels(found: Discovery) -> str:
     looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
     mend = "give the times in s"
     if doubt.is_sign:
-        mend = "turn it in the record or in the model"
+        mend = "reverse it in the record or in the model"
     elif doubt.kind != "clock":
         where = listed([f"{unit_key(found, doubt, name)}.unit" for name in doubt.names])
         mend = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
-    so = f"had {OTHER_SIGN}" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
+    so = "had its sign reversed" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
     others = [f"{_quoted(one)} {_otherwise(one)}" for one in doubt.alike]
     sentences = [
         f"{names} {looks} as if {it} {so}: {mend}",
@@ -103,7 +102,7 @@ def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
 
 def _otherwise(doubt: UnitDoubt) -> str:
     """Say how channels are taken otherwise than declared."""
-    return f"with {OTHER_SIGN}" if doubt.is_sign else f"in {doubt.unit}"
+    return "with its sign reversed" if doubt.is_sign else f"in {doubt.unit}"
 
 
 def _quoted(doubt: UnitDoubt) -> str:
@@ -117,26 +116,23 @@ def needed(found: Discovery, doubt: UnitDoubt) -> str:
         f"{spoken(found, name, on) if on else name} {number(times, 4)} times as large"
         for (name, on), times in doubt.otherwise
     ]
-    return (
-        f"{'As it is' if doubt.is_sign else f'In {doubt.declared}'}, the record would need {listed(said)} as declared"
-        if said
-        else ""
-    )
+    taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
+    return f"{taken}, the record would need {listed(said)} as declared" if said else ""
 
 
 def withheld(found: Discovery) -> str:
-    """Say what is withheld since it is worse on unseen data than the model as declared; '' if nothing is."""
+    """Say what is not reported since it is worse on unseen data than the model as declared; '' if nothing is."""
     if found.withheld is None:
         return ""
     before, after = found.simulation_error.validation[0], found.withheld.error
     causes = [labelled(found, *one) for one in found.withheld.names]
     what = f"{listed(causes)} would explain more of this record, but" if causes else "With adjusted parameters,"
     if after is None:
-        return f"{what} the motion on unseen data would no longer be finite: left out"
+        return f"{what} the motion on unseen data would no longer be finite, so it is not reported"
     name = max(after, key=lambda sensor: after[sensor] / max(before[sensor], 1e-300))
     return (
         f"{what} the error of {name} on unseen data would be {percent(after[name])}, against {percent(before[name])} "
-        "as declared: left out"
+        "as declared, so it is not reported"
     )
 
 
@@ -468,10 +464,10 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
     return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
 
 
-def channel_unit(found: Discovery, name: str) -> str:
-    """Return the declared unit of a sensor or an actuator."""
+def channel_unit(found: Discovery, name: str, kind: str) -> str:
+    """Return the declared unit of a channel, of kind 'sensor' or 'actuator'."""
     sensors = found.twin.declaration.sensors
-    return sensors[name].unit if name in sensors else latent_force.command_unit(found, name)
+    return sensors[name].unit if kind == "sensor" else latent_force.command_unit(found, name)
 
 
 def plain_units(found: Discovery, named: Named) -> dict[str, str]:
@@ -485,7 +481,7 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
         force, displacement, _ = latent_force.element_units(found.written_rig, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}
     else:
-        known = dict.fromkeys("SU", channel_unit(found, named.on))
+        known = dict.fromkeys("SU", channel_unit(found, named.on, effect.where))
     made = {n: combined(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}

@@ -64,7 +64,8 @@ def simulate(
         mend = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
         raise ColumnError(f"{error}; {mend}") from None
     if initial is not None and shooting_interval is not None:
-        raise DeclarationError(Problem(None, "initial", "each shooting interval has its own", "give one of them"))
+        message = "each shooting interval has an initial state of its own"
+        raise DeclarationError(Problem(None, "initial", message, "give only one of initial and shooting_interval"))
     for name, seconds in (("initial", initial), ("shooting_interval", shooting_interval)):
         if seconds is not None and not 2 <= round(seconds * given.rate) <= len(given):
             least, most = 2.0 / given.rate, len(given) / given.rate
