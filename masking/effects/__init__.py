@@ -11,6 +11,7 @@ Imports: declaration.
 
 from masking.effects.attachment import Attachment, Setting, attach, attach_all, expressions, find, parameters, unit_of
 from masking.effects.dictionary import (
+    CROSS_DAMPING,
     DELAY,
     EFFECTS,
     FORCE,
@@ -34,6 +35,7 @@ from masking.effects.entry import (
 )
 
 __all__ = [
+    "CROSS_DAMPING",
     "DELAY",
     "EFFECTS",
     "FAMILIES",

@@ -25,6 +25,7 @@ EFFECTS: Final[dict[str, Effect]] = {effect.name: effect for effect in (*ELEMENT
 # Effects that the package itself puts into a rig or reads out of a record.
 FORCE, OFFSET = EFFECTS["constant_force"], EFFECTS["actuator_offset"]
 GAINS_AND_ZEROS = ("sensor_gain", "sensor_offset", "actuator_gain", "actuator_offset")  # of every rig, a little off
+CROSS_DAMPING = EFFECTS["cross_damping"]
 LATE, DELAY, ROUNDING = EFFECTS["actuator_delay"], EFFECTS["delay"], EFFECTS["quantisation"]
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from masking.declaration.quantities import number, power, quantity, work
 from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import LatentForces, LocatedForce
+from masking.effects import CROSS_DAMPING
 from masking.estimation.whiteness import Whiteness
 from masking.reports.text import capital, listed, much
 
-CROSS_DAMPING = "cross_damping"
 DEVIATIONS, APART = 3.0, 0.01  # of two numbers, in parts of their own: as far as those may be apart that are the same
 NOTABLE = 0.15  # part of a force's energy from which a dependence is stated
 ALIKE = 0.9  # part of it that turns round with the motion, or does not, from which it is called so
@@ -120,7 +120,7 @@ def white(one: Whiteness) -> str:
 
 def opposite(found: Discovery) -> str:
     """Say that two cross dampings are those of one gyroscopic coupling, which takes no energy; '' if none are."""
-    known = {one.on: one.parameters["c"] for one in found.effects if one.name == CROSS_DAMPING}
+    known = {one.on: one.parameters["c"] for one in found.effects if one.name == CROSS_DAMPING.name}
     for (one, (c, std)), (other, (d, deviation)) in itertools.combinations(known.items(), 2):
         is_pair = one.split(" on ") == other.split(" on ")[::-1]
         if is_pair and c * d < 0.0 and abs(c + d) < max(DEVIATIONS * np.hypot(std, deviation), APART * abs(c)):
