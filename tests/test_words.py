@@ -86,7 +86,7 @@ def test_opposite_cross_dampings_are_one_gyroscopic_coupling(discoveries):
     )
     found = replace(discoveries("friction"), effects=(on, back))
     assert discovery_text.opposite(found) == (
-        "Q on p and p on q are opposite, within their uncertainty: a gyroscopic coupling"
+        "The forces of q on p and of p on q are opposite, within their uncertainty: a gyroscopic coupling"
     )
     away = replace(back, parameters={"c": (0.023, 4e-6)})
     assert discovery_text.opposite(replace(found, effects=(on, away))) == ""

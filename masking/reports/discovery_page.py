@@ -247,8 +247,8 @@ def summary(found: Discovery, files: Files | None) -> str:
         if found.effects or found.law or label != "with the finding":
             table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
     lines += aligned(table)
-    for one in discovery_text.offered(found):
-        effect = found.twin.dictionary.get(one.name)
+    for name in dict.fromkeys(one.name for one in discovery_text.offered(found)):
+        effect = found.twin.dictionary.get(name)
         if effect is not None and (effect.cause or effect.remedy):
             advice = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
             lines.append(f"{effect.spoken}: {'; '.join(advice)}")

@@ -11,7 +11,7 @@ from masking.discovery.discovery import Discovery
 from masking.discovery.localisation import LatentForces, LocatedForce
 from masking.effects import CROSS_DAMPING
 from masking.estimation.whiteness import Whiteness
-from masking.reports.text import capital, listed, much
+from masking.reports.text import listed, much
 
 DEVIATIONS, APART = 3.0, 0.01  # of two numbers, in parts of their own: as far as those may be apart that are the same
 NOTABLE = 0.15  # part of a force's energy from which a dependence is stated
@@ -124,5 +124,5 @@ def opposite(found: Discovery) -> str:
     for (one, (c, std)), (other, (d, deviation)) in itertools.combinations(known.items(), 2):
         is_pair = one.split(" on ") == other.split(" on ")[::-1]
         if is_pair and c * d < 0.0 and abs(c + d) < max(DEVIATIONS * np.hypot(std, deviation), APART * abs(c)):
-            return f"{capital(one)} and {other} are opposite, within their uncertainty: a gyroscopic coupling"
+            return f"The forces of {one} and of {other} are opposite, within their uncertainty: a gyroscopic coupling"
     return ""
