@@ -42,9 +42,10 @@ def matrices(k):
     return np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), lower]), np.vstack([np.zeros((2, 2)), np.diag(1 / M)])
 
 
-def saved(folder, model, columns):
+def saved(folder, model, columns, plant=PLANT):
     (folder / "model.yaml").write_text(model)
-    (folder / "plant.yaml").write_text(PLANT)
+    if plant:
+        (folder / "plant.yaml").write_text(plant)
     table, head = np.column_stack([*columns.values()]), ",".join(columns)
     np.savetxt(folder / "record.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
     return folder
@@ -120,12 +121,12 @@ def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_pat
     k, band, noise = 40.0, 1.3e-3, 1e-4  # N/m, m, m
     t, x = free_decay(k, band, samples, vs)
     x = x + noise * np.random.default_rng(4).standard_normal(len(t))
-    np.savetxt(tmp_path / "record.csv", np.column_stack([t, x]), delimiter=",", header="t,x", comments="", fmt="%.9g")
-    (tmp_path / "model.yaml").write_text(
+    model = (
         "name: mass on a spring\ncoordinates: {x: {unit: m}}\nequations: {m*x'': -k*x}\n"
         "parameters: {m: {value: 1, unit: kg, std: 0}, k: {value: 40.2, unit: N/m}}\n"
         "elements: {guide: {displacement: x, unit: N, acts: {x: -1}}}\n"
     )
+    saved(tmp_path, model, {"t": t, "x": x}, plant="")
     found = masking.discover(tmp_path / "record.csv", model=tmp_path / "model.yaml")
     (effect,) = found.effects
     assert (found.verdict, effect.name, effect.on) == ("named", "dry_friction", "guide")
@@ -157,14 +158,13 @@ def test_stribeck_friction_that_creeps_is_one_law(tmp_path):
             c = slope(w + 0.5 * h * b, u)
             w += h / 6.0 * (a + 2.0 * b + 2.0 * c + slope(w + h * c, u))
     speed += 5e-3 * np.random.default_rng(7).standard_normal(len(t))
-    table = np.column_stack([t, torque, speed])
-    np.savetxt(tmp_path / "record.csv", table, delimiter=",", header="t,torque,speed", comments="", fmt="%.9g")
-    (tmp_path / "model.yaml").write_text(
+    model = (
         "name: rotating disc\nstates: {w: {unit: rad/s}}\ninputs: {torque: {unit: N*m}}\n"
         "parameters: {J: {value: 0.01, unit: kg*m**2}, b: {value: 0.02, unit: N*m*s/rad}}\n"
         "equations: {w': (torque - b*w)/J}\noutputs: {speed: {expression: w, unit: rad/s}}\n"
         "elements: {bearing: {rate: w, unit: N*m, acts: {w: -1/J}}}\n"
     )
+    saved(tmp_path, model, {"t": t, "torque": torque, "speed": speed}, plant="")
     found = masking.discover(tmp_path / "record.csv", model=tmp_path / "model.yaml")
     (effect,) = found.effects
     assert (found.verdict, effect.name, effect.on) == ("named", "stribeck_friction", "bearing")

@@ -25,7 +25,7 @@ NOT_LATE = np.zeros(())
 
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LOUD = 1.1  # times their noise: readings that vary by more hold something else
-_FEW = 1000  # readings, of which noise is not told from motion that looks like it
+_FEW = 1000  # readings: among fewer, motion may look like white noise
 _SURELY = 6.0  # deviations of a correlation by chance: none of a million is as large
 _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**2/12 + x**4/90 + x**6/560 + ...
 
@@ -155,7 +155,7 @@ class Data:
                         f"{self.name}: {column} is {values[wrong[0]]} at sample {wrong[0]}, and not finite at "
                         f"{len(wrong)} samples in all; cut these out, and give the parts as records of their own"
                     )
-        if not self.moves or not (self.answers or np.ptp(self.commands, axis=0).any()):
+        if not self.moves or not (np.ptp(self.commands, axis=0).any() or self.answers):
             raise RecordError(
                 f"{self.name}: nothing moves: the commands are constant, and the readings vary no more than their "
                 "noise; excite the rig, or let it go from somewhere else than rest"

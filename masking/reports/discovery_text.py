@@ -365,10 +365,10 @@ def gap(found: Discovery) -> str:
     if not found.effects:
         before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
     alone = found.simulation_error.alone
-    both = f"fitted to both records, since a fit to one alone leaves {percent(alone[name])}" if alone else ""
+    both = f", fitted to both records, since a fit to one alone leaves {percent(alone[name])}" if alone else ""
     return (
-        f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}"
-        f"{f', {both}' if both else ''}; the noise floor is {percent(floor[name])}"
+        f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}{both}; "
+        f"the noise floor is {percent(floor[name])}"
     )
 
 
