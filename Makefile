@@ -19,7 +19,9 @@ DISCOVERY_READY := .venv/ready-bench-discovery
 DOCS_READY := .venv/ready-docs
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-QUICK := architecture vocabulary documentation declaration expression model scales linear effects
+QUICK := project/test_architecture project/test_vocabulary project/test_documentation model/declaration/test_registry \
+	model/declaration/test_expression model/modelling/test_model model/modelling/test_scales \
+	compile/codegen/test_linear_systems model/effects/test_element_effects
 
 .PHONY: demo test quick searches soak docs docs-check dist bench bench-discovery clean
 
@@ -42,10 +44,10 @@ searches: $(READY)
 quick: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/test_%.py)
+	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/%.py)
 
 soak: $(READY)
-	$(BIN)/masking rig faults
+	$(BIN)/python -m tests.campaigns faults
 	$(BIN)/python -m tests.benchmarks.soak
 	$(BIN)/python -m tests.benchmarks.crashes --kills 100
 	$(BIN)/python -m tests.benchmarks.overnight

@@ -19,8 +19,8 @@ the plant file assumes: what is short is voltage, not heat. And the document doe
 nearly in phase swing the beam so far that the oscillators pass their stroke of 5 mm.
 """
 
-from masking.runs.experiment import Experiment
-from masking.runs.feasibility import Feasibility, feasibility
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.feasibility import Feasibility, feasibility
 
 PRINTED = {"pendula": "well within", "pendula_fast": "275 %", "pendula_wide": "250 %"}
 VOLTAGE, RESTRICTED = 0.42, 0.105  # V, Table 4.1 and section C.6

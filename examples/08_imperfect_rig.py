@@ -7,8 +7,8 @@ An observer that estimates disturbances beside the state makes up for it.
 
 import numpy as np
 
-from masking.records.recording import Recording
-from masking.runs.experiment import Experiment
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
 
 ours = Experiment.load("huygens_rig")
 thesis = ours.changed(controller={"rate": "1 kHz", "observer": "differences"})

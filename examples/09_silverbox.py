@@ -15,11 +15,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from scipy import io
 
-from masking.estimation.data import Data
-from masking.estimation.fit import fit
-from masking.estimation.kalman import extended_kalman
-from masking.estimation.sensitivity import Sensitivity
-from masking.rig.twin import Twin
+from masking.control.rig.twin import Twin
+from masking.inference.estimation.extended_kalman import extended_kalman
+from masking.inference.estimation.fit import fit
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.sensitivity import Sensitivity
 
 MODEL = """
 name: circuit with a cubic spring

@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import masking
-from masking.plants.simulated import SimulatedPlant
-from masking.runs.experiment import Experiment
-from masking.workflows import calibration_records
+from masking.app.workflows import calibration_records
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.runs.experiment import Experiment
 
 EXPERIMENT = """
 name: Duffing oscillators on a rig that rubs

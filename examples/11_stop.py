@@ -3,7 +3,7 @@
 import masking
 from masking.analysis.stability.lyapunov import largest_exponent
 from masking.analysis.synchronisation import synchronisation
-from masking.runs.experiment import Experiment
+from masking.lab.runs.experiment import Experiment
 
 clocks = Experiment.load("huygens").changed(stop={"when": "synchronised", "of": ["th1", "th2"], "eps": 0.02})
 recording = clocks.run()

@@ -21,7 +21,7 @@ from masking.analysis.stability.modes import sweep, upsilon
 from masking.analysis.stability.orbits import orbit
 from masking.analysis.stability.settling import settling_time
 from masking.analysis.synchronisation import period
-from masking.modelling.model import Model, load_model
+from masking.model.modelling.model import Model, load_model
 from masking.reports.stability_figures import basins_figure, sweep_figure
 
 CLOCKS = """

@@ -3,8 +3,8 @@
 import numpy as np
 
 import masking
-from masking.plants.interface import Settings
-from masking.plants.simulated import SimulatedPlant
+from masking.lab.plants.interface import Settings
+from masking.lab.plants.simulated import SimulatedPlant
 
 experiment = masking.Experiment.load("huygens_rig")
 step = experiment.controller()

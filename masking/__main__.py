@@ -2,7 +2,7 @@
 
 import sys
 
-from masking.cli import main
+from masking.app.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

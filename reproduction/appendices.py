@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.estimation.simulation import simulate
-from masking.modelling.model import Model, load_model
-from masking.procedures.friction import shift_of_equilibrium
-from masking.signals import Multisine, crest_factor, sawtooth
+from masking.inference.estimation.simulation import simulate
+from masking.inference.procedures.friction import shift_of_equilibrium
+from masking.lab.signals import Multisine, crest_factor, sawtooth
+from masking.model.modelling.model import Model, load_model
 from reproduction.comparison import Entry, Value
 from reproduction.simulated_records import PEAK, RATE, alone, multisine_record, recorded
 

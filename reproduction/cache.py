@@ -15,9 +15,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import masking
-from masking.codegen import store
-from masking.codegen.files import write_whole
-from masking.declaration import catalogue
+from masking.compile.codegen import store
+from masking.compile.codegen.trusted_files import write_whole
+from masking.model.declaration import catalogue
 from reproduction.comparison import Entry, Value
 
 SOURCES = (Path(masking.__file__).parent, Path(__file__).parent)

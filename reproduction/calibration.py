@@ -21,9 +21,9 @@ from typing import Final
 
 from scipy.optimize import minimize_scalar, root_scalar
 
-from masking.estimation.fit import fit
-from masking.estimation.simulation import simulate
-from masking.rig.twin import Twin
+from masking.control.rig.twin import Twin
+from masking.inference.estimation.fit import fit
+from masking.inference.estimation.simulation import simulate
 from reproduction.simulated_records import FREE, alone, free_motion, multisine_record
 
 RATIOS: Final = ("mu1", "mu2")

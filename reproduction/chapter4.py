@@ -6,14 +6,14 @@ import functools
 
 import numpy as np
 
-from masking.estimation.fit import fit
-from masking.estimation.kalman import extended_kalman
-from masking.estimation.simulation import Simulated, simulate
-from masking.modelling.model import load_model
-from masking.procedures.springs import spring_curve
+from masking.control.rig.twin import Twin
+from masking.inference.estimation.extended_kalman import extended_kalman
+from masking.inference.estimation.fit import fit
+from masking.inference.estimation.simulation import Simulated, simulate
+from masking.inference.procedures.springs import spring_curve
+from masking.lab.signals import Multisine, crest_factor, minimise_crest, ramp, time_factor
+from masking.model.modelling.model import load_model
 from masking.reports.style import Series
-from masking.rig.twin import Twin
-from masking.signals import Multisine, crest_factor, minimise_crest, ramp, time_factor
 from reproduction.comparison import Entry, Value, declared, experimental
 from reproduction.errata import GAINS, table_b_2
 from reproduction.plots import curves

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 from masking.analysis.stability.modes import Mode, modes, state_matrix
 from masking.analysis.synchronisation import anti_phase, mean_phase, running_peak
-from masking.modelling.model import Model, load_model
-from masking.runs.experiment import Experiment
+from masking.lab.runs.experiment import Experiment
+from masking.model.modelling.model import Model, load_model
 from reproduction.comparison import Entry, Value
 from reproduction.experiments import Printed, experiment
 from reproduction.motion import THESIS, Motion, masked, on_twin, simulated

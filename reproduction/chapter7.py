@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from masking.analysis.synchronisation import mean_phase
-from masking.modelling.model import load_model
+from masking.model.modelling.model import load_model
 from reproduction.chapter5 import on_rigs
 from reproduction.comparison import Entry, Value, declared
 from reproduction.errata import PRINTED_TH

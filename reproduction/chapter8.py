@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 from masking.analysis.stability.modes import sweep, upsilon
 from masking.analysis.stability.settling import settling_time
 from masking.analysis.synchronisation import synchronisation_time
-from masking.modelling.model import load_model
+from masking.model.modelling.model import load_model
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
 from reproduction.comparison import Entry, Value, declared

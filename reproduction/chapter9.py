@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from masking.analysis.synchronisation import mean_phase
-from masking.modelling.model import load_model
-from masking.runs.experiment import Experiment
-from masking.runs.feasibility import Motion as Demanded
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.feasibility import Motion as Demanded
+from masking.model.modelling.model import load_model
 from reproduction.chapter5 import on_rigs
 from reproduction.chapter7 import sum_peaks, time_value
 from reproduction.comparison import Entry, Value, declared

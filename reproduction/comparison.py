@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from masking.modelling.model import Model
+from masking.model.modelling.model import Model
 
 Kind = Literal["figure", "table", "erratum", "open question"]
 Verdict = Literal["agrees", "in kind", "explained", "unexplained", "given", "ours only"]

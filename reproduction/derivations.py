@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from masking.modelling.model import load_model
+from masking.model.modelling.model import load_model
 from reproduction.comparison import Entry, Value
 
 RELEASED, FAR = -0.5, -10.0

@@ -47,7 +47,7 @@ A row falls into one class:
 
 A number that stands in two tables counts in the first, and the second refers to it. *Twin* marks an experiment on the
 twin: its noise and friction are ours, and no second implementation recomputes it. Every other row that is not given is
-recomputed in `tests/second_implementation` with numpy and scipy alone, and `tests/test_second_implementation.py`
+recomputed in `tests/second_implementation` with numpy and scipy alone, and `test_second_implementation.py`
 compares it with this page; a masking error on the ideal rig must be zero but for rounding. Ratios are ours over the
 document's, or over the independent number where the document has none.
 """

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from masking.analysis.synchronisation import mean_phase, period, running_peak, synchronisation_time
-from masking.modelling.model import load_model
-from masking.runs.experiment import Experiment
+from masking.lab.runs.experiment import Experiment
+from masking.model.modelling.model import load_model
 from reproduction.chapter9 import demand
 from reproduction.comparison import ILLEGIBLE, Entry, Value, declared, experimental
 from reproduction.experiments import Ended

@@ -7,8 +7,8 @@ import sympy as sp
 from scipy.integrate import cumulative_simpson
 from scipy.optimize import minimize_scalar
 
-from masking.modelling.model import load_model
-from masking.signals import Multisine, crest_factor
+from masking.lab.signals import Multisine, crest_factor
+from masking.model.modelling.model import load_model
 from reproduction.comparison import Entry, Value
 
 # Table B.2, in units of pi.

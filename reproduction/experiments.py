@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from masking.analysis.synchronisation import AntiPhase, anti_phase, mean_phase, synchronisation_time
-from masking.runs.experiment import Experiment
+from masking.lab.runs.experiment import Experiment
 from reproduction.comparison import Entry, Value, experimental
 from reproduction.mismatch import Mismatch, mismatch
 from reproduction.motion import Motion, on_twin, simulated, sustained

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from masking.analysis.stability.modes import Mode, modes, pair_of, state_matrix
-from masking.modelling.model import Model
+from masking.model.modelling.model import Model
 
 STARTS: Final = (0.0, 0.005, -0.005, 0.02, -0.02, 0.05)  # of the difference in frequency
 SUPPLIES: Final = (0.002, -0.002)  # of the difference in over-compensation

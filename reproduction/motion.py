@@ -15,9 +15,9 @@ from masking.analysis.synchronisation import (
     synchronisation,
     synchronisation_time,
 )
-from masking.modelling.model import Model
+from masking.lab.runs.experiment import Experiment
+from masking.model.modelling.model import Model
 from masking.reports.style import Series
-from masking.runs.experiment import Experiment
 
 SAMPLE = 0.05  # units of dimensionless time
 GROWN = 2.0  # of the first amplitude: what ends beyond has grown, also where the actuators' limits hold it there

@@ -8,7 +8,7 @@ import numpy as np
 
 from masking.analysis.stability.modes import modes, state_matrix, upsilon
 from masking.analysis.synchronisation import mean_phase, running_peak
-from masking.modelling.model import Model, load_model
+from masking.model.modelling.model import Model, load_model
 from reproduction.comparison import Entry, Value, experimental
 from reproduction.motion import Motion, masked, on_twin, simulated
 from reproduction.plots import curves

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.declaration import schema
-from masking.estimation.data import Data
-from masking.estimation.sensitivity import Sensitivity
-from masking.modelling.model import load_model
-from masking.numerics.arrays import Array
-from masking.rig.twin import Twin
-from masking.signals import multisine, steps
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.sensitivity import Sensitivity
+from masking.lab.signals import multisine, steps
+from masking.model.declaration import schema
+from masking.model.modelling.model import load_model
 from reproduction.errata import table_b_2
 
 FREE: Final = ("w", "z", "c")

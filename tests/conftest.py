@@ -10,8 +10,8 @@ import warnings
 import hypothesis
 import pytest
 
-from masking.declaration.schema import ModelDeclaration
-from masking.modelling.model import Model
+from masking.model.declaration.schema import ModelDeclaration
+from masking.model.modelling.model import Model
 
 # The gate draws the same examples every time; `HYPOTHESIS_PROFILE=explore` draws new ones.
 hypothesis.settings.register_profile("gate", derandomize=True)

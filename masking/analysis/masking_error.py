@@ -63,7 +63,7 @@ class ErrorSum:
 
     @property
     def value(self) -> float:
-        """Return the masking error of all chunks together."""
+        """Masking error of all chunks together."""
         if self._size == 0.0:
             return math.inf if self._error > 0.0 else 0.0
         return self._error / self._size

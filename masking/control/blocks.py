@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen.graph import Graph, Node
-from masking.codegen.linear import health, solve
-from masking.declaration import transforms
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.linear_systems import health, solve
+from masking.compile.numerics.arrays import Array
 from masking.errors import ActuationError, ModelError
-from masking.modelling.gradient import jacobian, rate
-from masking.modelling.lowering import LoweredEquations
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.declaration import driven_coordinates
+from masking.model.modelling.gradient import jacobian, rate
+from masking.model.modelling.lowering import LoweredEquations
+from masking.model.modelling.model import Model
 
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.declaration import schema
+    from masking.model.declaration import schema
 else:
     sp = lazy.load("sympy")
 
@@ -52,17 +52,17 @@ class Transform:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the names of the transform's own parameters."""
+        """Names of the transform's own parameters."""
         return tuple(self.declaration.parameters)
 
     @cached_property
     def parameter_symbols(self) -> tuple[sp.Symbol, ...]:
-        """Return the symbols of the transform's own parameters."""
+        """Symbols of the transform's own parameters."""
         return tuple(sp.Symbol(name, real=True) for name in self.parameters)
 
     @cached_property
     def expressions(self) -> sp.ImmutableMatrix:
-        """Return eta = T(q) as a column (k, 1) in the rig's coordinate symbols.
+        """Eta = T(q) as a column (k, 1) in the rig's coordinate symbols.
 
         Raises:
             ModelError: the identity finds neither the names of the virtual coordinates in the rig nor as many.
@@ -79,12 +79,12 @@ class Transform:
 
     @property
     def _selected(self) -> tuple[int, ...]:
-        """Return the indices of the rig coordinates that the identity takes.
+        """Indices of the rig coordinates that the identity takes.
 
         Raises:
             ModelError: it finds neither the names of the virtual coordinates in the rig nor as many.
         """
-        chosen = transforms.selected(self.rig.coordinates, self.virtual.coordinates)
+        chosen = driven_coordinates.selected(self.rig.coordinates, self.virtual.coordinates)
         if chosen is None:
             raise ModelError(
                 "transform: identity takes rig coordinates by the names of the virtual ones, or all in order; "
@@ -94,7 +94,7 @@ class Transform:
         return chosen
 
     def slope(self, parameters: Mapping[str, float]) -> Array:
-        """Return J at zero coordinates (k, n); without sympy where T is linear.
+        """J at zero coordinates (k, n); without sympy where T is linear.
 
         Args:
             parameters: values of the transform's own parameters.
@@ -113,22 +113,22 @@ class Transform:
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
-        """Return the indices of the n - k rig coordinates that no virtual one stands for.
+        """Indices of the n - k rig coordinates that no virtual one stands for.
 
         They are those that the transform does not name, and of those that it names the last ones that are needed.
         """
         coordinates, virtual = self.rig.coordinates, self.virtual.coordinates
-        names = transforms.passive(self.declaration, coordinates, virtual)
+        names = driven_coordinates.passive(self.declaration, coordinates, virtual)
         return tuple(i for i, name in enumerate(coordinates) if name in names)
 
     @cached_property
     def jacobian(self) -> sp.ImmutableMatrix:
-        """Return J = dT/dq (k, n)."""
+        """J = dT/dq (k, n)."""
         return sp.ImmutableMatrix(jacobian(self.expressions, self.rig.equations.symbols.q))
 
     @cached_property
     def bias(self) -> sp.ImmutableMatrix:
-        """Return (dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
+        """(dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
         s = self.rig.equations.symbols
         rows = [
             sp.Add(*(rate(j, s.q, s.v) * v for j, v in zip(row, s.v, strict=True) if j != 0))
@@ -194,7 +194,7 @@ class DesiredDynamics:
     regulation: schema.Regulation | None = None
 
     def values(self) -> list[float]:
-        """Return the parameters of the regulation: energy, rate, coupling; 0 for an energy that is not held."""
+        """Parameters of the regulation: energy, rate, coupling; 0 for an energy that is not held."""
         wanted = self.regulation
         return [] if wanted is None else [wanted.energy or 0.0, wanted.rate, wanted.coupling]
 
@@ -254,7 +254,7 @@ class DesiredDynamics:
         return tuple(self.virtual.coordinates.index(name) for name in self.virtual.oscillators)
 
     def damped(self, graph: Graph, wanted: Sequence[Node], rate: Sequence[Node], damping: Node) -> list[Node]:
-        """Return wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time.
+        """Wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time.
 
         Args:
             graph: the graph to add to.
@@ -331,7 +331,7 @@ class Cancellation:
 def decouple(
     graph: Graph, matrix: list[list[Node]], cancel: Sequence[Node], drive: Sequence[Node]
 ) -> tuple[list[Node], list[Node], Node]:
-    """Return the inputs that give two virtual accelerations, and the health of what had to be inverted.
+    """Inputs that give two virtual accelerations, and the health of what had to be inverted.
 
     Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
     solution of least norm, u = W^T (W W^T)^-1 r.
@@ -399,7 +399,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
 
 
 def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
-    """Return the fewest virtual coordinates without which the others can be driven; such as no input acts on directly.
+    """Fewest virtual coordinates without which the others can be driven; such as no input acts on directly.
 
     Args:
         decoupling: accelerations of the virtual coordinates by the inputs (k, inputs).
@@ -415,7 +415,7 @@ def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
 
 
 def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node]]) -> list[list[Node]]:
-    """Return the nodes of the product of two matrices of nodes, without work for zeros of the first.
+    """Nodes of the product of two matrices of nodes, without work for zeros of the first.
 
     Args:
         graph: the graph to add to.
@@ -431,7 +431,7 @@ def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node
 
 
 def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
-    """Return the node of the scalar product of two rows of nodes.
+    """Node of the scalar product of two rows of nodes.
 
     Args:
         graph: the graph to add to.

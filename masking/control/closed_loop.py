@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.codegen import store
-from masking.codegen.graph import Graph, Node
-from masking.codegen.kernels import Kernels
-from masking.codegen.source import Module
+from masking.compile.codegen import store
+from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.source import Module
+from masking.compile.numerics.arrays import Array
 from masking.control.blocks import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
 from masking.errors import ModelError
-from masking.modelling.lowering import Added, LoweredEquations, add_runge_kutta
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.lowering import Added, LoweredEquations, add_runge_kutta
+from masking.model.modelling.model import Model
 
 if TYPE_CHECKING:
     import control
 
-    from masking.numerics import integrators, sampled_loop, single_step
+    from masking.compile.numerics import integrators, sampled_loop, single_step
 else:
-    integrators = lazy.load("masking.numerics.integrators", suppress_warning=True)
-    sampled_loop = lazy.load("masking.numerics.sampled_loop", suppress_warning=True)
-    single_step = lazy.load("masking.numerics.single_step", suppress_warning=True)
+    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
+    single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
     control = lazy.load("control")
 
 
@@ -54,7 +54,7 @@ class Blocks:
 
     @property
     def u(self) -> Array:
-        """Return the inputs (m,): L + G T^-1[D]."""
+        """Inputs (m,): L + G T^-1[D]."""
         return self.L + self.drive
 
 
@@ -83,16 +83,16 @@ class ClosedLoop:
 
     @property
     def internal(self) -> tuple[str, ...]:
-        """Return the names of the states after coordinates and velocities: the plant's, then the virtual system's."""
+        """Names of the states after coordinates and velocities: the plant's, then the virtual system's."""
         return (*self.plant.states, *(f"virtual.{name}" for name in self.controller.virtual.states))
 
     def values(self) -> Array:
-        """Return the parameter array: the controller's, then the plant's."""
+        """Parameter array: the controller's, then the plant's."""
         return np.concatenate([self.controller.values(), self.plant.values()])
 
     @cached_property
     def kernels(self) -> Kernels:
-        """Return the compiled loop; from the cache on disk where it has been made before.
+        """Compiled loop; from the cache on disk where it has been made before.
 
         Raises:
             ActuationError: the inputs cannot accelerate every virtual coordinate.
@@ -101,7 +101,7 @@ class ClosedLoop:
 
     @property
     def is_compiled(self) -> bool:
-        """Tell whether the loop is in the cache on disk."""
+        """Whether the loop is in the cache on disk."""
         return store.exists(self._key)
 
     @property
@@ -135,7 +135,7 @@ class ClosedLoop:
         )
 
     def to_control(self) -> control.NonlinearIOSystem:
-        """Return the closed loop as a nonlinear input/output system of python-control.
+        """Closed loop as a nonlinear input/output system of python-control.
 
         It has no delays and no inputs; its states are the rig's coordinates and velocities in SI units and those of
         `internal`, its outputs the virtual coordinates, in the virtual system's units, and the rig's inputs.
@@ -172,7 +172,7 @@ class ClosedLoop:
 
 
 def module(loop: ClosedLoop) -> Module:
-    """Return the generated module of a closed loop."""
+    """Generated module of a closed loop."""
     controller, n = loop.controller, len(loop.plant.coordinates)
     graph = Graph()
     s = loop.plant.equations.symbols

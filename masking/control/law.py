@@ -17,12 +17,12 @@ from functools import cached_property
 
 import numpy as np
 
-from masking.codegen.graph import Graph, Node
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
-from masking.declaration import schema
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.declaration import schema
+from masking.model.modelling.model import Model
 
 
 @dataclass(frozen=True)
@@ -50,29 +50,29 @@ class Controller:
 
     @property
     def desired(self) -> DesiredDynamics:
-        """Return block D."""
+        """Block D."""
         return DesiredDynamics(self.virtual, self.regulation)
 
     @cached_property
     def lengths(self) -> Array:
-        """Return the size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
+        """Size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
         has_scales = self.virtual.is_dimensionless or self.virtual.units.is_plain
         return self.model.lengths if has_scales else np.ones(len(self.model.coordinates))
 
     @property
     def driven(self) -> Array:
-        """Return the slope of the virtual coordinates by those of the rig at zero (k, n), per SI unit of the latter."""
+        """Slope of the virtual coordinates by those of the rig at zero (k, n), per SI unit of the latter."""
         slope = self.transform.slope(self.transform_parameters)
         return np.asarray(slope / self.lengths, dtype=np.float64)
 
     def values(self) -> Array:
-        """Return the parameter array of the control law: model, virtual system, transform, lengths, time scale."""
+        """Parameter array of the control law: model, virtual system, transform, lengths, time scale."""
         own = [self.transform_parameters[name] for name in self.transform.parameters]
         rest = [*self.desired.values(), *(self.energy_balance or ())]
         return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], rest])
 
     def structure(self) -> dict[str, object]:
-        """Return all that the compiled control law depends on, apart from values."""
+        """All that the compiled control law depends on, apart from values."""
         return {
             "model": self.model.structure(),
             "virtual": self.virtual.structure(),
@@ -210,7 +210,7 @@ class Homing:
     time: Node
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Return the wanted virtual accelerations, replaced before the release by those of homing.
+        """Wanted virtual accelerations, replaced before the release by those of homing.
 
         Args:
             graph: the graph to add to.
@@ -273,13 +273,13 @@ class ControllerParameters:
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:
-        """Return for each parameter's text how it is read from the array `p`."""
+        """For each parameter's text how it is read from the array `p`."""
         scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
         nodes = [*self.model, *self.virtual, *self.transform, *scaled]
         return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
 
     @property
     def count(self) -> int:
-        """Return the length of the array."""
+        """Length of the array."""
         parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation, self.energy_balance)
         return sum(map(len, parts)) + 1

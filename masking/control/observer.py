@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.steady_kalman import discretised, steady_filter
 from masking.errors import ModelError
-from masking.numerics.arrays import Array
-from masking.numerics.steady_kalman import discretised, steady_filter
 
 if TYPE_CHECKING:
     from scipy import linalg
@@ -65,11 +65,11 @@ class Plan:
 
     @property
     def seen(self) -> list[int]:
-        """Return the coordinates that the sensors tell."""
+        """Coordinates that the sensors tell."""
         return [i for i in range(self.coordinates) if i not in self.unseen]
 
     def of_seen(self) -> Plan:
-        """Return the plan for the coordinates that the sensors tell, as if the others rested."""
+        """Plan for the coordinates that the sensors tell, as if the others rested."""
         seen, n = self.seen, self.coordinates
         both = [*seen, *(n + i for i in seen)]
         dynamics, sensing = self.dynamics[np.ix_(both, both)], self.sensing[:, both]
@@ -77,17 +77,17 @@ class Plan:
 
     @property
     def coordinates(self) -> int:
-        """Return the number n of coordinates."""
+        """Number n of coordinates."""
         return len(self.dynamics) // 2
 
     @property
     def fastest(self) -> float:
-        """Return the largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
+        """Largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
         return FASTEST_PART / self.late
 
     @property
     def late(self) -> float:
-        """Return the samples of delay and hold, s."""
+        """Samples of delay and hold, s."""
         return self.period * (1 + self.delay)
 
 
@@ -98,7 +98,7 @@ class Differences:
     order = 0
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Return the coordinates per unit of reading (n, sensors).
+        """Coordinates per unit of reading (n, sensors).
 
         Raises:
             ModelError: a coordinate has no sensor.
@@ -112,7 +112,7 @@ class Differences:
         return np.asarray(np.linalg.pinv(plan.sensing[:, : plan.coordinates]), dtype=np.float64)
 
     def bandwidths(self, plan: Plan) -> Array:
-        """Return infinite bandwidths (n,): nothing is filtered."""
+        """Infinite bandwidths (n,): nothing is filtered."""
         return np.full(plan.coordinates, np.inf)
 
 
@@ -136,7 +136,7 @@ class Kalman:
             raise ModelError(f"observer.order {self.order}: allowed are 0, 1 (a constant disturbance) and 2 (a line)")
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Return the steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
+        """Steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
 
         Args:
             plan: what the observer is for.
@@ -154,7 +154,7 @@ class Kalman:
         return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
     def bandwidths(self, plan: Plan) -> Array:
-        """Return the bandwidth for each coordinate, rad/s (n,); 0 for one without a sensor.
+        """Bandwidth for each coordinate, rad/s (n,); 0 for one without a sensor.
 
         The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
         bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes
@@ -204,7 +204,7 @@ class _Steady:
 
 
 def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
-    """Return the steady Kalman filter for a bandwidth of each coordinate."""
+    """Steady Kalman filter for a bandwidth of each coordinate."""
     n, h = plan.coordinates, plan.period
     size = (2 + order) * n
     flow = np.zeros((size, size))
@@ -228,7 +228,7 @@ def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
 
 
 def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
-    """Return the noise in each command from each coordinate's estimate, in parts of its limit (actuators, n)."""
+    """Noise in each command from each coordinate's estimate, in parts of its limit (actuators, n)."""
     n = plan.coordinates
     found = _steady(plan, order, bandwidth)
     driven = found.gain @ np.diag((plan.noise / found.deviation) ** 2) @ found.gain.T
@@ -260,7 +260,7 @@ def check_rate(rate: float, dynamics: Array) -> None:
 
 
 def unseen(sensing: Array) -> tuple[int, ...]:
-    """Return the coordinates that no reading depends on.
+    """Coordinates that no reading depends on.
 
     Args:
         sensing: readings per unit of each coordinate (sensors, n).

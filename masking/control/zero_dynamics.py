@@ -15,11 +15,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.equilibrium import STEP, equilibrium
 from masking.control.blocks import Transform
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
-from masking.numerics.equilibrium import STEP, equilibrium
+from masking.model.modelling.model import Model
 
 MARGINAL: Final = 1e-6  # real part, relative to the largest eigenvalue, up to which motion neither decays nor grows
 _NEWTON: Final = 50
@@ -42,7 +42,7 @@ class ZeroDynamics:
 
     @property
     def verdict(self) -> Literal["stable", "marginal", "unstable"]:
-        """Return whether a small motion decays, goes on, or grows."""
+        """Whether a small motion decays, goes on, or grows."""
         largest, size = float(self.eigenvalues.real.max()), float(np.abs(self.eigenvalues).max())
         if abs(largest) <= MARGINAL * size or size == 0.0:
             return "marginal"
@@ -50,13 +50,13 @@ class ZeroDynamics:
 
     @property
     def slowest(self) -> complex:
-        """Return the eigenvalue that says most: that with the largest real part, above the real axis."""
+        """Eigenvalue that says most: that with the largest real part, above the real axis."""
         found = max(self.eigenvalues, key=lambda x: (round(x.real, 12), x.imag))
         return complex(found)
 
     @property
     def how(self) -> str:
-        """Return how a small motion decays, goes on or grows, in words."""
+        """How a small motion decays, goes on or grows, in words."""
         at, verdict = self.slowest, self.verdict
         frequency = abs(at)
         if verdict == "unstable":
@@ -71,7 +71,7 @@ class ZeroDynamics:
         return f"{', '.join(self.names)} passive, zero dynamics {self.verdict}: {self.how}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it."""
+        """Everything as JSON can hold it."""
         return {
             "coordinates": list(self.names),
             "rest": dict(zip(self.names, map(float, self.rest), strict=True)),
@@ -102,7 +102,7 @@ class Held:
 
     @property
     def passive(self) -> list[int]:
-        """Return the indices of the passive coordinates."""
+        """Indices of the passive coordinates."""
         return list(self.transform.passive)
 
     @cached_property
@@ -111,14 +111,14 @@ class Held:
         return self.transform.expressions.subs(known), self.transform.jacobian.subs(known)
 
     def mapped(self, q: Array) -> tuple[Array, Array]:
-        """Return eta (k,) and its Jacobian (k, n) by rig coordinates q (n,) in SI units."""
+        """Eta (k,) and its Jacobian (k, n) by rig coordinates q (n,) in SI units."""
         symbols = self.transform.rig.equations.symbols.q
         at = dict(zip(symbols, map(float, q / self.lengths), strict=True))
         eta, jacobian = (np.array(m.subs(at).evalf().tolist(), dtype=float) for m in self._symbolic)
         return eta.ravel(), jacobian / self.lengths
 
     def placed(self, z: Array) -> tuple[Array, Array]:
-        """Return the rig coordinates (n,) at passive ones z (m,), and the slope [J; passive] there (n, n).
+        """Rig coordinates (n,) at passive ones z (m,), and the slope [J; passive] there (n, n).
 
         Raises:
             ModelError: there are none.
@@ -136,7 +136,7 @@ class Held:
         raise ModelError(f"transform: no rig position gives {self.eta} beside the passive coordinates {z}")
 
     def accelerations(self, z: Array, rates: Array) -> Array:
-        """Return the accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
+        """Accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
         plant, n = self.plant, len(self.lengths)
         q, slope = self.placed(z)
         jacobian = slope[: len(self.eta)]
@@ -155,7 +155,7 @@ class Held:
         return np.asarray((free + driven @ u)[self.passive], dtype=np.float64)
 
     def zero_dynamics(self) -> ZeroDynamics:
-        """Return the zero dynamics about the rest that is nearest to zero.
+        """Zero dynamics about the rest that is nearest to zero.
 
         Damping is that of velocities at which the rig passes rest in oscillations of a unit of length, as for an
         observer: dry friction has no slope at rest.

@@ -49,5 +49,5 @@ def dress(axes: Axes) -> None:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return a label with its unit in brackets, where there is one."""
+    """Label with its unit in brackets, where there is one."""
     return f"{text} ({unit})" if unit else text

@@ -31,7 +31,7 @@ _WIDTH, _HEIGHT = 160, 20  # pixels of a small line
 
 
 def card(title: str, subtitle: str, *parts: Markup) -> str:
-    """Return a title, a line below it, and parts.
+    """Title, a line below it, and parts.
 
     Args:
         title: what is shown.
@@ -42,7 +42,7 @@ def card(title: str, subtitle: str, *parts: Markup) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[int] = ()) -> Markup:
-    """Return a table; nothing where there are no rows.
+    """Table; nothing where there are no rows.
 
     Args:
         head: a title for each column.
@@ -57,7 +57,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequen
 
 
 def line(series: Series) -> Markup:
-    """Return a series as a small picture of its envelope.
+    """Series as a small picture of its envelope.
 
     Args:
         series: samples (m,), equally spaced.

@@ -16,7 +16,7 @@ _SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+
 
 
 def is_symbol(name: str) -> bool:
-    """Return whether a name is a symbol: a few letters or a Greek one, with or without an index; no English word."""
+    """Whether a name is a symbol: a few letters or a Greek one, with or without an index; no English word."""
     return _SYMBOL.fullmatch(name) is not None
 
 
@@ -30,7 +30,7 @@ def markup(name: str) -> Markup:
 
 
 def split(name: str) -> tuple[str, str]:
-    """Return the letters and the index of a symbol; an index may be empty."""
+    """Letters and the index of a symbol; an index may be empty."""
     letters, index = re.fullmatch(r"(.*?)_?(\d*)", name).groups()  # type: ignore[union-attr]  # matches any word
     return (letters, index) if letters else (name, "")
 

@@ -14,15 +14,15 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from masking.analysis.synchronisation import period
-from masking.declaration import schema
+from masking.compile.numerics.arrays import Array
 from masking.display.palette import COLOURS
 from masking.display.symbols import markup
 from masking.errors import MaskingError, RecordError
-from masking.modelling.scales import Units
-from masking.numerics.arrays import Array
-from masking.records.recording import Recording
-from masking.reports import drawing, html
-from masking.reports.drawing import Drawing
+from masking.lab.records.recording import Recording
+from masking.model.declaration import schema
+from masking.model.modelling.scales import Units
+from masking.reports import html, system_drawing
+from masking.reports.system_drawing import Drawing
 
 PAGE: Final = "animation.html"
 _MOST_ROWS: Final = 20_000  # in a page: 40 points in each of 500 periods
@@ -59,7 +59,7 @@ class Animation:
 
     @cached_property
     def scenes(self) -> tuple[Scene, ...]:
-        """Return the rig and the virtual system, as far as they were recorded.
+        """Rig and the virtual system, as far as they were recorded.
 
         Raises:
             RecordError: the recording holds no motion.
@@ -78,12 +78,12 @@ class Animation:
 
     @property
     def main(self) -> Scene:
-        """Return the scene whose coordinates are the traces: the virtual system, where there is one."""
+        """Scene whose coordinates are the traces: the virtual system, where there is one."""
         return self.scenes[-1]
 
     @cached_property
     def period(self) -> float:
-        """Return the period of the first coordinate that has one, in s; a twentieth of the record where none has."""
+        """Period of the first coordinate that has one, in s; a twentieth of the record where none has."""
         t, main = self.recording.t, self.main
         series = [self.recording[f"{main.prefix}.{name}"] for name in main.drawing.coordinates]
         found = (period(t, one) for one in series)
@@ -91,17 +91,17 @@ class Animation:
 
     @property
     def speed(self) -> float:
-        """Return how fast it is played at first, so that a period can be seen: 1 is as fast as the rig."""
+        """How fast it is played at first, so that a period can be seen: 1 is as fast as the rig."""
         wanted = self.period / _SECONDS
         return 1.0 if 0.3 < wanted < 3.0 else min(_SPEEDS, key=lambda speed: abs(math.log(speed / wanted)))
 
     @property
     def rows(self) -> slice:
-        """Return the rows that a page holds."""
+        """Rows that a page holds."""
         return slice(None, None, max(1, -(-len(self.recording) // _MOST_ROWS)))
 
     def data(self) -> dict[str, Any]:
-        """Return all that a page shows, as JSON can hold it."""
+        """All that a page shows, as JSON can hold it."""
         recording = self.recording
         return {
             "t": _packed(recording.t[self.rows], np.float32),
@@ -118,7 +118,7 @@ class Animation:
         ideal = [f"ideal.{name}" for name in names] if scene.prefix == "virtual" else []
         is_there = bool(ideal) and all(name in self.recording.columns for name in ideal)
         return {
-            "shapes": drawing.shape_facts(scene.drawing),
+            "shapes": system_drawing.shape_facts(scene.drawing),
             "view": scene.view,
             "factor": scene.factor,
             "unit": scene.drawing.unit,
@@ -144,7 +144,7 @@ class Animation:
                 yield {"title": title, "unit": str(escape(common)), "lines": lines}
 
     def _series(self, column: str) -> dict[str, Any]:
-        """Return a column in 16 bits, with its size."""
+        """Column in 16 bits, with its size."""
         series = self.recording[column][self.rows]
         size = float(np.abs(series).max()) or 1.0
         return {"size": size, "data": _packed(np.rint(series / size * _LEVELS), np.int16)}
@@ -173,7 +173,7 @@ def save(made: Animation, page: Path) -> None:
 
 
 def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
-    """Return the drawing that the system of a prefix declares, or a generic one."""
+    """Drawing that the system of a prefix declares, or a generic one."""
     names = recording.names(prefix)
     manifest, key = recording.manifest, {"rig": "plant_model", "virtual": "virtual"}[prefix]
     title = str(manifest.get({"rig": "plant_name", "virtual": "virtual_name"}[prefix]) or prefix)
@@ -181,22 +181,22 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
     try:
         model = schema.ModelDeclaration.model_validate(declared)
         if not model.drawing or tuple(model.coordinates) != names:
-            return drawing.generic(title, names, reach)
+            return system_drawing.generic(title, names, reach)
         values = manifest["parameters"] if prefix == "virtual" else _rig_values(model, manifest)
         values = {name: float(value) for name, value in values.items()}
     except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
-        return drawing.generic(title, names, reach)
+        return system_drawing.generic(title, names, reach)
     return Drawing(title, recording.units.get(f"{prefix}.{names[0]}", ""), names, model.drawing, values)
 
 
 def _rig_values(model: schema.ModelDeclaration, manifest: Mapping[str, Any]) -> dict[str, float]:
-    """Return the parameters of the rig in SI units, as its plant file has them."""
+    """Parameters of the rig in SI units, as its plant file has them."""
     given = manifest["declarations"]["plant"].get("parameters", {})
     known = {name: value for name, value in given.items() if name in model.parameters}
     return Units.of(model).parameter_values(known, dimensionless=False)
 
 
 def _packed(series: Array | Sequence[float], kind: type[np.generic]) -> str:
-    """Return numbers as text that a page unpacks: little-endian, base64."""
+    """Numbers as text that a page unpacks: little-endian, base64."""
     dtype = np.dtype(kind).newbyteorder("<")
     return base64.b64encode(np.ascontiguousarray(series, dtype=dtype).tobytes()).decode("ascii")

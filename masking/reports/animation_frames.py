@@ -93,7 +93,7 @@ def _save_gif(figure: Figure, drawn: Iterator[int], file: Path) -> None:
 
 
 def _sheet(shown: Animation) -> tuple[Figure, Callable[[float], None]]:
-    """Return a figure with axes for the scenes and the motion, and what draws an instant on it."""
+    """Figure with axes for the scenes and the motion, and what draws an instant on it."""
     width = (_WIDTH - 0.4) / len(shown.scenes)
     heights = [(one.view[3] - one.view[2]) / (one.view[1] - one.view[0]) * width for one in shown.scenes]
     above = min(_MOST_HEIGHT, max(heights))
@@ -125,7 +125,7 @@ def _words(scene: Scene) -> str:
 
 
 def _at(shown: Animation, prefix: str, names: Sequence[str], t: float) -> Numbers | None:
-    """Return coordinates at an instant, between samples on a straight line; None where they were not recorded."""
+    """Coordinates at an instant, between samples on a straight line; None where they were not recorded."""
     columns = shown.recording.columns
     if any(f"{prefix}.{name}" not in columns for name in names):
         return None

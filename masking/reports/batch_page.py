@@ -16,12 +16,11 @@ TABLE: Final = "batch.csv"
 
 
 def text(sentence: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the runs as a table of text, with a sentence before it."""
+    """Runs as a table of text, with a sentence before it."""
     return "\n".join([sentence, *aligned([[*rows[0]], *_shown(rows)])])
 
 
 def _shown(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Return the rows with numbers as people read them."""
     return [[_cell(value) for value in row.values()] for row in rows]
 
 

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from masking.declaration.quantities import percent, quantity
-from masking.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
+from masking.inference.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
+from masking.model.declaration.quantities import percent, quantity
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import COLOURS, DASHED, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure

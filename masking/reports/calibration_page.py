@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from masking.declaration.quantities import number, percent
-from masking.declaration.units import pretty
-from masking.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
+from masking.inference.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
+from masking.model.declaration.quantities import number, percent
+from masking.model.declaration.units import pretty
 from masking.reports import calibration_figures, html
 from masking.reports.html import Tile
 from masking.reports.text import capital, listed
@@ -111,12 +111,11 @@ def _tiles(found: Calibration) -> list[Tile]:
 
 
 def _has_document(found: Calibration) -> bool:
-    """Return whether the rig is the document's, whose numbers then stand beside."""
     return _AUTHOR in (found.twin.declaration.source or "") and len(found.floor) == len(_DOCUMENT[0][2])
 
 
 def _errors(found: Calibration) -> list[list[str]]:
-    """Return the errors in the form of Tables 4.3 and 4.5, and the document's own: model, record, and each sensor."""
+    """Errors in the form of Tables 4.3 and 4.5, and the document's own: model, record, and each sensor."""
     rows = []
     for stage in found.stages:
         label = f"{_spoken(stage)}, {len(stage.fit.names)} parameters" + ": written" * (stage is found.best)
@@ -132,7 +131,7 @@ def _errors(found: Calibration) -> list[list[str]]:
 
 
 def _parameters(found: Calibration) -> list[list[str]]:
-    """Return values and deviations beside those of the plant file."""
+    """Values and deviations beside those of the plant file."""
     fit, rows = found.best.fit, []
     model = fit.twin.model.declaration.parameters
     for name, value, std in zip(fit.names, fit.values, fit.std, strict=True):
@@ -147,14 +146,14 @@ def _parameters(found: Calibration) -> list[list[str]]:
 
 
 def _differing(found: Calibration) -> int:
-    """Return how many values differ notably from the plant file's."""
+    """How many values differ notably from the plant file's."""
     fit = found.best.fit
     before = np.array([_declared(found, name) for name in fit.names])
     return int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum())
 
 
 def _lumped(found: Calibration) -> str:
-    """Return the kinds of effects of the plant file that the fitted model does not name, so that values hold them."""
+    """Kinds of effects of the plant file that the fitted model does not name, so that values hold them."""
     fitted = {effect.path for effect in found.best.fit.twin.effects}
     kinds = {
         effect.entry.spoken
@@ -165,7 +164,7 @@ def _lumped(found: Calibration) -> str:
 
 
 def _declared(found: Calibration, name: str) -> float:
-    """Return a parameter as the plant file has it, or else as the fitted model declares it; NaN if neither does."""
+    """Parameter as the plant file has it, or else as the fitted model declares it; NaN if neither does."""
     if name in found.twin.parameter_names:
         return float(found.twin.parameter_value(name))
     declared = found.best.fit.twin.base.parameters.get(name)
@@ -188,7 +187,7 @@ def _pairs(found: Calibration) -> list[str]:
 
 
 def _excited(found: Calibration) -> list[list[str]]:
-    """Return how much of its limit each actuator used, and its lines."""
+    """How much of its limit each actuator used, and its lines."""
     ports = found.twin.declaration.actuators or found.twin.base.inputs
     return [
         [
@@ -205,7 +204,7 @@ def _excited(found: Calibration) -> list[list[str]]:
 
 
 def _reached(found: Calibration) -> list[list[str]]:
-    """Return how far each limited coordinate went: coordinate, reached, limit, used."""
+    """How far each limited coordinate went: coordinate, reached, limit, used."""
     limits = found.twin.declaration.limits.coordinates
     units = {what.text: (limit.unit, found.twin.size(limit.unit)) for what, limit in limits.items()}
     return [

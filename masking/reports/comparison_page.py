@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from masking.display.symbols import tex
 from masking.reports import figure_parts as parts
 from masking.reports import html, run_figures, style
-from masking.reports.comparison import Comparison, Measure, symbols_in
-from masking.reports.run_facts import Study
+from masking.reports.run_comparison import Comparison, Measure, symbols_in
+from masking.reports.run_study import Study
 from masking.reports.style import COLOURS, SIZE, CaptionedFigure
 
 PAGE: Final = "comparison.html"
@@ -52,7 +52,6 @@ def save(compared: Comparison, folder: Path) -> Path:
 
 
 def _rows(measures: list[Measure]) -> list[tuple[str, str, str, str]]:
-    """Return the measures in which the runs differ, then the others."""
     return [row.row for row in sorted(measures, key=lambda row: not row.differs)]
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
-from masking.declaration.quantities import percent, quantity
-from masking.declaration.units import pretty
-from masking.discovery import latent_force
-from masking.discovery.discovery import Discovery
-from masking.discovery.screening import Score
-from masking.discovery.verdict import noise_threshold
-from masking.estimation.simulation import Simulated
+from masking.inference.discovery import latent_force
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.screening import Score
+from masking.inference.discovery.verdict import noise_threshold
+from masking.inference.estimation.simulation import Simulated
+from masking.model.declaration.quantities import percent, quantity
+from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, fit_figures, force_map, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
@@ -280,7 +280,7 @@ def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tupl
 
 
 def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
-    """Return each candidate once, the best first: effect, place, part of the gap, part of what would count."""
+    """Each candidate once, the best first: effect, place, part of the gap, part of what would count."""
     best: dict[str, Score] = {}
     for score in found.search.tried:
         label = discovery_text.spoken(found, *score.candidate.key)
@@ -296,7 +296,7 @@ def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
 
 
 def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
-    """Return relative errors by sensor of each record: as declared, adjusted, with the finding, and the noise floor."""
+    """Relative errors by sensor of each record: as declared, adjusted, with the finding, and the noise floor."""
     gap, size = found.simulation_error, (found.record.readings**2).sum(axis=0)
     fitted, validated = (gap.estimation[1], gap.validation[1]) if found.law is None else found.law.error
     own = np.sqrt(found.search.base.hypothesis.squares / np.maximum(size, 1e-300))

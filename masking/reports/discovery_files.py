@@ -13,21 +13,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from masking.declaration import catalogue, registry
-from masking.declaration.checks import equation_of
-from masking.declaration.schema import ModelDeclaration, Parameter
-from masking.declaration.units import combined, dimension_of, factor_of
-from masking.discovery import laws
-from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.discovery import Discovery, Named
-from masking.discovery.places import identifier
-from masking.effects import LATE, Effect, attach
-from masking.modelling.model import Model
-from masking.records.json_text import json_text
+from masking.control.rig.twin import Twin
+from masking.inference.discovery import compiled_laws
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.discovery_result import Discovery, Named
+from masking.inference.discovery.places import identifier
+from masking.lab.records.json_text import json_text
+from masking.model.declaration import catalogue, registry
+from masking.model.declaration.checks import equation_of
+from masking.model.declaration.schema import ModelDeclaration, Parameter
+from masking.model.declaration.units import combined, dimension_of, factor_of
+from masking.model.effects import LATE, Effect, attach
+from masking.model.modelling.model import Model
 from masking.reports import discovery_text, html, model_files
 from masking.reports.style import CaptionedFigure
 from masking.reports.text import listed
-from masking.rig.twin import Twin
 
 STD_DIGITS = 3  # of standard deviations
 PLANT, NUMBERS, PAGE = "plant.yaml", "discovery.json", "discovery.html"
@@ -104,7 +104,7 @@ def save(
 
 
 def _of_earlier(out: Path) -> set[Path]:
-    """Return the files of the discovery that a folder holds, if any."""
+    """Files of the discovery that a folder holds, if any."""
     try:
         names = json.loads((out / NUMBERS).read_text(encoding="utf-8")).get("files", ())
         every = {out / name for name in names}
@@ -114,7 +114,7 @@ def _of_earlier(out: Path) -> set[Path]:
 
 
 def paths(found: Discovery, out: Path) -> Files:
-    """Return where the files of a discovery lie."""
+    """Where the files of a discovery lie."""
     if not found.effects and found.law is None and not (found.unit and found.unit.kind != "clock"):
         return Files(out / NUMBERS, out / PAGE, None, None)
     base = found.twin.declaration.model
@@ -125,7 +125,7 @@ def paths(found: Discovery, out: Path) -> Files:
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
-    """Return a discovery and where its files lie, as JSON can hold it.
+    """Discovery and where its files lie, as JSON can hold it.
 
     Args:
         found: the discovery.
@@ -147,7 +147,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
 
 
 def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
-    """Return the parameters of the model with their values, deviations and declared values, in declared units."""
+    """Parameters of the model with their values, deviations and declared values, in declared units."""
     rig = found.written_rig
     columns = (found.written.hypothesis.theta, found.written_deviations, rig.start)  # imperfections come last
     rows = zip(rig.names, *(column.tolist() for column in columns), strict=False)
@@ -155,7 +155,7 @@ def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
 
 
 def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
-    """Return the content of a model file in a folder that extends the model by the causes in its equations.
+    """Content of a model file in a folder that extends the model by the causes in its equations.
 
     Args:
         found: the discovery.
@@ -199,7 +199,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
 
 
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
-    """Return the content of a plant file in a folder, with a model and with the causes outside of its equations.
+    """Content of a plant file in a folder, with a model and with the causes outside of its equations.
 
     Args:
         found: the discovery.
@@ -223,7 +223,7 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
         add(first, *reversing)
     fitted = found.written.hypothesis
     for instance in (*found.written_rig.imperfect(fitted.theta), *fitted.instances):
-        if instance.effect == laws.DELAY:
+        if instance.effect == compiled_laws.DELAY:
             _add_delay(found, instance, first, {*before, *first, *last})
         elif instance.where != "element":
             # Commands pass what was found first; readings pass it last.
@@ -251,7 +251,7 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
 
 
 def labels(found: Discovery) -> dict[EffectInstance, str]:
-    """Return the label of each cause in the equations."""
+    """Label of each cause in the equations."""
     made: dict[EffectInstance, str] = {}
     base = found.twin.attached
     for instance in found.written.hypothesis.instances:
@@ -266,7 +266,7 @@ def labels(found: Discovery) -> dict[EffectInstance, str]:
 
 
 def _attached(found: Discovery, whole: ModelDeclaration, instance: EffectInstance, label: str) -> ModelDeclaration:
-    """Return a model with one more cause in its equations, at an element that is made where there is none."""
+    """Model with one more cause in its equations, at an element that is made where there is none."""
     at = _element(found, instance)
     if at not in whole.elements:
         element = found.written_rig.places[found.written_rig.index(instance)].element
@@ -302,7 +302,7 @@ def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, An
     whole = int(seconds * rate + WHOLE) if not instance.at or found.twin.actuators == (instance.at,) else 0
     rest = seconds - whole / rate
     if whole:
-        effects[_free("delay_found", taken)] = {"effect": laws.DELAY, "parameters": {"samples": whole}}
+        effects[_free("delay_found", taken)] = {"effect": compiled_laws.DELAY, "parameters": {"samples": whole}}
     if rest * rate > WHOLE:
         at = [instance.at] if instance.at else list(found.twin.actuators)
         late = {"effect": LATE.name, "at": at, "parameters": {LATE.grows_with: model_files.rounded(rest)}}
@@ -310,7 +310,7 @@ def _add_delay(found: Discovery, instance: EffectInstance, effects: dict[str, An
 
 
 def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
-    """Return standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
+    """Standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
     made: dict[str, tuple[float, str]] = {}
     known = labels(found)
     deviations = iter(found.written_deviations[len(found.written_rig.start) :])
@@ -324,7 +324,7 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
 
 
 def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
-    """Return a parameter as a file has it: in a unit as its place says it, where that is the same unit."""
+    """Parameter as a file has it: in a unit as its place says it, where that is the same unit."""
     made = parameter.model_dump(mode="json", exclude_defaults=True)
     if unit and (dimension_of(unit), factor_of(unit)) == (dimension_of(parameter.unit), factor_of(parameter.unit)):
         made |= {"unit": unit} if unit != "1" else {}
@@ -332,7 +332,7 @@ def _written(parameter: Parameter, std: float, unit: str) -> dict[str, Any]:
 
 
 def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
-    """Return the units of channels that are probably in others than declared, those of a section of a file or all."""
+    """Units of channels that are probably in others than declared, those of a section of a file or all."""
     doubt = found.unit
     if doubt is None or doubt.is_sign or doubt.kind == "clock":
         return {}
@@ -342,7 +342,7 @@ def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
 
 
 def _in_found_units(found: Discovery, effects: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return effects of the plant by their labels, their parameters in the units that channels are probably in."""
+    """Effects of the plant by their labels, their parameters in the units that channels are probably in."""
     others, made = _in_other_units(found), dict[str, dict[str, Any]]()
     for label, use in effects.items():
         at, entry = use.get("at", ()), found.dictionary.get(use["effect"])
@@ -360,7 +360,7 @@ def _in_found_units(found: Discovery, effects: Mapping[str, dict[str, Any]]) -> 
 
 
 def _rescaled(value: float | str, entry: Effect | None, name: str, units: tuple[str, str]) -> float | str:
-    """Return the value of a parameter of an effect in the second of two units of its channel; the first has it now."""
+    """Value of a parameter of an effect in the second of two units of its channel; the first has it now."""
     if entry is None:
         return value
     known, other = (factor_of(combined(entry.parameters[name].unit, dict.fromkeys("SU", unit))) for unit in units)
@@ -386,6 +386,6 @@ def written(found: Discovery) -> list[tuple[str, str]]:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken."""
+    """Name that is not taken."""
     name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)

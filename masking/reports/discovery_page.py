@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.declaration.quantities import number, percent, with_deviation
-from masking.declaration.units import pretty
-from masking.discovery import latent_force
-from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import LatentForces
-from masking.discovery.verdict import noise_threshold, probabilities
-from masking.estimation.whiteness import DOUBTED
+from masking.inference.discovery import latent_force
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.localisation import LatentForces
+from masking.inference.discovery.verdict import noise_threshold, probabilities
+from masking.inference.estimation.whiteness import DOUBTED
+from masking.model.declaration.quantities import number, percent, with_deviation
+from masking.model.declaration.units import pretty
 from masking.reports import discovery_figures, discovery_files, discovery_text, html, place_text
 from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
@@ -48,7 +48,7 @@ def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | N
 
 
 def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, folder: Path) -> str:
-    """Return the page of a discovery.
+    """Page of a discovery.
 
     Args:
         found: the discovery.
@@ -176,7 +176,7 @@ def _probability(p: float) -> str:
 
 
 def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
-    """Return the explanations that were fitted in full: explanation, probability, worse by, values."""
+    """Explanations that were fitted in full: explanation, probability, worse by, values."""
     rivals, tempering = found.rivals, found.tempering
     if len(rivals) < 2 or not found.effects:
         return []

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from masking.declaration.quantities import number, percent, quantity, with_deviation
-from masking.declaration.units import combined, describe, dimension_of, pretty
-from masking.discovery import latent_force, laws
-from masking.discovery.discovery import Discovery, Named
-from masking.discovery.localisation import LatentForces
-from masking.discovery.unit_check import AND, UnitDoubt
-from masking.discovery.unnamed import UnnamedLaw
-from masking.reports import experiment_text
+from masking.inference.discovery import compiled_laws, latent_force
+from masking.inference.discovery.discovery_result import Discovery, Named
+from masking.inference.discovery.localisation import LatentForces
+from masking.inference.discovery.unit_check import AND, UnitDoubt
+from masking.inference.discovery.unnamed_law import UnnamedLaw
+from masking.model.declaration.quantities import number, percent, quantity, with_deviation
+from masking.model.declaration.units import combined, describe, dimension_of, pretty
+from masking.reports import next_experiment_text
 from masking.reports.place_text import follows_command, opposite, portrayed, white
 from masking.reports.text import alternatives, capital, listed, much
 
@@ -52,7 +52,7 @@ def sentence(found: Discovery) -> str:
         if found.is_hidden:
             first = "The record shows no missing effect, but the validation record does, and does not tell which"
         sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found), unnamed(found)]
-        sentences += experiment_text.further(found)
+        sentences += next_experiment_text.further(found)
     elif is_open(found):
         before = [cause(found, one) for one in found.effects[:-1]]
         known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
@@ -94,19 +94,18 @@ def units_of_channels(found: Discovery) -> str:
 
 
 def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
-    """Return where the unit of a channel is declared: in a plant, or that of an input that it does not name a model."""
+    """Where the unit of a channel is declared: in a plant, or that of an input that it does not name a model."""
     plant = found.twin.declaration
     of_model = doubt.kind == "actuator" and name not in plant.actuators
     return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
 
 
 def _otherwise(doubt: UnitDoubt) -> str:
-    """Say how channels are taken otherwise than declared."""
     return "with its sign reversed" if doubt.is_sign else f"in {doubt.unit}"
 
 
 def _quoted(doubt: UnitDoubt) -> str:
-    """Return the names of the channels in another unit, in quotation marks."""
+    """Names of the channels in another unit, in quotation marks."""
     return listed([f"'{name}'" for name in doubt.names])
 
 
@@ -193,7 +192,7 @@ def sureness(found: Discovery) -> str:
 
 
 def is_open(found: Discovery) -> bool:
-    """Return whether the record leaves open what is missing, among what has names of its own."""
+    """Whether the record leaves open what is missing, among what has names of its own."""
     return found.verdict == "ambiguous" and len(alike(found)) > 1
 
 
@@ -203,7 +202,7 @@ def alike(found: Discovery) -> list[str]:
 
 
 def likely(found: Discovery, cause: Named) -> dict[str, float]:
-    """Return a cause and its alternatives in words with their probabilities, those that are the same together."""
+    """Cause and its alternatives in words with their probabilities, those that are the same together."""
     said = {spoken(found, cause.name, cause.on): cause.probability}
     for name, on, part in cause.alternatives:
         label = spoken(found, name, on)
@@ -213,7 +212,7 @@ def likely(found: Discovery, cause: Named) -> dict[str, float]:
 
 
 def offered(found: Discovery) -> list[Named]:
-    """Return the causes to report; if they do not explain everything, those that differ surely from 0."""
+    """Causes to report; if they do not explain everything, those that differ surely from 0."""
     if found.verdict != "unknown":
         return list(found.effects)
     kept = []
@@ -236,7 +235,7 @@ def hardly(found: Discovery) -> str:
 
 
 def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
-    """Return the parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
+    """Parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.dictionary}
     prior, theta = found.problem.prior, found.explanation.hypothesis.theta
     moves = {}
@@ -373,14 +372,14 @@ def gap(found: Discovery) -> str:
 
 
 def without(found: Discovery) -> tuple[dict[str, float], str]:
-    """Return the validation error of each sensor without the finding, and which model that is."""
+    """Validation error of each sensor without the finding, and which model that is."""
     if found.verdict == "parameter":
         return found.simulation_error.validation[0], "as declared"
     return found.simulation_error.adjusted, "with adjusted parameters"
 
 
 def worst(found: Discovery) -> str:
-    """Return the sensor with the largest error without the finding, relative to its noise floor."""
+    """Sensor with the largest error without the finding, relative to its noise floor."""
     floor, (before, _) = found.simulation_error.validation_noise_floor, without(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
 
@@ -415,14 +414,14 @@ def look(found: Discovery) -> str:
 
 
 def rest(found: Discovery) -> LatentForces:
-    """Return the model error, or the residual if causes are reported that do not explain it."""
+    """Model error, or the residual if causes are reported that do not explain it."""
     seen = found.localisation
     is_whole = found.law is not None or seen.residual is None or not offered(found)
     return seen.latent if is_whole or seen.residual is None else seen.residual
 
 
 def subject(found: Discovery) -> LatentForces:
-    """Return the model error, or the residual if the known causes do not explain it."""
+    """Model error, or the residual if the known causes do not explain it."""
     return rest(found) if found.verdict == "unknown" else found.localisation.latent
 
 
@@ -460,22 +459,22 @@ def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:
-    """Return the units of the parameters of a cause, as they are shown."""
+    """Units of the parameters of a cause, as they are shown."""
     return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
 
 
 def channel_unit(found: Discovery, name: str, kind: str) -> str:
-    """Return the declared unit of a channel, of kind 'sensor' or 'actuator'."""
+    """Declared unit of a channel, of kind 'sensor' or 'actuator'."""
     sensors = found.twin.declaration.sensors
     return sensors[name].unit if kind == "sensor" else latent_force.command_unit(found, name)
 
 
 def plain_units(found: Discovery, named: Named) -> dict[str, str]:
-    """Return the units of the parameters of a cause, such as N/m**3."""
+    """Units of the parameters of a cause, such as N/m**3."""
     if named.name not in found.dictionary:
         return {n: found.twin.base.parameters[n].unit for n in named.parameters}
-    if named.name == laws.DELAY:
-        return {laws.DEAD_TIME: "s"}
+    if named.name == compiled_laws.DELAY:
+        return {compiled_laws.DEAD_TIME: "s"}
     effect = found.dictionary[named.name]
     if effect.where == "element":
         force, displacement, _ = latent_force.element_units(found.written_rig, named.on)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from masking.numerics.arrays import Array
+from masking.compile.numerics.arrays import Array
 from masking.reports.style import DASHED, INK, MUTED, RIGHT, SIZE, WIDTH
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def legend(figure: Figure, axes: Axes | None, handles: Sequence[Any], above: flo
 
 
 def line_key(label: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> Line2D:
-    """Return the line of a legend.
+    """Line of a legend.
 
     Args:
         label: text of the entry.
@@ -60,7 +60,7 @@ def line_key(label: str, colour: str, width: float = 2.0, *, dashed: bool = Fals
 
 
 def marker_key(label: str, colour: str, shape: str = "o", size: float = 6.0, **style: Any) -> Line2D:  # noqa: ANN401  # matplotlib's own
-    """Return the marker of a legend.
+    """Marker of a legend.
 
     Args:
         label: text of the entry.
@@ -137,7 +137,7 @@ def noise_level(spectrum: Axes, deviation: float, rate: float) -> float:
 
 
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
-    """Return the factor and unit in which values are drawn: small metres, volts and newtons in mm, µm or nm.
+    """Factor and unit in which values are drawn: small metres, volts and newtons in mm, µm or nm.
 
     Args:
         unit: of the values, as it is shown.
@@ -162,7 +162,7 @@ def first_of(count: int, total: int, what: str = "") -> str:
 
 
 def spectral_density(values: Array, rate: float, segments: int = 8, bins: int = 24) -> tuple[Array, Array]:
-    """Return frequencies, evenly over their logarithm, and the root of the power spectral density there.
+    """Frequencies, evenly over their logarithm, and the root of the power spectral density there.
 
     Args:
         values: (samples,).

@@ -9,14 +9,14 @@ from typing import Final, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from masking.declaration.quantities import percent, quantity
-from masking.declaration.units import pretty
+from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
-from masking.estimation.data import Data
-from masking.estimation.fit import Fit
-from masking.estimation.innovations import KalmanFit
-from masking.estimation.simulation import Simulated, simulate
-from masking.numerics.arrays import Array
+from masking.inference.estimation.fit import Fit
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.innovations import KalmanFit
+from masking.inference.estimation.simulation import Simulated, simulate
+from masking.model.declaration.quantities import percent, quantity
+from masking.model.declaration.units import pretty
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BAND, COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure
@@ -54,7 +54,7 @@ class Line:
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
-    """Return the figures of a fit and what they say; without a record whose simulation is not finite.
+    """Figures of a fit and what they say; without a record whose simulation is not finite.
 
     Args:
         found: the fit.
@@ -249,7 +249,7 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
 
 
 def _span(made: Simulated) -> float:
-    """Return the seconds at the start that hold a few periods of the strongest line of any sensor."""
+    """Seconds at the start that hold a few periods of the strongest line of any sensor."""
     whole, strongest = made.times[-1], 0.0
     for values in made.record.readings.T:
         spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))[1:]
@@ -271,7 +271,7 @@ def verdict(made: Simulated, which: Which) -> str:
 
 
 def summary(made: Simulated) -> str:
-    """Return the verdict of a simulation, and a table of its errors, for the terminal."""
+    """Verdict of a simulation, and a table of its errors, for the terminal."""
     errors = (("error chi", made.chi), ("noise floor", made.floor))
     rows = [("", *made.sensors), *((what, *(percent(part[name]) for name in made.sensors)) for what, part in errors)]
     return "\n".join([f"{verdict(made, '')}.", *aligned(rows)])

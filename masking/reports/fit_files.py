@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from masking.declaration import registry
-from masking.estimation.fit import Fit
-from masking.estimation.innovations import KalmanFit
-from masking.records.json_text import json_text
+from masking.inference.estimation.fit import Fit
+from masking.inference.estimation.innovations import KalmanFit
+from masking.lab.records.json_text import json_text
+from masking.model.declaration import registry
 from masking.reports import html, model_files
 
 
@@ -31,7 +31,7 @@ def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
 
 
 def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
-    """Return the content of a model file that extends the fitted model."""
+    """Content of a model file that extends the fitted model."""
     base = fit.twin.base
     values = {
         name: model_files.parameter(value, std)
@@ -43,7 +43,7 @@ def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
 
 
 def plant(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
-    """Return the content of a plant file with the fitted model, in the same folder, and the fitted effects."""
+    """Content of a plant file with the fitted model, in the same folder, and the fitted effects."""
     twin = fit.twin
     declared = twin.declaration.canonical()
     effects: dict[str, Any] = {}

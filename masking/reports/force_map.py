@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from masking.declaration.quantities import percent
-from masking.declaration.units import pretty
-from masking.discovery import latent_force
-from masking.discovery.augmented_model import EffectInstance
-from masking.discovery.discovery import Discovery
-from masking.discovery.force_decomposition import SEEN
-from masking.numerics.arrays import Array
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery import latent_force
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.force_decomposition import SEEN
+from masking.model.declaration.quantities import percent
+from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
@@ -92,7 +92,7 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
 
 
 def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectInstance]:
-    """Return the causes at the place in view that are reported; none beside a law without a name."""
+    """Causes at the place in view that are reported; none beside a law without a name."""
     if found.law is not None:
         return []
     offered = {(one.name, one.on) for one in discovery_text.offered(found)}
@@ -124,7 +124,7 @@ def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequenc
 
 
 def share(latent: latent_force.LatentForce, law: Array | None) -> float:
-    """Return the part of the mean square of the latent force that a law explains; without one, the whole finding."""
+    """Part of the mean square of the latent force that a law explains; without one, the whole finding."""
     if law is None:
         assert latent.after is not None  # noqa: S101  # asked only where something was found
         rest = latent.after

@@ -20,7 +20,7 @@ from markupsafe import Markup
 from masking.display.symbols import is_symbol
 from masking.display.symbols import markup as symbol
 from masking.errors import RecordError
-from masking.records.json_text import json_text
+from masking.lab.records.json_text import json_text
 
 if TYPE_CHECKING:  # drawing is loaded by what draws
     import jinja2
@@ -49,7 +49,7 @@ class Tile(NamedTuple):
 
 
 def render(template: str, **facts: object) -> str:
-    """Return a page.
+    """Page.
 
     Args:
         template: name of a file in `templates`, without `.html`.
@@ -85,7 +85,7 @@ def save(
 
 
 def images(figures: Iterable[CaptionedFigure], folder: Path) -> dict[Path, bytes]:
-    """Return the content of the PNG file of each figure that is drawn, by its path in a folder."""
+    """Content of the PNG file of each figure that is drawn, by its path in a folder."""
     return {folder / f"{one.name}.png": one.png for one in figures if one.png is not None}
 
 
@@ -141,7 +141,7 @@ def staged(folder: Path | None) -> Iterator[Path]:
 
 
 def versions(*libraries: str) -> str:
-    """Return the versions of Python and of libraries in a line."""
+    """Versions of Python and of libraries in a line."""
     each = [f"{library} {importlib.metadata.version(library)}" for library in libraries]
     return ", ".join([f"python {platform.python_version()}", *each])
 
@@ -168,7 +168,7 @@ def prose(text: object, names: Collection[str] = ()) -> Markup:
 
 
 def _is_word(text: str, match: re.Match[str]) -> bool:
-    """Return whether what has the name of a symbol is a word or a unit where it stands."""
+    """Whether what has the name of a symbol is a word or a unit where it stands."""
     word, before, behind = match.group(), text[: match.start()], text[match.end() :]
     if word in _SHORT:
         return not behind.startswith(" =")
@@ -181,7 +181,7 @@ def _power_of_ten(match: re.Match[str]) -> str:
 
 @functools.cache
 def environment() -> jinja2.Environment:
-    """Return the environment of all templates: values are escaped, and one that is missing is an error."""
+    """Environment of all templates: values are escaped, and one that is missing is an error."""
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from masking.declaration.quantities import number, percent
-from masking.estimation.fit import Fit
-from masking.estimation.innovations import KalmanFit
-from masking.estimation.simulation import Simulated
-from masking.procedures.measurement import Measurement, Row
+from masking.inference.estimation.fit import Fit
+from masking.inference.estimation.innovations import KalmanFit
+from masking.inference.estimation.simulation import Simulated
+from masking.inference.procedures.measurement import Measurement, Row
+from masking.model.declaration.quantities import number, percent
 from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
@@ -122,7 +122,7 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
 
 
 def _tile(row: Row) -> Tile:
-    """Return a number with its unit and deviation; small lengths, voltages and forces with a prefix."""
+    """Number with its unit and deviation; small lengths, voltages and forces with a prefix."""
     by, unit = figure_parts.shown(row.unit, [row.value])
     if not row.unit and row.key.startswith(("even_", "odd_")):
         by, unit = 100.0, "%"

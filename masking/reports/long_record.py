@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 
 from masking.analysis.synchronisation import AntiPhase, interpolate
-from masking.records.recording import Recording
+from masking.lab.records.recording import Recording
 
 _MOST: Final = 3 * 2**19  # samples that are studied at once: 15 in each second of a day
 _WINDOW: Final = 2**17  # samples that are looked at one after the other
 
 
 def drawn(recording: Recording) -> Recording:
-    """Return a recording with as many samples as are studied at once: one that is on disk, with fewer and in memory.
+    """Recording with as many samples as are studied at once: one that is on disk, with fewer and in memory.
 
     Motions are sampled, inputs keep the least and the greatest value of each stretch of time.
     """
@@ -30,7 +30,7 @@ def drawn(recording: Recording) -> Recording:
 
 
 def deviation(recording: Recording, names: tuple[str, str], fit: AntiPhase, start: float, scale: float) -> float:
-    """Return eps of definition 5.3 over all samples of the end of a recording.
+    """Eps of definition 5.3 over all samples of the end of a recording.
 
         eps = max |a(t) - alpha b(t + T/2)|
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import yaml
 
-from masking.declaration import registry
-from masking.rig.twin import Twin
+from masking.control.rig.twin import Twin
+from masking.model.declaration import registry
 
 DIGITS = 10
 
 
 def rounded(value: float, digits: int = DIGITS) -> float:
-    """Return a value as it is written, with a number of significant digits."""
+    """Value as it is written, with a number of significant digits."""
     return float(f"{value:.{digits}g}")
 
 
 def parameter(value: float, std: float, digits: int = DIGITS) -> dict[str, float]:
-    """Return a parameter as a file has it: value, and standard deviation in a number of digits, if any.
+    """Parameter as a file has it: value, and standard deviation in a number of digits, if any.
 
     Args:
         value: of the parameter, in its unit.
@@ -37,7 +37,7 @@ def plant(
     fitted: Collection[str],
     effects: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Return the content of a plant file with a found model.
+    """Content of a plant file with a found model.
 
     Args:
         twin: whose plant file is copied.
@@ -70,7 +70,7 @@ _Dumper.add_representer(_Entry, lambda dumper, entry: dumper.represent_mapping("
 
 
 def text(content: Mapping[str, Any]) -> str:
-    """Return the content of a file as YAML, each entry of a section in a line."""
+    """Content of a file as YAML, each entry of a section in a line."""
     made = {
         section: {n: _Entry(e) if isinstance(e, dict) else e for n, e in entries.items()}
         if isinstance(entries, dict)

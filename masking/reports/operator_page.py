@@ -15,9 +15,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final, final
 
 from masking.errors import OperatorError
-from masking.records.switch import Presser, Switch
+from masking.lab.records.stop_switch import Presser, Switch
 from masking.reports import html
-from masking.reports.live import Monitor
+from masking.reports.live_monitor import Monitor
 
 HOST: Final = "127.0.0.1"
 GONE: Final = 3.0  # s without a request, after which nobody looks any more
@@ -78,12 +78,12 @@ class OperatorPage:
 
     @property
     def address(self) -> str:
-        """Return the address of the page."""
+        """Address of the page."""
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     @property
     def is_looked_at(self) -> bool:
-        """Tell whether a browser shows the page."""
+        """Whether a browser shows the page."""
         return self._looked > 0.0 and time.monotonic() - self._looked < GONE
 
     def _watch(self) -> None:
@@ -98,7 +98,7 @@ class OperatorPage:
                     phase = now
 
     def get(self, path: str, query: str) -> tuple[str, bytes] | None:
-        """Return the type and the content of a path behind the token; None where there is nothing."""
+        """Type and the content of a path behind the token; None where there is nothing."""
         if path == "":
             return "text/html; charset=utf-8", self._page
         if path == "data":
@@ -190,7 +190,7 @@ class _Handler(BaseHTTPRequestHandler):
         return {f"http://{name}" for name in self._names()}
 
     def _path(self) -> tuple[str, str] | None:
-        """Return the path behind the token and the query; None without the token, or for another host."""
+        """Path behind the token and the query; None without the token, or for another host."""
         if self.headers.get("Host", "") not in self._names():
             return None
         path, _, query = self.path.partition("?")

@@ -6,11 +6,11 @@ import itertools
 
 import numpy as np
 
-from masking.declaration.quantities import number, power, quantity, work
-from masking.discovery.discovery import Discovery
-from masking.discovery.localisation import LatentForces, LocatedForce
-from masking.effects import CROSS_DAMPING
-from masking.estimation.whiteness import Whiteness
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.localisation import LatentForces, LocatedForce
+from masking.inference.estimation.whiteness import Whiteness
+from masking.model.declaration.quantities import number, power, quantity, work
+from masking.model.effects import CROSS_DAMPING
 from masking.reports.text import listed, much
 
 DEVIATIONS, APART = 3.0, 0.01  # of two numbers, in parts of their own: as far as those may be apart that are the same

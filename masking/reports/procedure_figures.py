@@ -13,13 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from masking.declaration.quantities import percent
-from masking.procedures.actuators import ActuatorRatio
-from masking.procedures.friction import EquilibriumShift, LocatedFriction
-from masking.procedures.measurement import LEVEL, Friction, Measurement
-from masking.procedures.response import Distortion
-from masking.procedures.responses import Response
-from masking.procedures.springs import SpringCurve
+from masking.inference.procedures.actuators import ActuatorRatio
+from masking.inference.procedures.frequency_response import Distortion
+from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
+from masking.inference.procedures.measured_response import Response
+from masking.inference.procedures.measurement import LEVEL, Friction, Measurement
+from masking.inference.procedures.springs import SpringCurve
+from masking.model.declaration.quantities import percent
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BAND, COLOURS, DASHED, INK, MUTED, SIZE, CaptionedFigure
@@ -270,7 +270,6 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
 
 
 def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
-    """Return the lines of each kind with their marker and colour."""
     return (
         (np.flatnonzero(found.excited), "o", UP),
         (found.even, "^", DOWN),

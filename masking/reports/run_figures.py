@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from masking.analysis.synchronisation import principal, running_peak
-from masking.declaration.quantities import percent
+from masking.model.declaration.quantities import percent
 from masking.reports import figure_parts as parts
 from masking.reports import style
-from masking.reports.run_facts import SUM_WINDOW_PERIODS, Study
+from masking.reports.run_study import SUM_WINDOW_PERIODS, Study
 from masking.reports.style import COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure, Series
 
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be distinguished apart

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from masking.analysis.stability.basins import LABELS, end_of
+from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, Problem, nearest
-from masking.numerics.arrays import Array
-from masking.records.recording import Recording
-from masking.reports.run_facts import Study
+from masking.lab.records.recording import Recording
+from masking.reports.run_study import Study
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
@@ -46,7 +46,7 @@ def _last(run: Study, name: str) -> Array:
 
 
 def _maxima(run: Study, name: str) -> Array:
-    """Return the maxima of a coordinate, each that of the parabola through its three largest samples."""
+    """Maxima of a coordinate, each that of the parabola through its three largest samples."""
     x = _last(run, name)
     at = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
     before, here, after = x[at - 1], x[at], x[at + 1]
@@ -55,7 +55,7 @@ def _maxima(run: Study, name: str) -> Array:
 
 
 def _section(run: Study, names: str) -> Array:
-    """Return a coordinate or velocity where another crosses zero upwards, on the line between two samples."""
+    """Coordinate or velocity where another crosses zero upwards, on the line between two samples."""
     x, y = (_last(run, name) for name in names.split("@"))
     at = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     part = y[at] / (y[at] - y[at + 1])
@@ -102,7 +102,7 @@ MEANINGS: Final = {
 
 
 def defaults(oscillators: Sequence[str], *, has_rig: bool) -> tuple[str, ...]:
-    """Return the measures that are taken where none are named."""
+    """Measures that are taken where none are named."""
     two = ("alpha", "eps", "tau_s", "verdict") if len(oscillators) == 2 else ("period",)
     return (*two, *(_ONLY_WITH_A_RIG if has_rig else ()))
 
@@ -137,7 +137,7 @@ def check(
 
 
 def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
-    """Return measures of a recording by name."""
+    """Measures of a recording by name."""
     run, found = Study(recording), dict[str, Measured]()
     for name in names:
         kind, dot, of = name.partition(".")
@@ -146,7 +146,7 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
 
 
 def measure_each(motions: Sequence[Array], names: Sequence[str]) -> dict[str, list[str]] | None:
-    """Return measures of many runs by name, if those of all runs can be taken together.
+    """Measures of many runs by name, if those of all runs can be taken together.
 
     Args:
         motions: of the oscillators, each (runs, m).

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import lazy_loader as lazy
 
-from masking.declaration.quantities import number, percent
-from masking.records.recording import MANIFEST, TABLE, Recording
+from masking.lab.records.recording import MANIFEST, TABLE, Recording
+from masking.model.declaration.quantities import number, percent
 from masking.reports import html, run_text
 from masking.reports.html import Tile
-from masking.reports.run_facts import (
+from masking.reports.run_study import (
     BudgetRow,
     InputUse,
     Parameter,
@@ -91,13 +91,13 @@ def summary(recording: Recording) -> str:
 
 
 def warnings(recording: Recording) -> list[str]:
-    """Return sentences on what limits the validity of the result; empty if all is well."""
+    """Sentences on what limits the validity of the result; empty if all is well."""
     facts = Study(recording)
     return run_text.warnings(recording, facts.inputs, facts.chi)
 
 
 def limits_used(recording: Recording) -> dict[str, float]:
-    """Return the part of its limit that each input used at its peak; inputs without a limit are left out."""
+    """Part of its limit that each input used at its peak; inputs without a limit are left out."""
     return {use.name: use.used for use in Study(recording).inputs if use.used is not None}
 
 
@@ -130,7 +130,7 @@ def _tiles(facts: Study) -> Iterator[Tile]:
 
 
 def _phases(facts: Study) -> list[tuple[str, str]]:
-    """Return phases and the synchronisation that they mean: (measure, value)."""
+    """Phases and the synchronisation that they mean: (measure, value)."""
     rows = []
     for pair in facts.pairs:
         what = f"phase of {pair.first} against {pair.second}, from start to end"
@@ -156,7 +156,7 @@ def _input_head(uses: Sequence[InputUse]) -> list[str]:
 
 
 def _inputs(facts: Study) -> list[list[str]]:
-    """Return how much of each input was used, demanded and turned into heat, in the columns of `_input_head`."""
+    """How much of each input was used, demanded and turned into heat, in the columns of `_input_head`."""
     rows, head = [], _input_head(facts.inputs)
     for use in facts.inputs:
         meaning = facts.recording.manifest.get("columns", {}).get(f"input.{use.name}", {}).get("meaning", "")
@@ -180,7 +180,7 @@ def _inputs(facts: Study) -> list[list[str]]:
 
 
 def _errors(facts: Study) -> list[tuple[str, str, str, str]]:
-    """Return chi and the largest error of each coordinate: (name, meaning, chi, largest error)."""
+    """Chi and the largest error of each coordinate: (name, meaning, chi, largest error)."""
     rows = []
     for name, chi in facts.chi.items():
         unit = facts.unit(f"virtual.{name}")
@@ -190,7 +190,7 @@ def _errors(facts: Study) -> list[tuple[str, str, str, str]]:
 
 
 def _budget(facts: Study) -> list[list[str]]:
-    """Return chi as it is and without each cause, the most worthwhile first; nothing if there is no budget."""
+    """Chi as it is and without each cause, the most worthwhile first; nothing if there is no budget."""
     if facts.budget is None:
         return []
     found, whole = facts.budget, facts.budget.whole
@@ -208,7 +208,7 @@ def _budget(facts: Study) -> list[list[str]]:
 
 
 def _signed(part: float) -> str:
-    """Return a relative change in percent, with its sign."""
+    """Relative change in percent, with its sign."""
     if not math.isfinite(part):
         return "diverges"
     text = f"{100 * part:+.0f}"
@@ -216,14 +216,14 @@ def _signed(part: float) -> str:
 
 
 def _parameter(one: Parameter, *, is_scaled: bool) -> list[str]:
-    """Return the value that ran, in the declared unit; beside it that in the virtual system's scales, if any."""
+    """Value that ran, in the declared unit; beside it that in the virtual system's scales, if any."""
     in_scales = one.scaled if one.scaled is not None else one.value
     value = f"{number(one.value, 7)}{run_text.declared(one)}"
     return [one.name, value, one.unit, *([number(in_scales, 7)] if is_scaled else []), one.meaning]
 
 
 def _provenance(facts: Study, written: Sequence[str], folder: Path) -> list[tuple[str, object]]:
-    """Return where the record comes from; `written` are the files of the report."""
+    """Where the record comes from; `written` are the files of the report."""
     manifest = facts.recording.manifest
     versions = manifest.get("versions") or {}
     scale = manifest.get("time_scale")

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from masking.declaration.quantities import number, percent
-from masking.records.recording import Recording
-from masking.reports.run_facts import InputUse, Parameter, PhasePair, Study, parameters
+from masking.lab.records.recording import Recording
+from masking.model.declaration.quantities import number, percent
+from masking.reports.run_study import InputUse, Parameter, PhasePair, Study, parameters
 from masking.reports.text import short
 
 _SUMMARY_LINES, _WIDTH = 14, 100
@@ -25,7 +25,7 @@ STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
 
 
 def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
-    """Return sentences on what limits the validity of the result; empty if all is well.
+    """Sentences on what limits the validity of the result; empty if all is well.
 
     Args:
         recording: of the run.
@@ -237,7 +237,7 @@ def _state(phase: float, steady: float) -> str:
 
 
 def summary(facts: Study) -> str:
-    """Tell a study in at most fourteen lines of plain text."""
+    """Study in at most fourteen lines of plain text."""
     manifest = facts.recording.manifest
     rows: list[tuple[str, str]] = []
     changed = [change(p) for p in parameters(facts.recording) if p.is_changed]

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.study import Stability, position_words
-from masking.numerics.arrays import Array
+from masking.compile.numerics.arrays import Array
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.style import BARE, COLOURS, INK, LEGEND, MUTED, SIZE, CaptionedFigure, Series
@@ -127,7 +127,7 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
 
 
 def edges(values: Sequence[float] | Array) -> Array:
-    """Return the edges of cells around values (m + 1,): on a logarithmic axis where their ratios are all the same."""
+    """Edges of cells around values (m + 1,): on a logarithmic axis where their ratios are all the same."""
     v = np.asarray(values, dtype=float)
     if is_geometric(v):
         return np.asarray(np.exp(_between(np.log(v))))
@@ -135,7 +135,7 @@ def edges(values: Sequence[float] | Array) -> Array:
 
 
 def is_geometric(values: Array) -> bool:
-    """Tell whether values in rising order (m,) have one ratio, and no equal steps."""
+    """Whether values in rising order (m,) have one ratio, and no equal steps."""
     if len(values) < 3 or values[0] <= 0.0 or np.allclose(np.diff(values, 2), 0.0, atol=1e-9 * float(values[-1])):
         return False
     return bool(np.allclose(np.diff(np.log(values), 2), 0.0, atol=1e-9))

@@ -46,7 +46,7 @@ class CaptionedFigure:
 
     @functools.cached_property
     def png(self) -> bytes | None:
-        """Return the content of a PNG file, drawn once; None if there is no figure."""
+        """Content of a PNG file, drawn once; None if there is no figure."""
         if self.figure is None:
             return None
         stream = io.BytesIO()
@@ -55,7 +55,7 @@ class CaptionedFigure:
 
 
 def absent(name: str, title: str, why: str) -> CaptionedFigure:
-    """Return the caption of a figure that cannot be drawn, which says why.
+    """Caption of a figure that cannot be drawn, which says why.
 
     Args:
         name: of the figure's file.

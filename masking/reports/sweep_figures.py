@@ -12,8 +12,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from masking.numerics.arrays import Array
-from masking.records.chunks import Columns
+from masking.compile.numerics.arrays import Array
+from masking.lab.records.table_chunks import Columns
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.run_measures import MEANINGS
@@ -72,7 +72,7 @@ def _label(name: str) -> str:
 
 
 def _measure(name: str) -> str:
-    """Return the label of a measure: times are those of the virtual system."""
+    """Label of a measure: times are those of the virtual system."""
     of_time = "units of time" if name in {"tau_s", "period"} else ""
     return style.with_unit("τ$_s$" if name == "tau_s" else _label(name), "rad" if name == "phase" else of_time)
 
@@ -82,7 +82,7 @@ def _words(name: str) -> str:
 
 
 def _numbers(column: Any) -> Array:  # noqa: ANN401  # a column of any kind
-    """Return a column as numbers: of words, the place of each among `_KINDS`."""
+    """Column as numbers: of words, the place of each among `_KINDS`."""
     if isinstance(column, np.ndarray):
         return column.astype(float)
     return np.array([[*_KINDS].index(text) if text in _KINDS else math.nan for text in column])
@@ -146,7 +146,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
 
 
 def _range(values: Array) -> tuple[float, float]:
-    """Return the ends of an axis that shows values (m,), of which some may be none."""
+    """Ends of an axis that shows values (m,), of which some may be none."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0

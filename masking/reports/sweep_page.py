@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.records.chunks import Columns
+from masking.lab.records.table_chunks import Columns
 from masking.reports import html, sweep_figures
 from masking.reports.html import Tile
 from masking.reports.text import listed
@@ -38,7 +38,7 @@ def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
 
 
 def _cause(columns: Columns) -> str:
-    """Return the commonest reason of failures, up to the place where it differs."""
+    """Commonest reason of failures, up to the place where it differs."""
     cause, _ = Counter(
         str(text).partition(",")[0].partition(" at t =")[0] for text in columns["error"] if text
     ).most_common(1)[0]
@@ -46,7 +46,7 @@ def _cause(columns: Columns) -> str:
 
 
 def counts(column: Sequence[Any]) -> dict[str, int]:
-    """Return how many runs have each word of a column, the commonest first."""
+    """How many runs have each word of a column, the commonest first."""
     return dict(Counter(text for text in column if text).most_common())
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from masking.declaration.quantities import percent
+from masking.model.declaration.quantities import percent
 
 
 def listed(words: Sequence[str], between: str = ", ") -> str:
@@ -18,12 +18,12 @@ def alternatives(words: Sequence[str]) -> str:
 
 
 def capital(text: str) -> str:
-    """Return a text that begins a sentence."""
+    """Text that begins a sentence."""
     return f"{text[:1].upper()}{text[1:]}"
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table for the terminal, its columns as wide as their widest cell."""
+    """Lines of a table for the terminal, its columns as wide as their widest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
@@ -42,5 +42,5 @@ def share(part: float) -> str:
 
 
 def short(text: str, most: int) -> str:
-    """Return a text cut to a number of letters, an ellipsis for the rest."""
+    """Text cut to a number of letters, an ellipsis for the rest."""
     return text if len(text) <= most else f"{text[: most - 1].rstrip(' ,')}…"

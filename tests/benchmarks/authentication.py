@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from masking.plants import wire
-from masking.plants.authentication import TAG, Key
-from masking.plants.wire import Kind
+from masking.lab.plants import wire
+from masking.lab.plants.authentication import TAG, Key
+from masking.lab.plants.wire import Kind
 from tests.benchmarks.table import Row, limited
 
 CALLS, ROUNDS = 2000, 200

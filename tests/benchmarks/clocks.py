@@ -14,10 +14,10 @@ from typing import Any, Final
 import matplotlib.pyplot as plt
 import numpy as np
 
-from masking.declaration.expression import Expression
-from masking.records.recording import Recording
-from masking.rig.twin import Twin
-from masking.runs.experiment import Experiment
+from masking.control.rig.twin import Twin
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
+from masking.model.declaration.expression import Expression
 
 SEEDS: Final = 20
 TIMES: Final = (500.0, 2000.0)

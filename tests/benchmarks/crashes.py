@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
-from masking.numerics.arrays import Array
-from masking.records import stream, stream_content
-from masking.records.recorder import Recorder
-from masking.records.ring import Ring, RingReader
+from masking.lab.records import stream, stream_content
+from masking.lab.records.recorder import Recorder
+from masking.lab.records.ring import Ring, RingReader
 
 RATE = 1000.0
 WIDTH = 30
@@ -34,7 +34,7 @@ LOOP = """
 import mmap, struct, sys, time
 import numpy as np
 from tests.benchmarks.crashes import COLUMNS, RATE, WIDTH
-from masking.records.recorder import Recorder
+from masking.lab.records.recorder import Recorder
 with open(sys.argv[2], "r+b") as file:
     count = mmap.mmap(file.fileno(), 8)
 made, row = Recorder(sys.argv[1], COLUMNS, RATE, sys.argv[1]), np.zeros(WIDTH)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.modelling import ensembles
+from masking.model.modelling import ensembles
 from tests.benchmarks.systems import SYSTEMS, Array, huygens_symbolic
 from tests.benchmarks.table import Row, interleaved, judged, limited, missing, ratio
 from tests.benchmarks.trajectory import SCAN, WANTED_ERROR

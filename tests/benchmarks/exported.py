@@ -20,19 +20,19 @@ from typing import Any
 import numpy as np
 
 from masking.analysis.masking_error import masking_error
-from masking.codegen.c import CFunctions
-from masking.codegen.c_expressions import ARRAY, REAL, Value
+from masking.compile.codegen.c_expressions import ARRAY, REAL, Value
+from masking.compile.codegen.c_functions import CFunctions
 from masking.control.closed_loop import module as module_of
-from masking.declaration import catalogue
-from masking.exports.c import CUnit
-from masking.exports.controllers import law_unit, sampled_unit
-from masking.exports.fmu import write
-from masking.runs.experiment import Experiment
-from masking.runs.offline import loop_state, rig_state
-from tests import cortex_m4
-from tests.compiled_unit import GCC, TYPES, CompiledUnit
-from tests.cortex_m4_cycles import of_longest_step
-from tests.test_export import around_a_twin, by_kernel, by_unit, python_unit
+from masking.control.exports.c_unit import CUnit
+from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.fmu_unit import write
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import loop_state, rig_state
+from masking.model.declaration import catalogue
+from tests.control.exports.test_controllers import around_a_twin, by_kernel, by_unit, python_unit
+from tests.support import cortex_m4
+from tests.support.compiled_unit import GCC, TYPES, CompiledUnit
+from tests.support.cortex_m4_cycles import of_longest_step
 
 COLUMNS = (
     *("experiment", "C", "Python", "FMI 2.0", "FMI 3.0", "Cortex-M4F", "chi, kernel", "chi, double", "chi, float"),
@@ -283,7 +283,7 @@ def _of_fmus(case: Law | Sampled, folder: Path) -> list[str]:
     try:
         from fmpy.validation import validate_fmu
 
-        from tests.fmu_slave import Slave
+        from tests.support.fmu_slave import Slave
     except ImportError:
         return ["", ""]
     paths = write(case.unit, folder)

@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from masking import load_model
-from masking.codegen import cuda
-from masking.codegen.kernels import Trajectory
+from masking.compile.codegen import cuda
+from masking.compile.codegen.compiled_functions import Trajectory
 
 REPEATS = 3
 EXACT, COMPARED = 1e-13, 2000

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from masking.estimation.data import Data
-from masking.estimation.fit import fit
-from masking.estimation.sensitivity import Sensitivity
-from masking.rig.twin import Twin
+from masking.control.rig.twin import Twin
+from masking.inference.estimation.fit import fit
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.sensitivity import Sensitivity
 from tests.benchmarks.table import Row, judged, limited, told
 
 NAMES = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")

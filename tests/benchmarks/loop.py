@@ -19,20 +19,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.control.step import SampledStep
-from masking.numerics.arrays import Array
-from masking.plants.authentication import Key
-from masking.plants.interface import Sample, Settings
-from masking.plants.simulated import SimulatedPlant
-from masking.plants.udp import UdpPlant
-from masking.runs import hardware, protection
-from masking.runs.experiment import Experiment
-from masking.runs.loop_rows import StreamedRows, known
-from masking.runs.operator import Operator
-from masking.runs.realtime import run_rig
-from tests import chromium
+from masking.compile.numerics.arrays import Array
+from masking.control.stepwise_controller import SampledStep
+from masking.lab.plants.authentication import Key
+from masking.lab.plants.interface import Sample, Settings
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.plants.udp import UdpPlant
+from masking.lab.runs import hardware, safety_limits
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.loop_rows import StreamedRows, known
+from masking.lab.runs.operator_link import Operator
+from masking.lab.runs.realtime import run_rig
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
 from tests.benchmarks.table import Row, limited, told
+from tests.support import chromium
 
 TICKS, ROUNDS = 20_000, 5
 PLANT: Final = "tue_rig"
@@ -93,7 +93,7 @@ def parts() -> dict[str, Array]:
     experiment = _experiment()
     sampled, twin = experiment.sampled, experiment.twin
     controller = SampledStep(sampled)
-    rules = protection.rules(experiment.instruments, sampled.rate, twin, controller.estimate)
+    rules = safety_limits.rules(experiment.instruments, sampled.rate, twin, controller.estimate)
     taken: dict[str, list[float]] = {"controller": [], "recording": [], "look for a stop": [], "page": []}
 
     def timed(part: str, call: Callable[..., Any]) -> Callable[..., Any]:

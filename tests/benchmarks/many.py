@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from masking import load_model
-from masking.modelling.model import Model
-from masking.runs.experiment import Experiment
+from masking.lab.runs.experiment import Experiment
+from masking.model.modelling.model import Model
 
 MANY = Path(__file__).resolve().parents[2] / "examples" / "many"
 MODELS = {"chain": "duffing_chain.yaml", "beam": "pendula_beam.yaml"}

@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator
 
 from masking.errors import MaskingError
-from masking.records.recording import Recording
-from masking.runs.experiment import Experiment
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
 
 SYSTEMS = (
     "duffing", "duffing_enoc", "discs", "discs_eccentric", "discs_enoc", "huygens", "setup_identical", "setup_undamped",

@@ -27,12 +27,12 @@ import scipy.io
 import scipy.signal
 
 import masking
-from masking.declaration import registry
+from masking.app.workflows import discovery_inputs
+from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, ModelError
+from masking.model.declaration import registry
 from masking.reports import discovery_page
 from masking.reports.discovery_files import Origin
-from masking.rig.twin import Twin
-from masking.workflows import inputs
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -238,7 +238,7 @@ def alone(model: Path, folder: Path) -> Path:
     """Write the rig of a model alone, in which nothing was found, into a folder, and return its plant file."""
     folder.mkdir(exist_ok=True)
     file = folder / "plant.yaml"
-    declared = inputs.rig(model, None).declaration.model_dump(mode="json", exclude_defaults=True)
+    declared = discovery_inputs.rig(model, None).declaration.model_dump(mode="json", exclude_defaults=True)
     file.write_text(json.dumps(declared), encoding="utf-8")
     return file
 

@@ -17,15 +17,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.control.step import SampledStep
-from masking.plants.simulated import SimulatedPlant
-from masking.runs import protection
-from masking.runs.experiment import Experiment
-from masking.runs.loop_rows import known
-from masking.runs.operator import Operator
-from masking.runs.realtime import RigRun, run_rig
-from masking.workflows.operator import Attendant, attend
-from tests import chromium
+from masking.app.workflows.operator_process import Attendant, attend
+from masking.control.stepwise_controller import SampledStep
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.runs import safety_limits
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.loop_rows import known
+from masking.lab.runs.operator_link import Operator
+from masking.lab.runs.realtime import RigRun, run_rig
+from tests.support import chromium
 
 EXPERIMENT: Final = "huygens_rig"
 
@@ -33,7 +33,7 @@ EXPERIMENT: Final = "huygens_rig"
 def run(experiment: Experiment, operator: Operator | None, seconds: float) -> RigRun:
     """Run the controller of an experiment on its twin in real time, shown to an operator."""
     controller, plant = SampledStep(experiment.sampled), SimulatedPlant(experiment.twin)
-    rules = protection.rules(experiment.instruments, controller.rate, experiment.twin, controller.estimate)
+    rules = safety_limits.rules(experiment.instruments, controller.rate, experiment.twin, controller.estimate)
     before = experiment.sampled.before
     if operator is not None:
         operator.begin(experiment, controller, rules)

@@ -29,15 +29,15 @@ from typing import Any
 
 import numpy as np
 
+from masking.app.workflows.batch import JOURNAL
 from masking.errors import RecordError
-from masking.faults import children
-from masking.faults.bench import Child
-from masking.faults.twins import PLANT
-from masking.records import stream
-from masking.records.journal import Journal
-from masking.records.recording import Recording
-from masking.runs.batch import PLANNED, UNREACHABLE
-from masking.workflows.batch import JOURNAL
+from masking.lab.records import stream
+from masking.lab.records.journal import Journal
+from masking.lab.records.recording import Recording
+from masking.lab.runs.batch_plan import PLANNED, UNREACHABLE
+from tests.campaigns import children
+from tests.campaigns.bench import Child
+from tests.campaigns.twins import PLANT
 
 EXPERIMENT = {
     "name": "Duffing oscillators",
@@ -93,7 +93,7 @@ def process_of(place: Path) -> int:
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
             words = path.read_bytes().split(b"\0")
-            if b"masking.workflows.batch_run" in words and str(place).encode() in words:
+            if b"masking.app.workflows.batch_run" in words and str(place).encode() in words:
                 return int(path.parts[2])
     return 0
 

@@ -21,20 +21,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.discovery.augmented_model import AugmentedModel
-from masking.discovery.discover import discover
-from masking.discovery.discovery import Discovery
-from masking.discovery.rules import RULES, DecisionRules
+from masking.app.workflows import discovery_inputs
+from masking.app.workflows.discover import Discover
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
 from masking.errors import MaskingError
-from masking.estimation.data import Data
-from masking.numerics.arrays import Array
-from masking.rig.twin import Twin
-from masking.workflows import inputs
-from masking.workflows.discover import Discover
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.discovery_stages import discover
+from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.estimation.identification_data import Data
+from tests.app.workflows.test_discover_components import MODELS
 from tests.benchmarks import components
 from tests.benchmarks.problems.drawn import drawn
 from tests.benchmarks.watched import WatchedRules
-from tests.test_components import MODELS
 
 FACTORS: Final = (0.5, 2.0)
 ABOVE_ONE: Final = {"noise_floor", "slow_excess", "validation_tolerance"}  # neutral at 1, not at 0
@@ -167,8 +167,8 @@ def opened(name: str) -> tuple[Twin, Data, AugmentedModel]:
         (folder / "plant.yaml").write_text(plant, encoding="utf-8")
         np.savez(folder / "record.npz", **columns)  # type: ignore[arg-type]
         settings = Discover(model=folder / "model.yaml", plant=folder / "plant.yaml" if plant else None)
-        twin = inputs.rig(settings.model, settings.plant)
-        given = inputs.read(twin, folder / "record.npz", settings)
+        twin = discovery_inputs.rig(settings.model, settings.plant)
+        given = discovery_inputs.read(twin, folder / "record.npz", settings)
     return twin, given.record, AugmentedModel(twin, twin.equation_parameters())
 
 

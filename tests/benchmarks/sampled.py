@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import C, needed, statements
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import C, needed, statements
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import ControlLaw, ControllerParameters, RigSymbols
-from masking.modelling.lowering import LoweredEquations
-from masking.runs.experiment import Experiment
-from masking.runs.offline import rig_state
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import rig_state
+from masking.model.modelling.lowering import LoweredEquations
 from tests.benchmarks.table import Row, interleaved, limited, missing
 
 RATE = 1000.0
@@ -32,7 +32,7 @@ FLAGS = {
     "-O3 -march=native -ffp-contract=fast": ["-O3", "-march=native", "-ffp-contract=fast"],
 }
 
-# The loop of `masking.numerics.integrators.sampled` with `runge_kutta_4`, line by line.
+# The loop of `masking.compile.numerics.integrators.sampled` with `runge_kutta_4`, line by line.
 LOOP = """
 #include <math.h>
 

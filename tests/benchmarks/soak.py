@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from masking.errors import MaskingError
-from masking.faults.bench import Bench
-from masking.faults.damage import DamagedPlant
-from masking.faults.processes import LATEST, zero_after
-from masking.plants import wire
-from masking.plants.wire import Kind
-from masking.records.recording import Recording
+from masking.lab.plants import wire
+from masking.lab.plants.wire import Kind
+from masking.lab.records.recording import Recording
+from tests.campaigns.bench import Bench
+from tests.campaigns.damage import DamagedPlant
+from tests.campaigns.processes import LATEST, zero_after
 
 MANY = 25  # mutated frames with each sound one
 CHUNK = 4000  # samples of a run

@@ -20,8 +20,8 @@ TOP = Path(__file__).resolve().parents[2]
 COLD = """
 import json, sys, time
 clock = [time.perf_counter()]
-from masking.codegen.native import NativeFunction
-from masking.runs.experiment import Experiment
+from masking.compile.codegen.native import NativeFunction
+from masking.lab.runs.experiment import Experiment
 def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
 parts = {"import": lap()}
 timers, compiles = {}, NativeFunction._compile

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from masking.codegen.python import PythonFunctions
-from masking.control.step import LawStep, SampledStep
-from masking.runs.experiment import Experiment
+from masking.compile.codegen.python_functions import PythonFunctions
+from masking.control.stepwise_controller import LawStep, SampledStep
+from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, limited, missing, told
 
 CALLS, ROUNDS = 1000, 600

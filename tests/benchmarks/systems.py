@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from masking.declaration import registry
-from masking.modelling.model import Model
+from masking.model.declaration import registry
+from masking.model.modelling.model import Model
 
 Array = np.ndarray
 Values = Mapping[str, float]

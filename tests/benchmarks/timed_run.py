@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from masking import cli
-from masking.runs import experiment  # noqa: F401  (what a run imports is no part of the report)
+from masking.app import cli
+from masking.lab.runs import experiment  # noqa: F401  (what a run imports is no part of the report)
 
 begin = time.perf_counter()
 from masking.reports import run_report  # noqa: E402  (timed)

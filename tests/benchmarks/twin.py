@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from masking.control.step import SampledStep
-from masking.numerics import sampled_loop as sampling
-from masking.runs.experiment import Experiment
+from masking.compile.numerics import sampled_loop as sampling
+from masking.control.stepwise_controller import SampledStep
+from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
 
 Rate = Callable[[float, np.ndarray, np.ndarray], None]
@@ -140,7 +140,7 @@ class Equations(Loop):
         return np.concatenate([moved, z[size : size + n] + h * z[size + n :], z[size + n :]])
 
     def hold(self, acts: float, z: np.ndarray, p: np.ndarray, u: np.ndarray) -> None:
-        """Write the inputs that are held, as `masking.numerics.sampled_loop.hold` does."""
+        """Write the inputs that are held, as `masking.compile.numerics.sampled_loop.hold` does."""
         n, size, h, (r0, r2), (g0, g1, g2) = self.n, self.size, self.h, self.r, self.g
         u0, u1, u2 = self.inputs
         law, d, slope = self.made.law, z[size : size + n], z[size + n :]

@@ -12,15 +12,15 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
-from masking.exports.controllers import law_unit, sampled_unit
-from masking.numerics.sizes import LARGEST
-from masking.plants.interface import Settings
-from masking.plants.simulated import SimulatedPlant
-from masking.records.recording import Recording
-from masking.runs.experiment import Experiment
+from masking.compile.numerics.controller_sizes import LARGEST
+from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.lab.plants.interface import Settings
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
 from tests.benchmarks import hand_written as hand
 from tests.benchmarks.hand_written import Array, HandWritten, Rig, Virtual
-from tests.compiled_unit import GCC, CompiledUnit
+from tests.support.compiled_unit import GCC, CompiledUnit
 
 GAPS = np.linspace(0.0, 3.0, 50)  # mm, of examples/14_sweep.py, with its drive, damping and duration
 DRIVE, DAMPING, SWEPT, AFTER = 18.5, 0.1, 40.0, 25.0  # rad/s, 1, s, s

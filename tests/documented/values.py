@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 
-from masking import cli, sweep
+from masking import sweep
 from masking.analysis.stability.equilibria import Equilibrium, equilibria
-from masking.faults.rerun import rerun
-from masking.modelling.model import load_model
-from masking.records.recording import Recording
-from masking.rig.twin import Twin
-from masking.runs.experiment import Experiment
-from tests import test_components, test_discovery, test_measure
+from masking.app import cli
+from masking.control.rig.twin import Twin
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
+from masking.model.modelling.model import load_model
+from tests.app.workflows import test_discover, test_discover_components, test_measure
 from tests.benchmarks import (
     authentication,
     clocks,
@@ -37,6 +37,7 @@ from tests.benchmarks import (
     step,
     wishes,
 )
+from tests.campaigns.rerun import rerun
 
 ROOT: Final = Path(__file__).parents[2]
 SEEDS: Final = range(5)
@@ -264,15 +265,15 @@ def refined(*parts: str) -> str:
 def discovered(case: str, part: str = "all") -> str:
     """Return what discovery prints about a record of the tests with hidden friction, or its first paragraph."""
     if case == "damper":
-        Path("damper.yaml").write_text(test_components.MODELS["damper"], encoding="utf-8")
+        Path("damper.yaml").write_text(test_discover_components.MODELS["damper"], encoding="utf-8")
         for seed, name in ((1, "train"), (2, "valid")):
-            components.save(test_components.RECORDS["damper/dahl_friction"](seed), Path(f"{name}.csv"))
+            components.save(test_discover_components.RECORDS["damper/dahl_friction"](seed), Path(f"{name}.csv"))
         words = ["train.csv", "--validate", "valid.csv", "--model", "damper.yaml"]
     else:
-        Path("plant.yaml").write_text(test_discovery.PLANT, encoding="utf-8")
-        ((_, *records),) = hidden.generate([test_discovery.CASES["friction"]], 20.0, 20.0)
+        Path("plant.yaml").write_text(test_discover.PLANT, encoding="utf-8")
+        ((_, *records),) = hidden.generate([test_discover.CASES["friction"]], 20.0, 20.0)
         for name, record in zip(("train", "valid"), records, strict=True):
-            Recording(test_discovery.table(record), {"name": name}).save(name, overwrite=True)
+            Recording(test_discover.table(record), {"name": name}).save(name, overwrite=True)
         words = ["train", "--validate", "valid", "--plant", "plant.yaml"]
     text = printed("discover", *words, "--overwrite", "--out", "results/discovered")
     return listing(text if part == "all" else text.split("\nAll of the")[0])

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import scipy.io
 from scipy.io import matlab
 
-from masking.records.recording import Recording
+from masking.lab.records.recording import Recording
 from tests.hostile.cases import COLUMNS, Either, Read, RecordCase, Refused, T, X, written
 from tests.hostile.corpus import MARKER
 

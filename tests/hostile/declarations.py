@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.declaration import catalogue, registry
-from masking.declaration.expression import Expression
-from masking.declaration.strict_yaml import loads
 from masking.errors import DeclarationError, MaskingError, Place, Problem
-from masking.runs import batch
+from masking.lab.runs import batch_plan
+from masking.model.declaration import catalogue, registry
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.strict_yaml import loads
 from tests.hostile.cases import SECRET
 from tests.hostile.corpus import EXECUTE, MODELS, NUMBERS, SYNTAX, YAML
 
@@ -22,7 +22,7 @@ LOADERS = {
     "plant": registry.load_plant,
     "experiment": registry.load_experiment,
     "dictionary": registry.load_dictionary,
-    "batch": batch.load,
+    "batch": batch_plan.load,
 }
 SCALARS = [
     "1_000", "0x10", "010", "0b11", "1e400", "-1e999", ".inf", "-.inf", ".nan", "nan", "1:30", "yes", "off",
@@ -175,7 +175,7 @@ def warm() -> None:
     for kind, load in LOADERS.items():
         for name in catalogue.names(kind)[:2]:
             load(name)
-    from masking.modelling.model import Model
+    from masking.model.modelling.model import Model
 
     _ = Model(registry.load_model("huygens_lagrangian")).equations.definitions
 

@@ -69,7 +69,7 @@ class Watch:
 
 def judged_record(case: RecordCase, path: str | Path) -> tuple[str, str]:
     """Read a record; return what is wrong with what happened."""
-    from masking.records import readers
+    from masking.lab.records import readers
 
     try:
         found = readers.read(path, **case.given)

@@ -20,21 +20,21 @@ _MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n
 
 
 def normal(expression: sp.Expr) -> sp.Expr:
-    """Return the normal form: one fraction of polynomials in symbols, sines and cosines, even powers of sines gone."""
+    """Normal form: one fraction of polynomials in symbols, sines and cosines, even powers of sines gone."""
     expanded, back = _algebraic(expression)
     numerator, denominator = (_reduced(part, back) for part in sp.fraction(sp.cancel(sp.together(expanded))))
     return sp.factor_terms(sp.cancel(numerator / denominator)).xreplace(back)
 
 
 def is_zero(expression: sp.Expr) -> bool:
-    """Tell whether an expression vanishes identically."""
+    """Whether an expression vanishes identically."""
     return bool(normal(expression) == 0)
 
 
 def coefficients(
     expression: sp.Expr, variables: Sequence[sp.Symbol], given: Hypotheses | None = None
 ) -> dict[sp.Expr, sp.Expr]:
-    """Return the coefficients of the linearly independent functions of variables that an expression is a sum of.
+    """Coefficients of the linearly independent functions of variables that an expression is a sum of.
 
     The functions are products of powers of variables, of sines and of cosines of them. The sum vanishes for all
     values of the variables where every coefficient does.
@@ -75,7 +75,7 @@ def _are_distinct(
     moving: set[sp.Symbol],
     given: Hypotheses,
 ) -> bool:
-    """Tell whether sines and cosines of multiples of one variable are independent: no products, no equal multiples."""
+    """Whether sines and cosines of multiples of one variable are independent: no products, no equal multiples."""
     waves = [g for g in own if g in back]
     angles = list(dict.fromkeys(back[g].args[0] for g in waves))
     (variable, *others) = sorted({x for angle in angles for x in angle.free_symbols & moving}, key=str)
@@ -89,7 +89,7 @@ def _are_distinct(
 
 
 def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
-    """Return an expression with symbols for sines, cosines and steep exponentials, and what they stand for."""
+    """Expression with symbols for sines, cosines and steep exponentials, and what they stand for."""
     steep = {f: sp.Dummy("e", real=True) for f in _sorted(expression, sp.exp, sp.Pow) if _is_steep(f)}
     expression = expression.xreplace(steep)
     whole = {
@@ -114,7 +114,7 @@ def _sorted(expression: sp.Expr, *kinds: type) -> list[sp.Expr]:
 
 
 def _is_steep(power: sp.Expr) -> bool:
-    """Tell whether an exponential is one of sines, or to sympy a high power: exp(10**8 x) is one of exp(x)."""
+    """Whether an exponential is one of sines, or to sympy a high power: exp(10**8 x) is one of exp(x)."""
     if power.func == sp.Pow and not power.exp.free_symbols:
         return False
     numbers = [c for c, _ in _terms(power.exp) if c.is_Rational]
@@ -127,19 +127,18 @@ def _hyperbolic() -> tuple[type, ...]:
 
 
 def _is_whole(function: sp.Expr) -> bool:
-    """Tell whether a function is left as it is, not written in functions of parts of its argument."""
+    """Whether a function is left as it is, not written in functions of parts of its argument."""
     if function.func in _hyperbolic():
         return True
     return any(c.is_Integer and abs(c) > _MOST_ANGLES for c, rest in _terms(function.args[0]) if rest != 1)
 
 
 def _terms(total: sp.Expr) -> list[tuple[sp.Expr, sp.Expr]]:
-    """Return the terms of a sum, each as a number and what it multiplies."""
     return [term.as_coeff_Mul() for term in sp.Add.make_args(sp.expand(total))]
 
 
 def _reduced(polynomial: sp.Expr, back: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return a polynomial in which no sine has a power above 1."""
+    """Polynomial in which no sine has a power above 1."""
     found = sp.expand(polynomial)
     cosine = {what.args[0]: symbol for symbol, what in back.items() if what.func == sp.cos}
     for symbol, what in back.items():
@@ -241,7 +240,7 @@ def _put(expression: sp.Expr, zeros: dict[sp.Expr, sp.Expr]) -> sp.Expr:
 
 
 def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
-    """Return the product of the different factors of a numerator that may vanish; 1 where none may."""
+    """Product of the different factors of a numerator that may vanish; 1 where none may."""
     expanded, back = _algebraic(expression)
     numerator, _ = sp.fraction(sp.together(expanded))
     if numerator == 0:
@@ -255,7 +254,7 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
 
 
 def without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
-    """Return an entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
+    """Entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
     if entry == 0 or not given.is_void(entry):
         return entry
     given.suppose(f"{radical(entry, given)} = 0")
@@ -263,7 +262,7 @@ def without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
 
 
 def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr:
-    """Return S for (C - 1)(C + 1) = -S^2."""
+    """S for (C - 1)(C + 1) = -S^2."""
     factors = list(sp.Mul.make_args(product))
     if cosine - 1 in factors and cosine + 1 in factors:
         rest = [f for f in factors if f not in {cosine - 1, cosine + 1, sine}]
@@ -272,7 +271,7 @@ def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr
 
 
 def _linear(expression: sp.Expr, unknowns: Sequence[sp.Symbol], given: Hypotheses) -> tuple[sp.Symbol, sp.Expr] | None:
-    """Return an unknown that an equation gives, and what it is; None where there is none."""
+    """Unknown that an equation gives, and what it is; None where there is none."""
     for unknown in unknowns:
         if not expression.has(unknown) or not expression.is_polynomial(unknown):
             continue

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.analysis.stability.modes import pair_of
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.model import Model
 
 LABELS: Final = ("rest", "in-phase", "anti-phase", "other", "lost")
 _ROWS = 400  # samples of the last part
@@ -35,7 +35,7 @@ class Basins:
     ends: NDArray[np.int64]
 
     def shares(self) -> dict[str, float]:
-        """Return the part of the grid that ends at each motion."""
+        """Part of the grid that ends at each motion."""
         return {label: float(np.mean(self.ends == i)) for i, label in enumerate(LABELS)}
 
 
@@ -88,7 +88,7 @@ def basins(
 
 
 def end_of(a: Array, b: Array, near: float, rest: float | Array) -> NDArray[np.int64]:
-    """Return the index into `LABELS` of the last part of two oscillations, or those of several runs (runs,).
+    """Index into `LABELS` of the last part of two oscillations, or those of several runs (runs,).
 
     Args:
         a: one oscillation (m,), or of several runs (runs, m), any unit.

@@ -15,9 +15,9 @@ import sympy as sp
 from sympy.simplify.fu import TR8
 
 from masking.analysis.stability.algebra import is_zero, normal, without_void
-from masking.analysis.stability.bounds import is_positive
+from masking.analysis.stability.branch_and_bound import is_positive
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.motion import Motion
 from masking.errors import ModelError
 
 
@@ -63,7 +63,7 @@ def boundedness(motion: Motion) -> Boundedness:
 
 
 def _step(direction: Sequence[sp.Expr], motion: Motion) -> str | None:
-    """Return a displacement along a direction that changes neither equations nor energy, in words; None for none.
+    """Displacement along a direction that changes neither equations nor energy, in words; None for none.
 
     It may be of any length, or by the longest period of the sines and cosines.
     """
@@ -83,7 +83,7 @@ def _step(direction: Sequence[sp.Expr], motion: Motion) -> str | None:
 
 
 def parts_of_energy(motion: Motion) -> tuple[sp.Matrix, sp.Expr]:
-    """Return H and U of the energy v^T H v/2 + U.
+    """H and U of the energy v^T H v/2 + U.
 
     Raises:
         ModelError: there is no energy, or one of another kind.
@@ -99,7 +99,7 @@ def parts_of_energy(motion: Motion) -> tuple[sp.Matrix, sp.Expr]:
 
 
 def is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
-    """Tell whether a matrix of angles is positive definite for all of them: by its leading minors (Sylvester).
+    """Whether a matrix of angles is positive definite for all of them: by its leading minors (Sylvester).
 
     Their signs are found as they stand, in normal form, or at the declared values by intervals over one turn.
     """
@@ -119,7 +119,7 @@ def is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
 
 
 def is_positive_definite(matrix: sp.Matrix, given: Hypotheses) -> bool:
-    """Tell whether a symmetric matrix is positive definite for all coordinates: by its leading minors (Sylvester)."""
+    """Whether a symmetric matrix is positive definite for all coordinates: by its leading minors (Sylvester)."""
     return all(given.declared_sign(normal(matrix[:k, :k].det())) == 1 for k in range(1, matrix.rows + 1))
 
 
@@ -137,7 +137,7 @@ def squares(
     given: Hypotheses,
     is_positive: Callable[[sp.Expr], bool] | None = None,
 ) -> tuple[Square, ...] | None:
-    """Return x^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
+    """X^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
     By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
 
@@ -194,7 +194,7 @@ def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Ex
 
 
 def _is_lone(potential: sp.Expr, motion: Motion) -> bool:
-    """Tell whether a potential that grows in every direction is a sum of homogeneous terms that are nowhere negative.
+    """Whether a potential that grows in every direction is a sum of homogeneous terms that are nowhere negative.
 
     Then q . dU/dq is the sum of these terms times their degrees, which vanishes at 0 alone. Terms of stops are convex
     and 0 at 0, so that they add nothing negative.
@@ -217,7 +217,7 @@ def _is_lone(potential: sp.Expr, motion: Motion) -> bool:
 
 
 def _is_stop(term: sp.Expr, motion: Motion) -> bool:
-    """Tell whether a term is a positive number times a power of max(0, u) with u linear, which is 0 at q = 0."""
+    """Whether a term is a positive number times a power of max(0, u) with u linear, which is 0 at q = 0."""
     coefficient, dependent = term.as_independent(*motion.q, as_Add=False)
     base, power = dependent.as_base_exp()
     if base.func != sp.Max or len(base.args) != 2 or 0 not in base.args or not (power.is_Integer and power > 0):
@@ -233,7 +233,7 @@ def _is_stop(term: sp.Expr, motion: Motion) -> bool:
 
 
 def _rank_is_full(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol], given: Hypotheses) -> bool:
-    """Tell whether linear forms vanish together at one point alone."""
+    """Whether linear forms vanish together at one point alone."""
     if len(forms) < len(lines):
         return False
     directions = _directions(forms, lines)
@@ -241,12 +241,12 @@ def _rank_is_full(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol], given: H
 
 
 def _directions(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol]) -> sp.Matrix:
-    """Return the coefficients of linear forms (m, n)."""
+    """Coefficients of linear forms (m, n)."""
     return sp.Matrix(len(forms), len(lines), [sp.diff(form, q) for form in forms for q in lines])
 
 
 def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
-    """Tell whether a term is a product of parameters, sines and cosines."""
+    """Whether a term is a product of parameters, sines and cosines."""
     for factor in sp.Mul.make_args(term):
         base, power = factor.as_base_exp()
         if not base.free_symbols & {*coordinates}:
@@ -257,7 +257,7 @@ def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
 
 
 def _power(dependent: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
-    """Return x and n for x^n with even n, and for |x|^n, |x| x^2 and the like; n = 0 for what is of another kind."""
+    """X and n for x^n with even n, and for |x|^n, |x| x^2 and the like; n = 0 for what is of another kind."""
     parts = [factor.as_base_exp() for factor in sp.Mul.make_args(dependent)]
     bases = {base.args[0] if base.func == sp.Abs else base for base, _ in parts}
     plain = sum((n for base, n in parts if base.func != sp.Abs), sp.Integer(0))
@@ -267,12 +267,11 @@ def _power(dependent: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
 
 
 def _power_of(term: sp.Expr, lines: Sequence[sp.Symbol]) -> int:
-    """Return the power of the part of a term that holds coordinates."""
     return int(_power(term.as_independent(*lines, as_Add=False)[1])[1])
 
 
 def _even_power(term: sp.Expr, lines: Sequence[sp.Symbol], given: Hypotheses) -> sp.Expr | None:
-    """Return the linear form of a term that is a positive number times an even power of it; None where it is not."""
+    """Linear form of a term that is a positive number times an even power of it; None where it is not."""
     coefficient, dependent = term.as_independent(*lines, as_Add=False)
     base, power = _power(dependent)
     if not (power.is_Integer and power > 0) or coefficient.free_symbols & {*lines}:

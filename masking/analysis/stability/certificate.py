@@ -17,12 +17,12 @@ from masking.analysis.stability.boundedness import Boundedness, boundedness, is_
 from masking.analysis.stability.crosscheck import contradiction, contradiction_on_a_box, misjudged
 from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
 from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria, stability_of
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
-from masking.analysis.stability.motion import Motion
 from masking.analysis.stability.sublevel import Basin, basins
 from masking.errors import ModelError
-from masking.modelling.model import Model
+from masking.model.modelling.model import Model
 
 _MOST_POINTS = 64
 _MOST_SETS = 6  # of motions that a sentence lists
@@ -48,7 +48,7 @@ class RestPoint:
 
     @property
     def place(self) -> str:
-        """Return where it is, for people."""
+        """Where it is, for people."""
         return "(" + ", ".join(f"{n} = {x}" for n, x in self.position.items()) + ")"
 
     def __str__(self) -> str:
@@ -101,7 +101,7 @@ class Certificate:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the certificate as JSON can hold it."""
+        """Certificate as JSON can hold it."""
         d, i = self.dissipation, self.invariant
         return {
             "model": self.name,
@@ -178,7 +178,7 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
 
 
 def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
-    """Return a certificate, open where it rests on a coincidence or is contradicted by modes or a simulation."""
+    """Certificate, open where it rests on a coincidence or is contradicted by modes or a simulation."""
     if proof.status != "proved" or proof.dissipation is None:
         against = ""
     elif proof.dissipation.box is not None:
@@ -273,7 +273,7 @@ def _union(families: tuple[Family, ...]) -> str:
 def _others(
     motion: Motion, found: InvariantSet, *, is_lone: bool
 ) -> tuple[tuple[RestPoint, ...] | None, tuple[str, ...]]:
-    """Return the equilibria outside of the families, and how they were found; None where that is open."""
+    """Equilibria outside of the families, and how they were found; None where that is open."""
     if not found.is_found or not found.equilibria:
         return (None if not found.is_found else ()), ()
     try:
@@ -303,7 +303,7 @@ def _others(
 
 
 def rest_points(motion: Motion, known: dict[sp.Symbol, sp.Expr]) -> tuple[dict[sp.Symbol, sp.Expr], ...] | None:
-    """Return every equilibrium exactly, angles in (-pi, pi]; None where they are not found by factors one by one.
+    """Every equilibrium exactly, angles in (-pi, pi]; None where they are not found by factors one by one.
 
     Args:
         motion: the equations.
@@ -356,7 +356,7 @@ def _branch(
 
 
 def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> bool:
-    """Tell whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
+    """Whether a factor of parameters is 0 at declared values, so that the equation says nothing."""
     for factor in sp.Mul.make_args(sp.factor(equation)):
         if not factor.free_symbols & {*unknown} and motion.given.is_void(factor):
             motion.given.suppose(f"{factor} = 0")
@@ -365,7 +365,7 @@ def _is_void(equation: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> boo
 
 
 def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[tuple[sp.Symbol, sp.Expr]] | None:
-    """Return the values that a coordinate has where a factor vanishes; None where it is not seen."""
+    """Values that a coordinate has where a factor vanishes; None where it is not seen."""
     mine = [q for q in unknown if factor.has(q)]
     if len(mine) != 1:
         return None
@@ -382,7 +382,7 @@ def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[t
 
 
 def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> bool:
-    """Tell whether an exact equilibrium is in a family, angles modulo one turn."""
+    """Whether an exact equilibrium is in a family, angles modulo one turn."""
     still = dict.fromkeys(motion.v, 0)
     for relation in family.relations:
         value = normal(relation.subs(still).subs(point))
@@ -393,7 +393,7 @@ def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> b
 
 
 def _is_near(family: Family, position: dict[str, float]) -> bool:
-    """Tell whether an enclosed equilibrium, which no angle modulo one turn brings nearer, is in a family."""
+    """Whether an enclosed equilibrium, which no angle modulo one turn brings nearer, is in a family."""
     size = max(map(abs, position.values()), default=0.0) or 1.0
     for relation in family.relations:
         value = relation.subs({s: position.get(s.name, 0) for s in relation.free_symbols})
@@ -403,7 +403,7 @@ def _is_near(family: Family, position: dict[str, float]) -> bool:
 
 
 def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
-    """Tell whether an equilibrium is unstable: an eigenvalue has a positive real part.
+    """Whether an equilibrium is unstable: an eigenvalue has a positive real part.
 
     That is so where the determinant of the stiffness is negative, that of the mass positive; and where the potential
     falls along a coordinate and every velocity costs energy to second order (theorem of Kelvin, Tait and Chetaev).
@@ -427,6 +427,6 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
 
 
 def _is_damped(motion: Motion, at: dict[sp.Symbol, sp.Expr]) -> bool:
-    """Tell whether V' is negative definite in the velocities at an equilibrium, to second order."""
+    """Whether V' is negative definite in the velocities at an equilibrium, to second order."""
     lost = -sp.hessian(motion.energy_rate, motion.v).subs(at).applyfunc(normal)
     return is_positive_definite(lost, motion.given)

@@ -13,8 +13,8 @@ import numpy as np
 from mpmath.ctx_iv import MPIntervalContext
 
 from masking.analysis.stability.intervals import Interval
-from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import needed
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import needed
 from masking.errors import ModelError
 
 _REACH = 1e-12  # of a root, the least half side of the box in which it is confirmed
@@ -62,7 +62,7 @@ def has_root(
     given: Mapping[Node, Interval],
     box: Interval,
 ) -> bool:
-    """Tell whether Krawczyk's operator maps a box around another into its inside.
+    """Whether Krawczyk's operator maps a box around another into its inside.
 
     Args:
         graph: the expressions.

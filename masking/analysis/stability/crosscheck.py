@@ -15,14 +15,14 @@ from scipy.integrate import solve_ivp
 
 from masking.analysis.stability.dissipation import default_box
 from masking.analysis.stability.equilibria import STABLE, UNSTABLE, Box, stability_of
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.growth import evaluated
 from masking.analysis.stability.lasalle import InvariantSet
 from masking.analysis.stability.modes import state_matrix
-from masking.analysis.stability.motion import Motion
-from masking.codegen.graph import Graph, Node
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.model import Model
 
 _NEUTRAL = 1e-12  # of the largest eigenvalue: a real part below this is the rounding of one that is 0
 _OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, a mode is outside of a set
@@ -41,7 +41,7 @@ class _StiffError(Exception):
 
 
 def misjudged(model: Model, points: Iterable[tuple[Mapping[str, float], str]]) -> str:
-    """Return an equilibrium whose eigenvalues contradict what is said of its stability; '' where there is none.
+    """Equilibrium whose eigenvalues contradict what is said of its stability; '' where there is none.
 
     Args:
         model: whose equilibria they are.
@@ -56,7 +56,7 @@ def misjudged(model: Model, points: Iterable[tuple[Mapping[str, float], str]]) -
 
 
 def contradiction_on_a_box(motion: Motion, box: Box) -> str:
-    """Return a simulated motion that gains energy before it leaves a box; '' where there is none."""
+    """Simulated motion that gains energy before it leaves a box; '' where there is none."""
     try:
         return _Motions(motion, (), None, box).contradiction(())
     except ModelError:  # a function that cannot be evaluated
@@ -98,7 +98,7 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
 
 
 def _slopes(motion: Motion, relations: Sequence[sp.Expr]) -> Array:
-    """Return the coefficients of linear relations (m, 2 n), the largest of each 1."""
+    """Coefficients of linear relations (m, 2 n), the largest of each 1."""
     rows = [[float(motion.given.at_values(sp.diff(r, x))) for x in (*motion.q, *motion.v)] for r in relations]
     found = np.array(rows).reshape(len(relations), 2 * len(motion.q))
     return np.asarray(found / np.maximum(np.max(np.abs(found), axis=1, keepdims=True, initial=0.0), 1e-300))
@@ -162,7 +162,7 @@ class _Motions:
         return "keeps its energy outside of this set" if all(x > _MOVING * size for x in away) else ""
 
     def _run(self, start: Array) -> Array:
-        """Return the states (rows, 2 n) of one motion."""
+        """States (rows, 2 n) of one motion."""
         n, count = len(self.motion.q), 0
 
         def rate(_: float, y: Array) -> Array:
@@ -182,6 +182,6 @@ class _Motions:
         return np.asarray(run.y.T)
 
     def _at(self, nodes: Sequence[Node], states: Array) -> list[Array]:
-        """Return nodes at states (..., 2 n)."""
+        """Nodes at states (..., 2 n)."""
         given = self.values | {node: states[..., i] for i, node in enumerate(self.at)}
         return [np.broadcast_to(x, states.shape[:-1]) for x in evaluated(self.graph, list(nodes), given)]

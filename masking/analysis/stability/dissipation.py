@@ -16,16 +16,16 @@ import sympy as sp
 from masking.analysis.stability.algebra import normal, without_void
 from masking.analysis.stability.boundedness import Square, squares
 from masking.analysis.stability.confirmation import enclosed_again
+from masking.analysis.stability.discontinuities import jumps_of
 from masking.analysis.stability.equilibria import Box, check_box, halves
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.intervals import Interval, enclose
-from masking.analysis.stability.jumps import jumps_of
 from masking.analysis.stability.modes import state_matrix
-from masking.analysis.stability.motion import Motion
-from masking.codegen.graph import Graph
+from masking.compile.codegen.graph import Graph
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.numerics.arrays import Array
 
 Status = Literal["proved", "refuted", "supported numerically", "open"]
 
@@ -120,7 +120,7 @@ class _Losses:
 
 
 def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
-    """Return -V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2."""
+    """-V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2."""
     v, given = motion.v, motion.given
     left, forms = sp.expand(-rate, power_exp=False), list[sp.Expr]()  # exp(a + b) is not split: parts may underflow
     held = [f for f in left.atoms(*_ODD, sp.sign, sp.Abs) if f.args[0].free_symbols & {*v}]
@@ -150,7 +150,7 @@ def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
 
 
 def _even(part: sp.Expr, degree: int, motion: Motion) -> list[Square] | None:
-    """Return a sum of terms of one degree in the velocities as squares, their coefficients nowhere negative."""
+    """Sum of terms of one degree in the velocities as squares, their coefficients nowhere negative."""
     v, given = motion.v, motion.given
     if degree == 2 and (whole := squares(sp.hessian(part, v) / 2, v, given)) is not None:
         return list(whole)
@@ -168,7 +168,7 @@ def _even(part: sp.Expr, degree: int, motion: Motion) -> list[Square] | None:
 
 
 def _zeros(coefficient: sp.Expr, form: sp.Expr, motion: Motion) -> list[sp.Expr]:
-    """Return a form of the velocities if it vanishes along every motion on which coefficient * form^2 does.
+    """Form of the velocities if it vanishes along every motion on which coefficient * form^2 does.
 
     So it does where the coefficient is positive. It may vanish, too, as an analytic function of the one coordinate
     whose velocity the form is: either that is constant, or the form vanishes.
@@ -185,7 +185,7 @@ def _zeros(coefficient: sp.Expr, form: sp.Expr, motion: Motion) -> list[sp.Expr]
 
 
 def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
-    """Return sides of all coordinates and velocities, in the units of the model: as given, or by default."""
+    """Sides of all coordinates and velocities, in the units of the model: as given, or by default."""
     model, names = motion.model, [*map(str, motion.q), *map(str, motion.v)]
     check_box(model, box)
     declared = model.declaration.coordinates
@@ -203,7 +203,7 @@ def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
 
 
 def _is_negative(motion: Motion, rate: sp.Expr, sides: dict[str, tuple[float, float]]) -> bool:
-    """Tell whether V' <= 0 on a box: V' and its slope in the velocities vanish at rest, and it is concave in them.
+    """Whether V' <= 0 on a box: V' and its slope in the velocities vanish at rest, and it is concave in them.
 
     False, too, where V' has kinks or jumps in the velocities, and where its Hessian has no enclosure by intervals.
     """
@@ -244,14 +244,14 @@ class _Hessian:
         return np.asarray(entries.high[:, :: n + 1] + beside.sum(axis=2) * (1.0 + 1e-12))
 
     def is_confirmed(self, box: Interval) -> bool:
-        """Tell whether mpmath's intervals show that no eigenvalue is above 0 on a box (states,)."""
+        """Whether mpmath's intervals show that no eigenvalue is above 0 on a box (states,)."""
         n = self.n
         found = enclosed_again(self.graph, self.entries, self.values | {x: box[i] for i, x in enumerate(self.at)})
         rows = [found[i : i + n] for i in range(0, n * n, n)]
         return all(x[i].b + sum(abs(x[k]).b for k in range(n) if k != i) <= _ZERO for i, x in enumerate(rows))
 
     def is_negative(self, lowest: Array, highest: Array) -> bool:
-        """Tell whether it is negative semidefinite all over a box."""
+        """Whether it is negative semidefinite all over a box."""
         boxes, shown = Interval(lowest[None], highest[None]), list[Interval]()
         for _ in range(_ROUNDS):
             is_shown = np.all(self.edge(boxes) <= _ZERO, axis=1)

@@ -19,14 +19,14 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.confirmation import enclosed_again, has_root
+from masking.analysis.stability.free_equations import check_continuous
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import eigenvalues, is_smooth, state_matrix
-from masking.analysis.stability.motion import check_continuous
-from masking.codegen.graph import Graph, Node
-from masking.codegen.tangent import derivatives
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.tangent import derivatives
+from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, nearest
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array, Complex
+from masking.model.modelling.model import Model
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -62,7 +62,7 @@ class Equilibrium:
 
 
 def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, str]:
-    """Return the eigenvalues at an equilibrium, the slowest to decay first, and what they tell of its stability.
+    """Eigenvalues at an equilibrium, the slowest to decay first, and what they tell of its stability.
 
     They tell nothing where a force has a kink there, nor where rounding may have moved them across the imaginary axis.
 
@@ -170,19 +170,19 @@ class _Rest:
         self.values = {self.symbols[p]: Interval.around(x) for p, x in self.exact.items()}
 
     def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
-        """Return enclosures (m, len(nodes)) over boxes (m, n)."""
+        """Enclosures (m, len(nodes)) over boxes (m, n)."""
         given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
         return Interval.stacked(enclose(self.graph, nodes, given), len(boxes.low))
 
     @cached_property
     def angles(self) -> list[bool]:
-        """Tell which coordinates are angles: neither mass nor force change over one turn."""
+        """Which coordinates are angles: neither mass nor force change over one turn."""
         e = self.model.equations
         every = [*e.mass, *e.force]
         return [all(is_zero(x.subs(q, q + 2 * sp.pi) - x) for x in every) for q in self.q]
 
     def bound(self) -> dict[str, tuple[float, float]]:
-        """Return a box that holds every equilibrium of coordinates that are no angles; empty where none is known.
+        """Box that holds every equilibrium of coordinates that are no angles; empty where none is known.
 
         With f = A q + g(q) and bounded g, all equilibria have q = -A^-1 g.
         """
@@ -263,7 +263,7 @@ class _Rest:
         return self._distinct(roots), unproved[kept] if len(unproved) else unproved
 
     def _contract(self, boxes: Interval, roots: list[tuple[Array, Array]]) -> Interval:
-        """Return the parts of boxes that Krawczyk's operator does not rule out; note boxes with one root."""
+        """Parts of boxes that Krawczyk's operator does not rule out; note boxes with one root."""
         image, is_regular = self._krawczyk(boxes)
         low, high = np.maximum(boxes.low, image.low), np.minimum(boxes.high, image.high)
         one = is_regular & np.all((image.low > boxes.low) & (image.high < boxes.high), axis=1)
@@ -287,7 +287,7 @@ class _Rest:
             roots.append((larger.low[0], larger.high[0]))
 
     def _krawczyk(self, boxes: Interval) -> tuple[Interval, Array]:
-        """Return K = m - Y f(m) + (I - Y J)(X - m), and whether Y = mid(J)^-1 exists; (m, n) and (m,)."""
+        """K = m - Y f(m) + (I - Y J)(X - m), and whether Y = mid(J)^-1 exists; (m, n) and (m,)."""
         m, n = boxes.low.shape
         middle = boxes.middle
         slopes = self.enclose(self.slopes, boxes)
@@ -313,7 +313,7 @@ class _Rest:
         return Interval.stacked(columns, m), is_regular
 
     def _distinct(self, roots: list[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
-        """Return each root once, in a box as small as Krawczyk's operator makes it; angles in (-pi, pi]."""
+        """Each root once, in a box as small as Krawczyk's operator makes it; angles in (-pi, pi]."""
         found: list[tuple[Array, Array]] = []
         for low, high in roots:
             box = Interval(low[None], high[None])
@@ -328,7 +328,6 @@ class _Rest:
         return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
 
     def _is_confirmed(self, low: Array, high: Array) -> bool:
-        """Tell whether mpmath's intervals show the root, too."""
         return has_root(self.graph, self.nodes, self.slopes, self.at, given=self.values, box=Interval(low, high))
 
     def _point(self, low: Array, high: Array) -> Equilibrium:
@@ -341,7 +340,7 @@ class _Rest:
         return Equilibrium(position, 0.5 * float(np.max(high - low, initial=0.0)), values, verdict, is_unstable)
 
     def _is_unstable(self, low: Array, high: Array) -> bool:
-        """Tell whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""
+        """Whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""
         n, e = len(self.q), self.model.equations
         if e.mass.free_symbols - self.symbols.keys():
             return False
@@ -372,7 +371,7 @@ def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
 
 
 def _determinant(matrix: list[list[Any]]) -> Any:  # noqa: ANN401  # intervals, ours or mpmath's
-    """Return an enclosure of a determinant, by expansion along the first row."""
+    """Enclosure of a determinant, by expansion along the first row."""
     if len(matrix) == 1:
         return matrix[0][0]
     parts = [entry * _determinant([row[:k] + row[k + 1 :] for row in matrix[1:]]) for k, entry in enumerate(matrix[0])]

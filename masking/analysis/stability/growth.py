@@ -13,12 +13,12 @@ import numpy as np
 import sympy as sp
 
 from masking.analysis.stability.confirmation import enclosed_again
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.intervals import Interval, enclose
-from masking.analysis.stability.motion import Motion
-from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import needed
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import needed
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.numerics.arrays import Array
 
 SAMPLES = 20_000
 _MOST_CONFIRMED = 20  # of the states where the expression is largest
@@ -52,7 +52,7 @@ class Growth:
         self.edges = [self.graph.lower(x, symbols) for x in dict.fromkeys(jumps)]
 
     def search(self, sides: Mapping[str, tuple[float, float]]) -> tuple[dict[str, float], float] | None:
-        """Return a state of a box, its numbers short, and the least that the expression is there, which is positive.
+        """State of a box, its numbers short, and the least that the expression is there, which is positive.
 
         None where there is no such state among those tried.
         """
@@ -78,7 +78,7 @@ class Growth:
         return None
 
     def _confirmed(self, point: Array) -> float:
-        """Return a number that the expression is not below at a state; -inf where none is found."""
+        """Number that the expression is not below at a state; -inf where none is found."""
         given = self.exact | {n: Interval.of(float(x)) for n, x in zip(self.at, point, strict=True)}
         try:
             low = float(enclose(self.graph, [self.node], given)[0].low)
@@ -93,7 +93,7 @@ class Growth:
 
 
 def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
-    """Return nodes of a graph at many states at once, in floating point."""
+    """Nodes of a graph at many states at once, in floating point."""
     found: dict[Node, Any] = {}
     with np.errstate(all="ignore"):
         for node in needed(graph, nodes):

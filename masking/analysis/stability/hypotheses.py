@@ -14,9 +14,9 @@ import numpy as np
 import sympy as sp
 
 from masking.analysis.stability.intervals import Interval, enclose
-from masking.codegen.graph import Graph
+from masking.compile.codegen.graph import Graph
 from masking.errors import ModelError
-from masking.modelling.model import Model
+from masking.model.modelling.model import Model
 
 _DISTINCT = 1e-20  # a number that is no fraction is distinguished from 0 by 30 digits
 _ROUNDING = 1e-15  # of a value: what its conversion to floating point may change
@@ -42,7 +42,7 @@ class Hypotheses:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Return the parameters by name, in the units of the model: SI or its scales."""
+        """Parameters by name, in the units of the model: SI or its scales."""
         return self.model.parameter_values()
 
     @cached_property
@@ -52,7 +52,7 @@ class Hypotheses:
 
     @cached_property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """Return the parameters that are equal, each group in declared order; most have one member."""
+        """Parameters that are equal, each group in declared order; most have one member."""
         numbers = {match[0] for name in self.model.oscillators if (match := re.search(r"\d+$", name))}
         found: dict[tuple[object, ...], list[str]] = {}
         for name, value in self.exact.items():
@@ -77,22 +77,22 @@ class Hypotheses:
         return made
 
     def of(self, expression: sp.Expr) -> sp.Expr:
-        """Return an expression in the symbols of the model with these for its parameters."""
+        """Expression in the symbols of the model with these for its parameters."""
         known = {p: self.symbols[p.name] for p in self.model.equations.symbols.p}
         return sp.nsimplify(expression.subs(known), rational=True)
 
     def at_values(self, expression: sp.Expr) -> sp.Expr:
-        """Return an expression in these symbols with exact declared values for them."""
+        """Expression in these symbols with exact declared values for them."""
         return expression.subs({s: self.exact[name] for name, s in self.symbols.items() if not s.is_number})
 
     def is_void(self, expression: sp.Expr) -> bool:
-        """Tell whether an expression of parameters is 0 at the declared values."""
+        """Whether an expression of parameters is 0 at the declared values."""
         value = self.at_values(expression)
         return bool(value.is_number) and not _is_distinct(value)
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Return all hypotheses, for people."""
+        """All hypotheses, for people."""
         found = []
         for group in self.groups:
             if not self._used & {*group}:
@@ -113,7 +113,7 @@ class Hypotheses:
 
     @cached_property
     def _used(self) -> set[str]:
-        """Return the parameters that equations without inputs, or the energy, hold."""
+        """Parameters that equations without inputs, or the energy, hold."""
         e = self.model.equations
         still = dict.fromkeys(e.symbols.u, 0)
         held = [x.subs(still) for x in (*e.mass, *e.force, e.energy or sp.Integer(0))]
@@ -124,7 +124,7 @@ class Hypotheses:
         self.extra.append(text)
 
     def sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
-        """Return the sign of an expression for all values of its coordinates and velocities.
+        """Sign of an expression for all values of its coordinates and velocities.
 
         Args:
             expression: in these symbols and those of the model's coordinates and velocities.
@@ -136,11 +136,11 @@ class Hypotheses:
         return self._sign(expression, strictly, lambda factor: self._sign_of_factor(factor, strictly))
 
     def declared_sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
-        """Return the sign of an expression, of its factors at declared values where need be, which is then supposed."""
+        """Sign of an expression, of its factors at declared values where need be, which is then supposed."""
         return self._sign(expression, strictly, lambda factor: self._sign_at_values(factor, strictly))
 
     def is_nonzero(self, expression: sp.Expr) -> bool:
-        """Tell whether an expression of parameters is not 0: by its sign, or at declared values, which is supposed."""
+        """Whether an expression of parameters is not 0: by its sign, or at declared values, which is supposed."""
         if self.sign(expression) in {1, -1}:
             return True
         value = self.at_values(expression)
@@ -158,7 +158,6 @@ class Hypotheses:
             self.coincidences.append(factor)
 
     def _around(self, part: float) -> dict[sp.Expr, Interval]:
-        """Return the declared values give or take a part of each."""
         return {s: Interval.of(x - part * abs(x), x + part * abs(x)) for s, x in self._declared.items()}
 
     @property
@@ -230,7 +229,7 @@ class Hypotheses:
         return found
 
     def _enclosed(self, factor: sp.Expr, known: dict[sp.Expr, Interval], strictly: bool) -> int | None:
-        """Return the sign of an enclosure over all coordinates and velocities."""
+        """Sign of an enclosure over all coordinates and velocities."""
         graph = Graph()
         symbols = {symbol: graph.symbol(str(symbol), varying=True) for symbol in factor.free_symbols}
         given = {node: known.get(symbol, Interval.of(-np.inf, np.inf)) for symbol, node in symbols.items()}
@@ -254,7 +253,7 @@ class Hypotheses:
 
 
 def _is_distinct(number: sp.Expr) -> bool:
-    """Tell whether an exact number is not 0."""
+    """Whether an exact number is not 0."""
     return bool(number != 0 if number.is_Rational else abs(sp.N(number, 30)) > _DISTINCT)
 
 
@@ -263,7 +262,7 @@ def _is_even_cosine(expression: sp.Expr) -> bool:
 
 
 def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
-    """Return factors with their integer powers; their product is the expression."""
+    """Factors with their integer powers; their product is the expression."""
     plain, back = without_exponentials(expression)
     numerator, denominator = sp.fraction(sp.together(plain))
     for part, sign in ((numerator, 1), (denominator, -1)):
@@ -277,7 +276,7 @@ def factors(expression: sp.Expr) -> Iterable[tuple[sp.Expr, int]]:
 
 
 def without_exponentials(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
-    """Return an expression with a symbol for each exponential and root, and what they stand for.
+    """Expression with a symbol for each exponential and root, and what they stand for.
 
     Else exp(10**8 x) is a power of exp(x) to sympy, and a polynomial with as many coefficients.
     """

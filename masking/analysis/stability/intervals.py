@@ -17,10 +17,10 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.codegen.graph import Graph, Node
-from masking.codegen.printers import needed
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import needed
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.numerics.arrays import Array
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -40,13 +40,13 @@ class Interval:
 
     @classmethod
     def of(cls, low: Array | float, high: Array | float | None = None) -> Interval:
-        """Return intervals of given ends, or of single numbers."""
+        """Intervals of given ends, or of single numbers."""
         a = np.asarray(low, dtype=float)
         return cls(a, a if high is None else np.asarray(high, dtype=float))
 
     @classmethod
     def around(cls, number: sp.Expr) -> Interval:
-        """Return an interval that holds an exact number: a fraction, or one that 30 digits tell."""
+        """Interval that holds an exact number: a fraction, or one that 30 digits tell."""
         value = float(sp.N(number, 30))
         if number.is_Rational and Fraction(value) == Fraction(int(number.p), int(number.q)):
             return cls.of(value)
@@ -54,18 +54,18 @@ class Interval:
 
     @classmethod
     def stacked(cls, columns: Sequence[Interval], rows: int) -> Interval:
-        """Return intervals (rows, columns) of columns (rows,) or single ones."""
+        """Intervals (rows, columns) of columns (rows,) or single ones."""
         ends = zip(*((np.broadcast_to(x.low, rows), np.broadcast_to(x.high, rows)) for x in columns), strict=True)
         return cls(*(np.stack(end, axis=1) for end in ends))
 
     @property
     def width(self) -> Array:
-        """Return high - low."""
+        """High - low."""
         return self.high - self.low
 
     @property
     def middle(self) -> Array:
-        """Return a number inside of each; NaN where both ends are infinite."""
+        """Number inside of each; NaN where both ends are infinite."""
         with np.errstate(invalid="ignore"):
             return np.asarray(0.5 * self.low + 0.5 * self.high)
 
@@ -92,13 +92,13 @@ class Interval:
         return self * inverse(other)
 
     def contains_zero(self) -> NDArray[np.bool_]:
-        """Tell where 0 lies inside."""
+        """Where 0 lies inside."""
         found: NDArray[np.bool_] = (self.low <= 0.0) & (self.high >= 0.0)
         return found
 
 
 def inverse(x: Interval) -> Interval:
-    """Return 1/x; all real numbers where x contains 0."""
+    """1/x; all real numbers where x contains 0."""
     bad = x.contains_zero()
     with np.errstate(divide="ignore", over="ignore"):
         found = _outward(1.0 / x.high, 1.0 / x.low)
@@ -106,7 +106,7 @@ def inverse(x: Interval) -> Interval:
 
 
 def square(x: Interval) -> Interval:
-    """Return x^2, which is never negative."""
+    """X^2, which is never negative."""
     a, b = np.abs(x.low), np.abs(x.high)
     found = _outward(np.where(x.contains_zero(), 0.0, np.minimum(a, b) ** 2), np.maximum(a, b) ** 2)
     return Interval(np.maximum(found.low, 0.0), found.high)
@@ -142,7 +142,7 @@ def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval])
 
 
 def _outward(low: Array | Interval, high: Array | None = None, ulps: int = 1) -> Interval:
-    """Return intervals that are wider by units in the last place at both ends."""
+    """Intervals that are wider by units in the last place at both ends."""
     a, b = (low.low, low.high) if isinstance(low, Interval) else (low, low if high is None else high)
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     for _ in range(ulps):

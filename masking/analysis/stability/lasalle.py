@@ -22,8 +22,8 @@ import sympy as sp
 from sympy.simplify.fu import TR9
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.motion import Motion
 from masking.analysis.stability.observability import unobserved
 from masking.analysis.stability.poles import Cancellation, oscillators
 from masking.errors import ModelError
@@ -115,30 +115,30 @@ class _Elimination:
 
     @cached_property
     def frozen(self) -> tuple[tuple[int, ...], sp.Matrix]:
-        """Return the coordinates that the forms give, and the reduced forms."""
+        """Coordinates that the forms give, and the reduced forms."""
         matrix = sp.Matrix([[sp.diff(f, v) for v in self.motion.v] for f in self.forms])
         reduced, pivots = matrix.rref(simplify=normal)
         return tuple(pivots), reduced[: len(pivots), :]
 
     @cached_property
     def constants(self) -> tuple[sp.Symbol, ...]:
-        """Return the constant values of the forms of the coordinates."""
+        """Constant values of the forms of the coordinates."""
         count = len(self.frozen[0])
         return tuple(self._new("c" if count == 1 else f"c{i + 1}") for i in range(count))
 
     @cached_property
     def turning(self) -> tuple[sp.Symbol, ...]:
-        """Return the constants that count modulo one turn, as the angles do which they give."""
+        """Constants that count modulo one turn, as the angles do which they give."""
         pairs = zip(self.frozen[0], self.constants, strict=True)
         return tuple(c for i, c in pairs if self.motion.q[i] in self.motion.circles)
 
     @cached_property
     def bound(self) -> sp.Symbol:
-        """Return the constant that a bounded function is."""
+        """Constant that a bounded function is."""
         return self._new("K")
 
     def _new(self, name: str) -> sp.Symbol:
-        """Return a real constant with a name that nothing in the model has."""
+        """Real constant with a name that nothing in the model has."""
         symbols = self.motion.model.equations.symbols
         taken = {str(s) for s in (*symbols.q, *symbols.v, *symbols.u, *symbols.p, *self.given.symbols.values())}
         while name in taken:
@@ -147,7 +147,7 @@ class _Elimination:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Return the indices of the other coordinates."""
+        """Indices of the other coordinates."""
         return tuple(j for j in range(len(self.motion.q)) if j not in self.frozen[0])
 
     def _tied(self, symbols: Sequence[sp.Symbol], values: Sequence[sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
@@ -158,7 +158,7 @@ class _Elimination:
 
     @cached_property
     def reduced(self) -> tuple[dict[sp.Symbol, sp.Expr], tuple[sp.Expr, ...]]:
-        """Return the accelerations of what moves, by velocity symbol, and the equations that are left over.
+        """Accelerations of what moves, by velocity symbol, and the equations that are left over.
 
         Raises:
             ModelError: the equations do not give these accelerations.
@@ -182,7 +182,7 @@ class _Elimination:
         return rates, tuple(x for x in left if x != 0)
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
-        """Return the time derivative of an expression of what moves."""
+        """Time derivative of an expression of what moves."""
         accelerations, _ = self.reduced
         found = sum(sp.diff(expression, self.motion.q[j]) * self.motion.v[j] for j in self.moving)
         return found + sum(sp.diff(expression, v) * a for v, a in accelerations.items())
@@ -240,7 +240,7 @@ class _Elimination:
         return None
 
     def _resting(self, equation: sp.Expr) -> sp.Symbol | None:
-        """Return the one coordinate that an equation holds, where it does not hold for every value of it."""
+        """One coordinate that an equation holds, where it does not hold for every value of it."""
         held = equation.free_symbols & {self.motion.q[j] for j in self.moving}
         if len(held) != 1 or equation.free_symbols & {*self.motion.v}:
             return None
@@ -305,7 +305,7 @@ class _Elimination:
             self._along(tied, r1, r2, left, constants)
 
     def _single_constants(self) -> Iterator[tuple[sp.Symbol, sp.Symbol]]:
-        """Return each frozen coordinate that is one constant by itself, with it."""
+        """Each frozen coordinate that is one constant by itself, with it."""
         for i, value in zip(self.frozen[0], self._frozen_values(), strict=True):
             if value.is_Symbol:
                 yield self.motion.q[i], value
@@ -439,12 +439,10 @@ class _Elimination:
 
 
 def _is_affine(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> bool:
-    """Tell whether an expression is linear in variables, with a constant."""
     return bool(expression.is_polynomial(*variables) and sp.Poly(expression, *variables).total_degree() == 1)
 
 
 def _only_in_waves(expression: sp.Expr, r: sp.Symbol) -> bool:
-    """Tell whether a variable is in sines and cosines alone."""
     return r not in expression.replace(lambda x: x.func in {sp.sin, sp.cos}, lambda x: sp.Integer(1)).free_symbols
 
 

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from masking.analysis.stability.variational import Variational
+from masking.analysis.stability.variational_equations import Variational
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.model import Model
 
 INTERVALS = 2000  # that the record is cut into where no length is given
 _BATCHES = 20  # whose spread gives the error
@@ -52,22 +52,22 @@ class Exponent:
 
     @property
     def is_bounded(self) -> bool:
-        """Tell whether the motion does not go off as its neighbours do."""
+        """Whether the motion does not go off as its neighbours do."""
         return self.spread < max(1.0, _OFF * self._late)
 
     @property
     def is_chaotic(self) -> bool:
-        """Tell whether nearby motions part exponentially: further than regular ones do, and surely, yet go nowhere."""
+        """Whether nearby motions part exponentially: further than regular ones do, and surely, yet go nowhere."""
         return self._late > _GROWTH and self.value > _SURE * self.error and self.is_bounded
 
     @property
     def running(self) -> Array:
-        """Return the estimate after each interval (m,)."""
+        """Estimate after each interval (m,)."""
         lengths = np.diff(self.times, prepend=2.0 * self.times[0] - self.times[1])
         return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the exponent as JSON can hold it."""
+        """Exponent as JSON can hold it."""
         return {"value": self.value, "error": self.error, "chaotic": self.is_chaotic, "bounded": self.is_bounded}
 
     def __str__(self) -> str:
@@ -86,7 +86,7 @@ def largest_exponent(
     tolerance: float = 1e-9,
     progress: Callable[[float], None] | None = None,
 ) -> Exponent:
-    """Return the largest Lyapunov exponent of a motion of a model, with constant inputs.
+    """Largest Lyapunov exponent of a motion of a model, with constant inputs.
 
     Args:
         model: any model; driven ones may hold the time `t`.

@@ -10,13 +10,13 @@ import lazy_loader as lazy
 import numpy as np
 
 from masking.analysis.stability.intervals import Interval, enclose
-from masking.codegen.graph import Graph
-from masking.codegen.kernels import Kernels
-from masking.codegen.tangent import derivatives
+from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.tangent import derivatives
+from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, nearest
-from masking.modelling.lowering import LoweredEquations
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array, Complex
+from masking.model.modelling.lowering import LoweredEquations
+from masking.model.modelling.model import Model
 
 if TYPE_CHECKING:
     import control
@@ -35,10 +35,10 @@ class Driven(Protocol):
 
     @property
     def kernels(self) -> Kernels:
-        """Return the compiled functions, `derivative(t, y, u, p, dy)` among them."""
+        """Compiled functions, `derivative(t, y, u, p, dy)` among them."""
 
     def values(self) -> Array:
-        """Return the parameter array."""
+        """Parameter array."""
 
 
 @dataclass(frozen=True)
@@ -55,17 +55,17 @@ class Mode:
 
     @property
     def frequency(self) -> float:
-        """Return |Im lambda|, in rad/s or rad per unit of time; 0 where it does not oscillate."""
+        """|Im lambda|, in rad/s or rad per unit of time; 0 where it does not oscillate."""
         return abs(self.eigenvalue.imag)
 
     @property
     def damping(self) -> float:
-        """Return the damping ratio -Re lambda/|lambda|; negative for a mode that grows."""
+        """Damping ratio -Re lambda/|lambda|; negative for a mode that grows."""
         size = abs(self.eigenvalue)
         return -self.eigenvalue.real / size if size > 0.0 else 0.0
 
     def phase(self, first: str, second: str) -> float:
-        """Return the phase of one coordinate minus that of another, in (-pi, pi]."""
+        """Phase of one coordinate minus that of another, in (-pi, pi]."""
         return float(np.angle(self.shape[first] / self.shape[second]))
 
 
@@ -78,14 +78,14 @@ class Modes:
 
     @property
     def is_stable(self) -> bool | None:
-        """Tell whether all decay; None where some neither grow nor decay and none grows."""
+        """Whether all decay; None where some neither grow nor decay and none grows."""
         largest = float(np.max(self.eigenvalues.real, initial=-np.inf))
         slack = _NEUTRAL * float(np.max(np.abs(self.eigenvalues), initial=0.0))
         return None if abs(largest) <= slack else largest < 0.0
 
 
 def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
-    """Return dy'/dy (2 n + k, 2 n + k) of a model without inputs, by the chain rule, exact but for rounding.
+    """Dy'/dy (2 n + k, 2 n + k) of a model without inputs, by the chain rule, exact but for rounding.
 
     Args:
         model: in SI units or in its scales.
@@ -100,7 +100,7 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
 
 
 def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
-    """Tell whether no force has a kink at a state: enclosures of the slopes around it narrow as the box does.
+    """Whether no force has a kink at a state: enclosures of the slopes around it narrow as the box does.
 
     Args:
         model: in SI units or in its scales.
@@ -115,7 +115,7 @@ def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
 
 
 def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
-    """Return eigenvalues, and how far rounding may have moved each.
+    """Eigenvalues, and how far rounding may have moved each.
 
     An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1.
     Source: Golub and Van Loan, Matrix Computations (2013), section 7.2.2.
@@ -137,7 +137,7 @@ def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
 
 
 def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
-    """Return dy'/dy (1, m^2) over a box around a state, a part of each coordinate or velocity wide."""
+    """Dy'/dy (1, m^2) over a box around a state, a part of each coordinate or velocity wide."""
     if not model.is_autonomous:
         raise ModelError(
             f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
@@ -166,7 +166,7 @@ def _about(x: float, reach: float) -> Interval:
 
 
 def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:
-    """Return dy'/dy of a closed loop, by central differences of order 6.
+    """Dy'/dy of a closed loop, by central differences of order 6.
 
     Args:
         loop: a `ClosedLoop`.
@@ -188,7 +188,7 @@ def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:
 
 
 def modes(matrix: Array, coordinates: Sequence[str]) -> Modes:
-    """Return the modes of y' = matrix y.
+    """Modes of y' = matrix y.
 
     Args:
         matrix: (m, m), states being coordinates, velocities, internal states, such as `state_matrix` gives.
@@ -208,7 +208,7 @@ def modes(matrix: Array, coordinates: Sequence[str]) -> Modes:
 
 
 def sum_matrix(matrix: Array, coordinates: Sequence[str], pair: tuple[str, str]) -> Array:
-    """Return the matrix of the sum system: one coordinate is the sum of two, the others stay.
+    """Matrix of the sum system: one coordinate is the sum of two, the others stay.
 
     It describes the sum by itself where the two are alike. Source: Rijlaarsdam (2008), (8.10)-(8.11).
 
@@ -240,7 +240,7 @@ def sum_matrix(matrix: Array, coordinates: Sequence[str], pair: tuple[str, str])
 
 
 def upsilon(model: Model, at: Mapping[str, float] | None = None) -> float:
-    """Return how long synchronisation takes: 1/|Re| of the slowest eigenvalue of the sum system (8.13).
+    """How long synchronisation takes: 1/|Re| of the slowest eigenvalue of the sum system (8.13).
 
     Args:
         model: with two oscillators that are alike.
@@ -258,7 +258,7 @@ def upsilon(model: Model, at: Mapping[str, float] | None = None) -> float:
 
 
 def pair_of(model: Model) -> tuple[str, str]:
-    """Return the two oscillators of a model.
+    """Two oscillators of a model.
 
     Raises:
         ModelError: it has another number of them.
@@ -272,7 +272,7 @@ def pair_of(model: Model) -> tuple[str, str]:
 
 
 def sweep(model: Model, parameter: str, values: Array, measure: Callable[[Model], float] = upsilon) -> Array:
-    """Return a measure of a model over values of one parameter, such as `upsilon` over z3 (Fig. 8.4).
+    """Measure of a model over values of one parameter, such as `upsilon` over z3 (Fig. 8.4).
 
     Args:
         model: what is swept.
@@ -284,7 +284,7 @@ def sweep(model: Model, parameter: str, values: Array, measure: Callable[[Model]
 
 
 def frequency_response(model: Model, frequencies: Array, at: Mapping[str, float] | None = None) -> Complex:
-    """Return the response of outputs to inputs near an equilibrium, through python-control.
+    """Response of outputs to inputs near an equilibrium, through python-control.
 
     Args:
         model: with inputs; its outputs, or its coordinates where it declares none.

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import sympy as sp
 
 from masking.analysis.stability.algebra import normal, without_void
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.motion import Motion
 
 
 def unobserved(motion: Motion, forms: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
-    """Return relations, linear in the states, of the unobservable subspace of a linear model, outputs being the forms.
+    """Relations, linear in the states, of the unobservable subspace of a linear model, outputs being the forms.
 
     The states x with O x = 0 for O = [C; C A; C A^2; ...], by elimination of rows that are linearly dependent.
     """
@@ -46,6 +46,6 @@ def unobserved(motion: Motion, forms: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
 
 
 def _pivot(row: sp.Matrix, given: Hypotheses) -> int | None:
-    """Return the last entry of a row that is not 0, one with a sign first; None where all are 0."""
+    """Last entry of a row that is not 0, one with a sign first; None where all are 0."""
     order = [j for j in reversed(range(row.cols)) if row[j] != 0]
     return next((j for j in order if given.sign(row[j]) in {1, -1}), order[0] if order else None)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking.analysis.stability.variational import Variational
+from masking.analysis.stability.variational_equations import Variational
+from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import IntegrationError, ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array, Complex
+from masking.model.modelling.model import Model
 
 _MOST_STEPS = 30
 _ERROR = 1e-10  # of the size of the orbit, in closing
@@ -35,7 +35,7 @@ class Orbit:
 
     @property
     def is_stable(self) -> bool | None:
-        """Tell whether all multipliers but one 1 are inside the unit circle; None where others are on it."""
+        """Whether all multipliers but one 1 are inside the unit circle; None where others are on it."""
         size = np.sort(np.abs(self.multipliers))[::-1]
         if size[0] > 1.0 + _NEUTRAL:
             return False
@@ -43,7 +43,7 @@ class Orbit:
 
     @property
     def exponents(self) -> Array:
-        """Return Floquet exponents: log |multiplier| / T, in 1/s or per unit of time."""
+        """Floquet exponents: log |multiplier| / T, in 1/s or per unit of time."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.abs(self.multipliers)) / self.period, dtype=float)
 

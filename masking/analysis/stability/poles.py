@@ -68,14 +68,14 @@ class Oscillator:
 
     @property
     def residue(self) -> sp.Expr:
-        """Return the size of its residues in the sum, but for a factor that all of its kind have."""
+        """Size of its residues in the sum, but for a factor that all of its kind have."""
         return self.weight / self.size
 
 
 def oscillators(
     relation: sp.Expr, accelerations: Mapping[sp.Symbol, sp.Expr], circles: Sequence[sp.Symbol], given: Hypotheses
 ) -> tuple[Oscillator, ...]:
-    """Return each oscillator in a sum that is constant.
+    """Each oscillator in a sum that is constant.
 
     Args:
         relation: the sum, linear in displacements or in sines of angles, less its value.
@@ -108,7 +108,7 @@ def oscillators(
 
 
 def _sprung(x: sp.Symbol, acceleration: sp.Expr, weight: sp.Expr, given: Hypotheses) -> Oscillator:
-    """Return an oscillator with a spring that is linear or cubic about its centre."""
+    """Oscillator with a spring that is linear or cubic about its centre."""
     if acceleration.is_polynomial(x) and (degree := sp.Poly(acceleration, x).degree()) in {1, 3}:
         force = sp.Poly(-acceleration, x)
         lead = force.LC()
@@ -143,7 +143,7 @@ class Cancellation:
     _known: dict[sp.Expr, bool] = field(default_factory=dict)
 
     def families(self) -> tuple[dict[sp.Symbol, sp.Expr], ...]:
-        """Return each set of motions other than equilibria: what coordinates are by others, or where they rest.
+        """Each set of motions other than equilibria: what coordinates are by others, or where they rest.
 
         Raises:
             ModelError: it is not shown that poles cannot cancel in other ways, or there are too many sets.
@@ -164,7 +164,7 @@ class Cancellation:
         return [x for x in self.oscillators if x.kind == kind]
 
     def _vanishes(self, expression: sp.Expr) -> bool:
-        """Tell whether an expression of parameters is 0; either is supposed.
+        """Whether an expression of parameters is 0; either is supposed.
 
         Raises:
             ModelError: that is not known.
@@ -184,7 +184,7 @@ class Cancellation:
         return self._known[expression]
 
     def _groups(self, members: Sequence[Oscillator]) -> list[Group]:
-        """Return the signs with which poles cancel, of oscillators that have one stiffness."""
+        """Signs with which poles cancel, of oscillators that have one stiffness."""
         if len(members) > _MOST_OSCILLATORS:
             raise ModelError(
                 f"there are {len(members)} oscillators that are not linear, at most {_MOST_OSCILLATORS} are"
@@ -204,7 +204,7 @@ class Cancellation:
         return [g for g in found if not any(_is_part(h, g) for h in found if h != g)]
 
     def _may_mix(self, members: Sequence[Oscillator]) -> bool:
-        """Tell whether poles of oscillators with different stiffness might cancel by their periods."""
+        """Whether poles of oscillators with different stiffness might cancel by their periods."""
         if members[0].kind == "sine":
             return len(members) > 2
         return any(sum(self._vanishes(x.stiffness - y.stiffness) for y in members) > 2 for x in members)
@@ -253,13 +253,13 @@ def _sum(signs: Group, values: Sequence[sp.Expr]) -> sp.Expr:
 
 
 def _is_part(part: Group, whole: Group) -> bool:
-    """Tell whether the signs of a group are those of another where they are not 0, up to one sign for all."""
+    """Whether the signs of a group are those of another where they are not 0, up to one sign for all."""
     pairs = [(p, w) for p, w in zip(part, whole, strict=True) if p]
     return all(p == w for p, w in pairs) or all(p == -w for p, w in pairs)
 
 
 def _is_union(signs: Group, groups: Sequence[Group]) -> bool:
-    """Tell whether signs are those of groups, one after the other, so that their poles cancel within groups alone."""
+    """Whether signs are those of groups, one after the other, so that their poles cancel within groups alone."""
     if not any(signs):
         return True
     for group in groups:

@@ -7,7 +7,7 @@ import numpy as np
 from masking.analysis.stability.modes import pair_of
 from masking.analysis.synchronisation import synchronisation_time
 from masking.errors import ModelError
-from masking.modelling.model import Model
+from masking.model.modelling.model import Model
 
 _SAMPLES_PER_RADIAN = 20.0
 
@@ -15,7 +15,7 @@ _SAMPLES_PER_RADIAN = 20.0
 def settling_time(
     model: Model, *, eps: float = 1e-4, longest: float = 2e4, fastest: float = 2.0, tolerance: float = 1e-11
 ) -> float:
-    """Return tau_s from the declared initial state: the first time after which |a + b| stays below eps.
+    """Tau_s from the declared initial state: the first time after which |a + b| stays below eps.
 
     Args:
         model: with two oscillators a and b.

@@ -12,9 +12,9 @@ from masking.analysis.stability.certificate import Certificate, certificate
 from masking.analysis.stability.equilibria import Box, Equilibria, Equilibrium, check_box, equilibria
 from masking.analysis.stability.lyapunov import Exponent
 from masking.analysis.stability.modes import Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
+from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array, Complex
+from masking.model.modelling.model import Model
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Stability:
 
     @property
     def points(self) -> tuple[tuple[Equilibrium, Modes], ...]:
-        """Return each equilibrium with its modes."""
+        """Each equilibrium with its modes."""
         return tuple(zip(self.rest.points if self.rest else (), self.modes, strict=True))
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class Stability:
         return "\n".join([*lines, "", "energy certificate", str(self.certificate)])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the study as JSON can hold it."""
+        """Study as JSON can hold it."""
         return {
             "name": self.name,
             "equilibria": None
@@ -126,7 +126,7 @@ def study(model: Model, box: Box | None = None) -> Stability:
 
 
 def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, virtual: Complex) -> LoopModes:
-    """Return the eigenvalues of a closed loop per unit of virtual time.
+    """Eigenvalues of a closed loop per unit of virtual time.
 
     Args:
         loop: a `ClosedLoop`.
@@ -147,7 +147,7 @@ def position_words(point: Equilibrium) -> str:
 
 
 def mode_words(mode: Mode) -> str:
-    """Tell a mode in one line: eigenvalue, damping, and the shape by amplitudes and phases over pi."""
+    """Mode in one line: eigenvalue, damping, and the shape by amplitudes and phases over pi."""
     z = mode.eigenvalue
     value = f"{_plain(z.real, 6):+.6f}" + (f" ± {mode.frequency:.6f}i" if mode.frequency else "")
     damping = f"damping {_plain(mode.damping, 4):.4f}" if mode.frequency else ""
@@ -158,7 +158,7 @@ def mode_words(mode: Mode) -> str:
 
 
 def phase(amplitude: complex) -> float:
-    """Return the phase of a complex amplitude over pi, in (-1, 1], to two digits."""
+    """Phase of a complex amplitude over pi, in (-1, 1], to two digits."""
     found = _plain(float(np.angle(amplitude)) / np.pi, 2)
     return 1.0 if found == -1.0 else found
 
@@ -169,7 +169,7 @@ def _plain(x: float, digits: int) -> float:
 
 
 def _upsilon(model: Model, rest: Equilibria | None) -> float | None:
-    """Return upsilon at the equilibrium at 0; None where there is none, or no sum with an equation of its own."""
+    """Upsilon at the equilibrium at 0; None where there is none, or no sum with an equation of its own."""
     if rest is None or not any(not any(point.position.values()) for point in rest.points):
         return None
     try:

@@ -20,16 +20,16 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import normal
 from masking.analysis.stability.boundedness import Boundedness, is_kinetic, parts_of_energy, squares
-from masking.analysis.stability.bounds import Bound, faces
+from masking.analysis.stability.branch_and_bound import Bound, faces
 from masking.analysis.stability.dissipation import default_box
 from masking.analysis.stability.equilibria import Equilibria, equilibria
+from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.intervals import Interval
 from masking.analysis.stability.lasalle import invariant_set
-from masking.analysis.stability.motion import Motion
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.model import Model
 
 _DIGITS = 6
 _SCALES = 48  # of boxes that are tried
@@ -67,7 +67,7 @@ class Basin:
 
 
 def basins(model: Model, bounded: Boundedness | None) -> tuple[Basin, ...]:
-    """Return inner estimates of the basins of attraction of equilibria, where the energy gives any.
+    """Inner estimates of the basins of attraction of equilibria, where the energy gives any.
 
     Args:
         model: with an energy that is kinetic and potential, and smooth.
@@ -96,7 +96,7 @@ class _Rest:
 
     @property
     def middle(self) -> Array:
-        """Return the middle of the box (n,)."""
+        """Middle of the box (n,)."""
         return 0.5 * (self.low + self.high)
 
 
@@ -157,14 +157,14 @@ class _Landscape:
         return [square.coefficient for square in found] if is_rest else None
 
     def _pass(self, here: _Rest, rest: Sequence[_Rest]) -> float:
-        """Return the least potential of equilibria that are no minima, those below this one left out."""
+        """Least potential of equilibria that are no minima, those below this one left out."""
         others = [x.value for x in rest if not x.is_minimum and not x.value.high < here.value.low]
         return min((float(x.low) for x in others), default=np.inf)
 
     def _around(
         self, here: _Rest, rest: Sequence[_Rest], pivots: Sequence[Bound]
     ) -> tuple[dict[str, tuple[float, float]] | None, float]:
-        """Return a box around a minimum, and what the potential is not below on its faces and at its passes."""
+        """Box around a minimum, and what the potential is not below on its faces and at its passes."""
         names, (below, above) = [q.name for q in self.motion.q], self._reach(here, rest, pivots)
         for part in (1.0, 0.999, 0.99, 0.9):
             low, high = here.middle - part * below, here.middle + part * above
@@ -178,7 +178,7 @@ class _Landscape:
         return None, -np.inf
 
     def _reach(self, here: _Rest, rest: Sequence[_Rest], pivots: Sequence[Bound]) -> tuple[Array, Array]:
-        """Return how far the box goes below and above, so that the potential on its faces is large.
+        """How far the box goes below and above, so that the potential on its faces is large.
 
         Of several coordinates all grow in proportion; a single one has an end on either side of its own.
         """
@@ -209,7 +209,7 @@ class _Landscape:
 
 
 def _down(level: float, depth: float) -> float:
-    """Return a level of few digits that is not larger."""
+    """Level of few digits that is not larger."""
     if not (np.isfinite(level) and depth > 0.0):
         return level
     unit = 10.0 ** (np.floor(np.log10(depth)) - _DIGITS + 1)

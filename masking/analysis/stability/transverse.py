@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from masking.analysis.stability.modes import pair_of
-from masking.analysis.stability.variational import Variational
+from masking.analysis.stability.variational_equations import Variational
+from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.modelling.model import Model
-from masking.numerics.arrays import Array
+from masking.model.modelling.model import Model
 
 _LEAVES = 1e-9  # relative: rates across the manifold beyond this show that it is not invariant
 _SAMPLES = 16
@@ -39,7 +39,7 @@ class Transverse:
 
 
 def anti_phase(model: Model) -> Array:
-    """Return the forms that vanish in anti-phase: the sum of two oscillators, and every other coordinate (k, n)."""
+    """Forms that vanish in anti-phase: the sum of two oscillators, and every other coordinate (k, n)."""
     first, second = (model.coordinates.index(c) for c in pair_of(model))
     rows = np.eye(len(model.coordinates))
     rows[first, second] = 1.0
@@ -47,7 +47,7 @@ def anti_phase(model: Model) -> Array:
 
 
 def in_phase(model: Model) -> Array:
-    """Return the form that vanishes in phase: the difference of two oscillators (1, n)."""
+    """Form that vanishes in phase: the difference of two oscillators (1, n)."""
     first, second = (model.coordinates.index(c) for c in pair_of(model))
     rows = np.zeros((1, len(model.coordinates)))
     rows[0, first], rows[0, second] = 1.0, -1.0
@@ -63,7 +63,7 @@ def transverse(
     pieces: int = 100,
     tolerance: float = 1e-11,
 ) -> Transverse:
-    """Return the transverse Lyapunov exponents of a manifold along a motion on it.
+    """Transverse Lyapunov exponents of a manifold along a motion on it.
 
     Args:
         model: without internal states, in SI units or in its scales.
@@ -104,7 +104,7 @@ def transverse(
 
 
 def _slopes(times: Array, sums: Array, first: int) -> Array:
-    """Return the slope of each column (k,) from a piece on, by least squares."""
+    """Slope of each column (k,) from a piece on, by least squares."""
     centred = times[first:] - np.mean(times[first:])
     return np.asarray(centred @ sums[first:] / (centred @ centred), dtype=float)
 

@@ -23,7 +23,7 @@ from masking.analysis.synchronisation.measures import (
     running_peak,
     synchronisation_time,
 )
-from masking.analysis.synchronisation.verdict import Synchronisation, synchronisation
+from masking.analysis.synchronisation.synchronisation_verdict import Synchronisation, synchronisation
 
 __all__ = [
     "AntiPhase",

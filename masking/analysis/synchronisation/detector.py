@@ -73,17 +73,17 @@ class Detector:
 
     @property
     def tolerance(self) -> float:
-        """Return delta, how near the phase must be to what is wanted, rad."""
+        """Delta, how near the phase must be to what is wanted, rad."""
         return math.asin(self.eps)
 
     @property
     def chance(self) -> float:
-        """Return the probability that the phase of a half period is near enough by chance."""
+        """Probability that the phase of a half period is near enough by chance."""
         return self.tolerance / math.pi
 
     @property
     def needed(self) -> int:
-        """Return the half periods in a row that it takes."""
+        """Half periods in a row that it takes."""
         halves = max(1.0, 2.0 * self.duration / self.period)
         # The small part keeps a quotient that is an integer from being rounded up by its last digit.
         independent = math.ceil(math.log(halves / self.false_alarm) / -math.log(self.chance) - 1e-9)
@@ -91,12 +91,12 @@ class Detector:
 
     @property
     def delay(self) -> float:
-        """Return the longest time from synchronisation to its detection, unit of `period`."""
+        """Longest time from synchronisation to its detection, unit of `period`."""
         return (self.needed + 1) * self.period / 2.0 + self.step
 
     @property
     def resolution(self) -> float:
-        """Return the relative difference of two frequencies up to which a beat may pass as synchronisation.
+        """Relative difference of two frequencies up to which a beat may pass as synchronisation.
 
         Over the half periods that are needed, such a beat turns the phase by no more than 2 delta; a longer `memory`
         separates frequencies that are nearer to each other.
@@ -104,7 +104,7 @@ class Detector:
         return 2.0 * self.tolerance / (math.pi * max(1, self.needed - 1))
 
     def begin(self) -> Watch:
-        """Return a watch that has seen nothing yet."""
+        """Watch that has seen nothing yet."""
         return Watch(self)
 
 
@@ -199,6 +199,6 @@ class Watch:
             self._turn = min(max(turn, self._slowest), self._fastest)
 
     def _coefficient(self, ac: float, as_: float, mean: float) -> tuple[float, float]:
-        """Return x and y of the least-squares fit x cos + y sin over the half period, up to a factor and turned."""
+        """X and y of the least-squares fit x cos + y sin over the half period, up to a factor and turned."""
         ac, as_ = ac - mean * self._c, as_ - mean * self._s
         return ac * self._ss - as_ * self._cs, -(as_ * self._cc - ac * self._cs)

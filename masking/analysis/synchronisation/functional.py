@@ -37,7 +37,7 @@ class Held:
 
     @property
     def is_approximate(self) -> bool:
-        """Tell whether definition 5.2 holds for the eps that was asked for."""
+        """Whether definition 5.2 holds for the eps that was asked for."""
         return bool(np.all(self.eps <= self.wanted))
 
     def __str__(self) -> str:

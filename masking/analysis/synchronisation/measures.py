@@ -180,7 +180,7 @@ def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> 
 
 
 def synchronisation_time(t: Series, g: Series, eps: float) -> float:
-    """Return the first time after which |g| stays below eps; NaN where it does not.
+    """First time after which |g| stays below eps; NaN where it does not.
 
     Source: definition 8.1, (8.12).
 
@@ -222,7 +222,7 @@ def interpolate(t: Series, a: Series, at: Series) -> Series:
 
 
 def on_even_grid(t: Series, *series: Series) -> tuple[Series, ...]:
-    """Return times with even steps, and series there; those that were given where their times have even steps.
+    """Times with even steps, and series there; those that were given where their times have even steps.
 
     Args:
         t: time (samples,), strictly increasing.
@@ -248,7 +248,7 @@ class Oscillation:
 
     @classmethod
     def of(cls, a: Series) -> Oscillation:
-        """Return the oscillation of an evenly sampled motion (samples,), any unit."""
+        """Oscillation of an evenly sampled motion (samples,), any unit."""
         size, scale = len(a), float(np.abs(a).max(initial=0.0))
         if size <= 2 * (_TREND + 3):
             found = a - np.mean(a) if size else a
@@ -276,12 +276,12 @@ class Oscillation:
         return cls(found, cycles) if is_moving else cls(np.zeros(size), 0.0)
 
     def period(self, length: float) -> float:
-        """Return the mean period for the time from the first sample to the last; NaN for fewer than three periods."""
+        """Mean period for the time from the first sample to the last; NaN for fewer than three periods."""
         size, few = len(self.series), self.cycles < _LEAST_PERIODS - 0.5
         return float("nan") if few else length / (size - 1) * size / self.cycles
 
     def analytic_signal(self) -> NDArray[np.complex128]:
-        """Return the complex signal whose real part is the oscillation and whose argument is its phase (samples,).
+        """Complex signal whose real part is the oscillation and whose argument is its phase (samples,).
 
             A = a + i H[a],    H the Hilbert transform
 
@@ -305,12 +305,12 @@ class Oscillation:
 
 
 def about_drift(a: Series) -> Series:
-    """Return an evenly sampled motion about its drift (samples,), as `Oscillation` has it."""
+    """Evenly sampled motion about its drift (samples,), as `Oscillation` has it."""
     return Oscillation.of(a).series
 
 
 def analytic_signal(a: Series) -> NDArray[np.complex128]:
-    """Return the analytic signal of an evenly sampled motion about its drift (samples,), as `Oscillation` has it.
+    """Analytic signal of an evenly sampled motion about its drift (samples,), as `Oscillation` has it.
 
     Raises:
         RecordError: it has fewer than three periods.
@@ -323,7 +323,7 @@ def _window(size: int) -> Series:
 
 
 def _cycles(a: Series) -> float:
-    """Return the frequency of the largest line of a series about zero, in periods per record; 0 where it is at rest."""
+    """Frequency of the largest line of a series about zero, in periods per record; 0 where it is at rest."""
     size = len(a)
     if size < 4 or not np.any(a):
         return 0.0

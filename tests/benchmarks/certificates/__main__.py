@@ -7,8 +7,8 @@ import time
 from collections import Counter
 
 from masking.analysis.stability.certificate import Certificate, certificate
-from masking.declaration.schema import ModelDeclaration
-from masking.modelling.model import Model
+from masking.model.declaration.schema import ModelDeclaration
+from masking.model.modelling.model import Model
 from tests.benchmarks.certificates.comparison import proved, wrong
 from tests.benchmarks.certificates.entry import Entry
 from tests.benchmarks.certificates.models import GROUPS

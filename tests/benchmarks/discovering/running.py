@@ -22,18 +22,18 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from masking.declaration import schema
-from masking.discovery.augmented_model import AugmentedModel
-from masking.discovery.discover import discover
-from masking.estimation.data import Data
-from masking.rig.twin import Twin
+from masking.control.rig.twin import Twin
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.discovery_stages import discover
+from masking.inference.estimation.identification_data import Data
+from masking.model.declaration import schema
 from tests.benchmarks import hidden, mujoco_records
 from tests.benchmarks.discovering import sindy, suite
 from tests.benchmarks.hidden.rig import LIGHT, RATE, Damping
 
 PROCESSES = 2
 PIECE = 10  # records generated together: making one takes as long as making ten
-JUDGED = ("masking/discovery", "masking/effects", "tests/benchmarks/hidden")
+JUDGED = ("masking/inference/discovery", "masking/model/effects", "tests/benchmarks/hidden")
 CONTENDER = ("tests/benchmarks/discovering/sindy.py", "tests/benchmarks/hidden")
 ENGINE = "tests/benchmarks/mujoco_records.py"
 WAIT = 5.0  # s between looks at whether a process has died

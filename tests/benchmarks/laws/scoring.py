@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import masking
-from masking.discovery.discovery import Discovery
-from masking.discovery.grammar import evaluated
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.grammar import evaluated
 from tests.benchmarks.laws import records
 from tests.benchmarks.laws.records import NAMES, Case, Rig
 

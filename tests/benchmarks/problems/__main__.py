@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import masking
-from masking.discovery.discovery import Discovery
 from masking.errors import MaskingError
+from masking.inference.discovery.discovery_result import Discovery
 from tests.benchmarks.laws.scoring import SURE, brier, reliability
 from tests.benchmarks.problems.drawn import Problem, drawn
 

@@ -1,0 +1,6 @@
+"""The verbs: as functions over files, and as a command line.
+
+In: files, arguments.
+Out: files, text or JSON, an exit status.
+Imports: compile, model, analysis, control, lab, inference, reports.
+"""

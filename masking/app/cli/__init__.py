@@ -1,0 +1,31 @@
+"""The command line: one sub-command for each verb, each a few lines over `masking.app.workflows`.
+
+In: a command line.
+Out: an exit status, and text or JSON.
+Imports: declaration, records, rig, plants, runs, reports, workflows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from masking.app.cli.progress import end_at_interrupts
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: behind the name of the program; those of the process by default.
+
+    Returns:
+        its exit status, see `parser.main`.
+    """
+    if arguments is None:  # in a process of its own
+        end_at_interrupts()
+    from masking.app.cli import parser
+
+    return parser.main(arguments)
+
+
+__all__ = ["main"]

@@ -1,0 +1,287 @@
+"""The verb rig batch: the runs of a plan, one after the other, whatever ends one of them.
+
+All that is known is in `batch.journal`, in the folder of the results; started again, it goes on from there. Each try
+has a folder `runs/NUMBER-TRY` of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from masking.app.workflows.batch_run import facts
+from masking.app.workflows.recover import TICKS, recover
+from masking.errors import MaskingError, RecordError
+from masking.lab.records import stream
+from masking.lab.records.journal import Journal
+from masking.lab.records.recording import Recording
+from masking.lab.runs import batch_plan
+from masking.lab.runs.batch_plan import Progress
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.stopping import FAILED, INTERRUPTED
+from masking.model.declaration.schema import BatchDeclaration
+from masking.reports import batch_page
+
+JOURNAL: Final = "batch.journal"
+RUNS: Final = "runs"
+_OTHERS: Final = 30.0  # s that the last run of a batch that was killed may take to end
+_WRITTEN: Final = 5.0  # s that the recorder of a run that was killed may take to end
+_LOOK: Final = 0.1  # s
+_AGAIN: Final = 1.0  # s between tries to reach a plant
+_ENDS: Final = 20.0  # s at most until a run that is asked to stop has
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What became of a batch.
+
+    Args:
+        folder: of its results.
+        name: of the plan.
+        runs: all of them, in order.
+        why: it ended before its runs did; empty where all were made.
+    """
+
+    folder: Path
+    name: str
+    runs: tuple[Progress, ...]
+    why: str
+
+    @property
+    def done(self) -> int:
+        """How many runs ended as planned."""
+        return sum(one.is_done for one in self.runs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it."""
+        return {"name": self.name, "why": self.why, "runs": self.rows, "used": batch_plan.used(self.runs)}
+
+    @property
+    def sentence(self) -> str:
+        """Say how many runs ended as planned, and why others did not."""
+        more = sum(one.tries > 1 for one in self.runs)
+        said = f"{self.name}: {self.done} of {len(self.runs)} runs ended as planned, {more} after more than one try"
+        failed = len(self.runs) - self.done - sum(bool(one.left_out) for one in self.runs)
+        said += f"; {failed} failed" if failed else ""
+        return f"{said}; the others were not made: {self.why}." if self.why else f"{said}."
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """For each run its settings, how it ended, after how many tries, and what it took."""
+        found = []
+        for one in self.runs:
+            last = one.ends[-1] if one.ends else {}
+            trips = [end["cause"] for end in one.ends if "cause" in end]
+            row: dict[str, Any] = {"run": one.run.number, **one.run.settings}
+            row |= {"end": (one.left_out and "not made") or last.get("end", "not made"), "tries": one.tries}
+            row |= {"trips": " ".join(trips), "chi": max(last.get("chi", {}).values(), default=None)}
+            row |= {"seconds": sum(end.get("seconds", 0.0) for end in one.ends)}
+            row |= {"energy": sum(end.get("energy", 0.0) for end in one.ends)}
+            found.append(row | {"why": one.left_out or ("" if one.is_done else last.get("why", ""))})
+        return found
+
+    def __str__(self) -> str:
+        return batch_page.text(self.sentence, self.rows)
+
+
+def run(
+    plan: str | Path,
+    out: str | Path,
+    *,
+    plant: str | None = None,
+    key: str | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Batch:
+    """Make all runs of a plan that are not made yet.
+
+    Args:
+        plan: a batch file.
+        out: folder of the results; one that holds a batch of the same plan is gone on with.
+        plant: address in place of that of the plan.
+        key: file with the key of the plant's server.
+        say: called with a sentence for each run.
+        progress: called with the part done.
+
+    Raises:
+        DeclarationError: the plan or its experiment is wrong.
+        RecordError: the folder cannot be written, is that of another plan, or another process works on it.
+    """
+    declared, experiment, runs = batch_plan.load(plan)
+    folder = Path(out)
+    with Journal(folder / JOURNAL, _OTHERS) as journal:
+        wanted = batch_plan.identity(experiment, runs)
+        if not batch_plan.begin(journal.entries, wanted, folder):
+            journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
+        found = batch_plan.progress(runs, journal.entries)
+        worker = _Worker(plan, declared, folder, journal, found, experiment=experiment, plant=plant, key=key, say=say)
+        why = worker.work(progress)
+    made = Batch(folder, declared.name, tuple(found), why)
+    batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
+    return made
+
+
+@final
+class _Worker:
+    """Makes the runs of a batch.
+
+    Args:
+        plan: its file.
+        declared: its content.
+        folder: of the results.
+        journal: of the batch.
+        found: what is known of each run, which is kept up to date.
+        experiment: that it runs.
+        plant, key: as `run` takes them.
+        say: called with a sentence for each run.
+    """
+
+    def __init__(
+        self,
+        plan: str | Path,
+        declared: BatchDeclaration,
+        folder: Path,
+        journal: Journal,
+        found: Sequence[Progress],
+        *,
+        experiment: Experiment,
+        plant: str | None,
+        key: str | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self.plan, self.declared, self.experiment = plan, declared, experiment
+        self.folder, self.journal, self.found = folder, journal, found
+        self.options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
+        self.say, self.has_run = say, False
+        self.outcome: Mapping[str, Any] = {}  # of the last try
+        self.waited, self.last = 0.0, ""  # s since the plant was reached, and what was said
+        self.ended = 0.0  # when the last try did, s of the monotonic clock
+
+    def work(self, progress: Callable[[float], None]) -> str:
+        """Make what is not made yet; return why not all of it could be."""
+        for one in self.found:
+            if one.open:
+                self._end(one, self._left(self._place(one)))
+        for number, one in enumerate(self.found):
+            while not one.is_done and one.counted <= self.declared.retries:
+                if why := self._over() or self._stopped():
+                    for other in self.found[number:]:
+                        other.left_out = "" if other.is_done or other.counted > self.declared.retries else why
+                    return why
+                self._try(one)
+            progress((number + 1) / len(self.found))
+        return ""
+
+    def _over(self) -> str:
+        """Say why no other run may begin; empty where it may."""
+        spent, budget = batch_plan.used(self.found), self.declared.budget
+        for name, unit in (("time", " s"), ("trips", ""), ("energy", " J")):
+            most = getattr(budget, name)
+            if most is not None and spent[name] >= most:
+                return f"the budget of {name}, {most:g}{unit}, is used up"
+        if self.waited > self.declared.patience:
+            return f"the plant was not reached for {self.waited:.0f} s: {self.last}"
+        return ""
+
+    def _stopped(self) -> str:
+        """Say that somebody stopped the rig, which nobody but a person may arm again; empty where nobody did."""
+        cause = self.outcome.get("cause", "")
+        if cause not in batch_plan.PEOPLE:
+            return ""
+        return f"the run was stopped by a person ({cause}); look at the rig, then start the same again"
+
+    def _place(self, one: Progress) -> Path:
+        return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
+
+    def _try(self, one: Progress) -> None:
+        """Make a try of a run in a process of its own."""
+        begin: dict[str, Any] = {"event": "begin", "run": one.run.number}
+        if self.has_run:
+            time.sleep(self.declared.cool)
+            begin["cooled"] = round(time.monotonic() - self.ended, 3)
+        one.tries += 1
+        place = self._place(one)
+        self.journal.add(**begin, **{"try": one.tries}, settings=dict(one.run.settings))
+        one.open, self.has_run = one.tries, True
+        zeros = [end["zero"] for other in self.found for end in other.ends if end.get("zero")]
+        command = [
+            sys.executable,
+            "-m",
+            "masking.app.workflows.batch_run",
+            str(self.plan),
+            str(one.run.number),
+            str(place),
+        ]
+        command += [*self.options, "--zero", json.dumps(zeros[0] if zeros else {})]
+        begun = time.monotonic()
+        # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
+        with subprocess.Popen(  # noqa: S603  # this package's own module
+            command, stdout=subprocess.PIPE, text=True, pass_fds=[self.journal.handle]
+        ) as process:
+            try:
+                said = process.communicate()[0]
+            except BaseException:
+                process.send_signal(signal.SIGTERM)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.communicate(timeout=_ENDS)
+                process.kill()
+                self._end(one, self._left(place, {"end": INTERRUPTED}))
+                raise
+        lines = [line for line in said.splitlines() if line.startswith("{")]
+        outcome: dict[str, Any] = {"end": FAILED, "why": f"its process ended with status {process.returncode}"}
+        outcome = json.loads(lines[-1]) if lines else {**outcome, "seconds": time.monotonic() - begun}
+        if not lines or stream.is_in(place):
+            outcome = self._left(place, outcome)
+        self._end(one, outcome)
+        is_there = outcome["end"] != batch_plan.UNREACHABLE
+        self.waited, self.last = 0.0 if is_there else self.waited + outcome["seconds"], outcome.get("why", "")
+        if not is_there:
+            time.sleep(_AGAIN)
+
+    def _left(self, place: Path, end: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what is known of a try by what it left, which is recovered.
+
+        Args:
+            place: its folder.
+            end: how it ended, unless it had ended as planned and was saved before.
+        """
+        found = self._kept(place)
+        return found if end is None or found["end"] in batch_plan.PLANNED else {**found, **end}
+
+    def _kept(self, place: Path) -> dict[str, Any]:
+        """Return what the folder of a try holds: the recording that it saved, or what is recovered of its stream."""
+        why, until = "nothing of it was recorded", time.monotonic() + _WRITTEN
+        while stream.is_in(place):
+            try:
+                found = recover(place)
+            except MaskingError as error:
+                if time.monotonic() < until:  # its recorder may still write
+                    time.sleep(_LOOK)
+                    continue
+                why = f"what it streamed is not recovered: {error}"
+                break
+            inputs = Recording.load(place / TICKS).array("input")
+            spent = batch_plan.energy(self.experiment, inputs, self.experiment.sampled.rate)
+            kept = f"{found.rows} ticks of it are in {place}"
+            return {"end": batch_plan.CUT_OFF, "why": kept, "seconds": found.seconds, "energy": spent}
+        with contextlib.suppress(RecordError, KeyError):
+            return facts(self.experiment, Recording.load(place)) | {"seconds": 0.0}
+        return {"end": batch_plan.CUT_OFF, "why": why, "seconds": 0.0}
+
+    def _end(self, one: Progress, outcome: Mapping[str, Any]) -> None:
+        """Write down how a try ended."""
+        entry = {"event": "end", "run": one.run.number, "try": one.open, **outcome}
+        self.journal.add(**entry)
+        one.ends.append(entry)
+        one.open, self.ended = 0, time.monotonic()
+        self.outcome = outcome if self.has_run else {}  # what ended a former batch was looked at before this one began
+        why = f": {outcome['why']}" if outcome.get("why") else ""
+        self.say(f"run {one.run.number} of {len(self.found)}, try {entry['try']}: {outcome['end']}{why}")

@@ -1,0 +1,190 @@
+"""Run of a batch: a process of its own for each try, so that what ends it ends one try alone.
+
+    python -m masking.app.workflows.batch_run PLAN NUMBER FOLDER [--plant ADDRESS] [--key FILE] [--zero JSON]
+
+It looks whether the rig is at rest and where its sensors were before the first run, runs, saves the recording, and
+prints what became of it as a line of JSON. It ends in order when the process that started it is gone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import MaskingError, PlantError, PlantLostError, PlantRefusedError, RecordError
+from masking.lab.plants import adapters
+from masking.lab.plants.authentication import Key
+from masking.lab.plants.interface import Plant
+from masking.lab.plants.safety_chain import Cause
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.records import stream, stream_content
+from masking.lab.records.recording import Recording
+from masking.lab.runs import batch_plan, hardware, safety_limits
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.operator_link import Operator
+from masking.lab.runs.realtime import run_rig
+from masking.lab.runs.self_test import part_moved
+from masking.lab.runs.stopping import FAILED, INTERRUPTED, TRIPPED
+
+_LOST: Final = (Cause.PLANT_LOST, Cause.COMM_LOST)
+_DIES_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
+_LOOKED: Final = 0.25  # s that sensors are looked at
+_STILL: Final = 0.01  # of a limit, within which a rig that is at rest may move
+_OFF: Final = 8.0  # standard deviations of noise that no motion is
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a try; return the exit status."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("plan")
+    parser.add_argument("number", type=int)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--plant")
+    parser.add_argument("--key")
+    parser.add_argument("--zero", type=json.loads, default={})
+    chosen = parser.parse_args(arguments)
+    _end_with_parent()
+    began = time.monotonic()
+    try:
+        outcome = _outcome(chosen)
+    except PlantLostError as error:
+        is_there = stream.is_in(chosen.folder)
+        outcome = {"end": FAILED if is_there else batch_plan.UNREACHABLE, "why": str(error)}
+    except PlantRefusedError as error:
+        outcome = {"end": batch_plan.UNREACHABLE, "why": str(error)}
+    except (MaskingError, OSError) as error:  # the latter where a disk or the memory is full
+        outcome = {"end": FAILED, "why": str(error)}
+    print(json.dumps(outcome | {"seconds": round(time.monotonic() - began, 3)}), flush=True)
+    return 0
+
+
+def _end_with_parent() -> None:
+    """Be asked to stop once the process that started this one has ended."""
+    if sys.platform == "linux":
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
+        if os.getppid() != parent:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:
+    plan, experiment, runs = batch_plan.load(chosen.plan)
+    varied = batch_plan.changed(experiment, runs[chosen.number - 1].settings)
+    made = Experiment.load(batch_plan.write(varied, chosen.folder))
+    address = chosen.plant or plan.plant
+    lockstep = plan.lockstep or address is None
+
+    def plant() -> Plant:
+        key = Key.read(chosen.key) if chosen.key is not None else None
+        return adapters.connect(address, key) if address else SimulatedPlant(made.twin, made.declaration.seed)
+
+    kept: list[Recording] = []
+    with Operator() as operator:
+        try:
+            zero = _at_rest(made, plant(), chosen.zero, plan.drift, plan.patience, lockstep=lockstep, operator=operator)
+            kept.append(
+                hardware.run(
+                    made, plant(), lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder,
+                    operator=operator,
+                )
+            )  # fmt: skip
+        except MaskingError as error:
+            if kept and isinstance(error, PlantError):
+                return _saved(made, kept[0], chosen.folder) | {"why": str(error), "zero": zero}
+            if kept or operator.trip is None or operator.trip.cause in _LOST:
+                raise
+            return {"end": TRIPPED, "why": str(operator.trip), "cause": operator.trip.cause.name}  # before the release
+    return _saved(made, kept[0], chosen.folder) | {"zero": zero}
+
+
+def _saved(experiment: Experiment, recording: Recording, folder: Path) -> dict[str, Any]:
+    """Save a recording; return the facts of it, with the energy of all ticks, the homing included."""
+    recording.save(folder, overwrite=True)
+    with contextlib.suppress(RecordError):
+        found = stream_content.read(folder)
+        table, columns = found.table, list(found.manifest["columns"])
+        inputs = table[:, [columns.index(f"input.{name}") for name in experiment.instruments.actuators]]
+        spent = {"energy": batch_plan.energy(experiment, inputs, experiment.sampled.rate)}
+        stream.remove(folder)
+        return facts(experiment, recording) | spent
+    return facts(experiment, recording)
+
+
+def facts(experiment: Experiment, recording: Recording) -> dict[str, Any]:
+    """How a recording ended, its masking errors, and the energy of its rows, in J."""
+    rig, times = recording.manifest["rig"], recording.t
+    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else experiment.sampled.rate
+    spent = batch_plan.energy(experiment, recording.array("input"), rate)
+    trip = rig.get("trip")
+    found = {"end": rig["end"], "chi": recording.manifest["masking_error"], "energy": spent}
+    return found | ({} if trip is None else {"why": trip["sentence"], "cause": trip["cause"]})
+
+
+def _at_rest(
+    made: Experiment,
+    plant: Plant,
+    first: Mapping[str, float],
+    drift: float,
+    patience: float,
+    *,
+    lockstep: bool,
+    operator: Operator,
+) -> dict[str, float]:
+    """Wait until a rig is at rest; return the readings there by sensor.
+
+    Raises:
+        PlantError: it did not come to rest, or a sensor's zero has moved.
+    """
+    rate, twin = made.sampled.rate, made.twin
+    held = safety_limits.without_model(safety_limits.rules(made.instruments, rate, twin))
+    many, read, noise = max(2, round(_LOOKED * rate)), list[Array](), twin.noise()
+    still = np.array([noise.get(name, 0.0) for name in twin.sensors])
+
+    def step(_: int, readings: Array) -> Array:
+        read.append(readings.copy())
+        return np.zeros(len(plant.actuators))
+
+    def is_still() -> bool:
+        if len(read) < many or len(read) % many:
+            return False
+        last = np.array(read[-many:])
+        beyond = np.maximum(np.abs(last - last.mean(axis=0)) - _OFF * still, 0.0)
+        return part_moved(held, np.stack([beyond.max(axis=0), np.zeros(len(still))])) < _STILL
+
+    ran = run_rig(
+        step, plant, rate=rate, samples=many + round(patience * rate), limits=held, lockstep=lockstep,
+        acknowledge=True, stop=is_still, look=operator.look,
+    )  # fmt: skip
+    if ran.trip is not None:
+        operator.trip = ran.trip
+        raise PlantError(f"before the run: {ran.trip}")
+    if ran.reason == INTERRUPTED:
+        raise MaskingError("the run was interrupted before it began")
+    if not is_still():
+        raise PlantError(f"the rig did not come to rest within {patience:g} s; look at what moves it")
+    zero = dict(zip(plant.sensors, np.mean(read[-many:], axis=0).tolist(), strict=True))
+    if first:
+        off = np.array([[zero[name] - first[name] for name in plant.sensors], np.zeros(len(zero))])
+        moved = part_moved(held, off)
+        if moved > drift:
+            raise PlantError(
+                f"the sensors at rest have moved by {moved:.2g} of a limit since the first run, more than {drift:g}; "
+                "look at their zeros, then start the same again"
+            )
+    return zero
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""Stages: record a rig, fit models of it, the simplest first, and write the one that an unseen record speaks for.
+
+Source: Rijlaarsdam (2008), section 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from masking.app.workflows import calibration_records
+from masking.app.workflows.calibration_records import Progress, Say
+from masking.app.workflows.output_folders import check_folder
+from masking.control.rig.twin import Twin
+from masking.errors import ModelError
+from masking.inference.discovery import prior
+from masking.inference.estimation.fit import fit, independent
+from masking.inference.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
+from masking.lab.plants.interface import Plant
+from masking.lab.records.json_text import json_text
+from masking.reports import calibration_page, fit_files
+
+__all__ = ["Calibration", "Stage", "calibrate"]
+
+# What takes time, in parts of a record's own: making one in lockstep, fitting a parameter, and writing the report.
+_LOCKSTEP, _PARAMETER, _REPORT = 0.03, 0.01, 0.1
+NUMBERS = "calibration.json"
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A model to fit: what it is called, the plant that has it, and the parameters that are fitted."""
+
+    name: str
+    twin: Twin
+    parameters: tuple[str, ...]
+
+
+def calibrate(
+    twin: Twin,
+    plant: Plant,
+    out: str | Path,
+    *,
+    model: str | Path | None = None,
+    seconds: float = 2.0 * PERIOD,
+    overwrite: bool = False,
+    lockstep: bool = False,
+    seed: int = 0,
+    say: Say | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate a rig.
+
+    Args:
+        twin: what the plant file says of it, with the values to begin from.
+        plant: the rig.
+        out: folder of the records and of the result; records that are there are not made again.
+        model: a model to fit between that of the plant file, without effects in its elements, and all of it.
+        seconds: length of each record.
+        overwrite: whether an earlier result in that folder may be replaced; its records are kept.
+        lockstep: run as fast as both sides can, each waiting for the other.
+        seed: of the phases.
+        say: called with what is done.
+        progress: called with the part done, of recordings, fits and report together.
+
+    Raises:
+        RecordError: the folder cannot be written, or holds an earlier result.
+        ModelError: the plant file has no limits to stay within.
+        PlantError: the plant is lost, refuses, or has other channels.
+        MaskingError: a recording was interrupted.
+        RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
+    """
+    if seconds < PERIOD:
+        raise ModelError(
+            f"records of {seconds:g} s are shorter than the excitation's period; give at least {PERIOD:g} s"
+        )
+    check_folder(out, NUMBERS, overwrite=overwrite)
+    twin.validate()
+    folder, tell = Path(out), say or (lambda text: None)
+    candidates = tuple(_candidates(twin, model))
+    costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
+    costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
+    parts = iter(_parts(progress or (lambda part: None), costs))
+    made = calibration_records.make(
+        twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, seed=seed, say=tell, progress=next(parts)
+    )
+    stages = []
+    for candidate, part in zip(candidates, parts, strict=False):
+        names = independent(candidate.twin, made.fit, candidate.parameters)
+        tell(f"fitting {candidate.name}: {len(names)} parameters")
+        found = fit(candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part)
+        stages.append(Stage(candidate.name, found, candidate.parameters))
+    calibration = Calibration(twin, made, tuple(stages), folder)
+    fit_files.save(calibration.best.fit, folder)
+    calibration_page.save(calibration)
+    (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
+    if progress is not None:
+        progress(1.0)
+    return calibration
+
+
+def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
+    """Give a function that reports the fraction done of each of several steps."""
+
+    def part(before: float, cost: float) -> Progress:
+        return lambda done: progress((before + cost * done) / sum(costs))
+
+    before = 0.0
+    for cost in costs:
+        yield part(before, cost)
+        before += cost
+
+
+def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
+    """Give the models to fit, from the simplest to all that the plant file declares, with their parameters."""
+    base = twin.as_model()
+    yield _Candidate("the model alone", base, prior.uncertain(base))
+    if model is not None:
+        base = twin.as_model(model)
+        yield _Candidate(str(model), base, prior.uncertain(base))
+    used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.entry.calibrated}
+    if used:
+        known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
+        changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
+        whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
+        more = [f"{e.label}_{name}" for e in whole.effects for name in e.entry.calibrated if e.enabled]
+        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*prior.uncertain(whole), *more))

@@ -1,0 +1,95 @@
+"""The verb check: declarations against all that they must fulfil, and experiments against the limits of their rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from masking.control.rig.twin import Twin
+from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
+from masking.lab.runs import batch_plan
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.feasibility import Feasibility, Motion, feasibility
+from masking.model import effects
+from masking.model.declaration import catalogue, registry
+from masking.model.modelling.model import load_model
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A file that was looked at, and all that is wrong with it.
+
+    Args:
+        file: as it was named.
+        kind: one of `catalogue.KINDS`, or "file" if it is not known.
+        problems: all that is wrong.
+        feasibility: what a sound experiment asks of its rig; None for all else, and if it is not known.
+        unknown: why it is not known whether the experiment fits.
+    """
+
+    file: str
+    kind: str
+    problems: tuple[Problem, ...]
+    feasibility: Feasibility | None = None
+    unknown: str = ""
+
+    @property
+    def exit_status(self) -> int:
+        """0 for what is sound, 1 for a sound experiment that does not fit its rig, 2 for problems."""
+        if self.problems:
+            return 2
+        return 0 if self.feasibility is None or self.feasibility.fits else 1
+
+
+def check(*files: str | Path, compiling: Callable[[], None] | None = None) -> tuple[Checked, ...]:
+    """Check declarations whole: spelling, schema, symbols, units, equations, and that an experiment can be masked.
+
+    A sound experiment is also compared with the limits of its rig, if the plant file has them.
+
+    Args:
+        files: files or packaged names.
+        compiling: called before an experiment is compiled, which takes some ten seconds, to find out whether it fits.
+
+    Returns:
+        one result for each file, with every problem found; none are raised.
+    """
+    return tuple(_check(file, kind, compiling) for file in files for kind in _kinds(file))
+
+
+def _kinds(file: str | Path) -> tuple[str, ...]:
+    return tuple(kind for kind in catalogue.KINDS if str(file) in catalogue.names(kind)) or ("",)
+
+
+def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) -> Checked:
+    try:
+        kind = kind or catalogue.kind_of(file)
+        if kind == "model":
+            load_model(file).validate()
+        elif kind == "plant":
+            registry.check_plant_file(file)
+            Twin.load(file).validate()
+        elif kind == "dictionary":
+            effects.load(file)
+        elif kind == "batch":
+            batch_plan.load(file)
+        else:
+            wanted = Experiment.load(file)
+            wanted.validate()
+            return _fit(str(file), wanted, compiling)
+    except DeclarationError as error:
+        return Checked(str(file), kind or "file", error.problems)
+    except MaskingError as error:
+        return Checked(str(file), kind or "file", (Problem(Place(str(file), 1, 1), "", str(error)),))
+    return Checked(str(file), kind, ())
+
+
+def _fit(file: str, wanted: Experiment, compiling: Callable[[], None] | None) -> Checked:
+    """Find out whether a sound experiment fits its rig, if the plant file has the limits of its actuators."""
+    try:
+        wanted.instruments.limits()
+    except ModelError as error:
+        return Checked(file, "experiment", (), unknown=str(error))
+    if compiling is not None and not Motion(wanted).loop.is_compiled:
+        compiling()
+    return Checked(file, "experiment", (), feasibility(wanted))

@@ -1,0 +1,101 @@
+"""The verb identify: parameters of a plant from recordings of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from masking.app.workflows.choices import METHODS
+from masking.app.workflows.output_folders import check_folder
+from masking.control.rig.twin import Twin
+from masking.errors import DeclarationError, Problem, RecordError, nearest
+from masking.inference.discovery import prior
+from masking.inference.estimation import extended_kalman
+from masking.inference.estimation import fit as fits
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.innovations import KalmanFit
+from masking.lab.records.input_hold import InputHold, Names
+from masking.reports import fit_figures, fit_files, identification_page
+
+
+def identify(
+    *records: str | Path,
+    plant: str | Path,
+    model: str | Path | None = None,
+    parameters: Sequence[str] = (),
+    validation: Sequence[str | Path] = (),
+    shooting_interval: float | None = None,
+    method: str = METHODS[0],
+    square_root: bool = False,
+    iterated: int = 1,
+    hold: InputHold | None = None,
+    columns: Names | None = None,
+    dt: float | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> fits.Fit | KalmanFit:
+    """Fit parameters of a plant to recordings of it.
+
+    Args:
+        records: folders of recordings, or parquet, csv, mat, h5, npz or json files, with `input.*` and `sensor.*` of
+            the plant; `FILE@10:20` is its part from 10 s to 20 s. One for a filter.
+        plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted.
+        model: a model that replaces the plant's own and the effects in its elements.
+        parameters: parameters to fit, of the model, and of effects as `<effect>_<parameter>`; by default all that the
+            equations of the model hold.
+        validation: held-out recordings, which validate the fit.
+        shooting_interval: length in s of the intervals of multiple shooting at first; not for a filter.
+        method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
+        square_root: whether the filter carries a square root of its covariance.
+        iterated: number of linearisations of the filter at each sample.
+        hold: inputs between samples: 'zero-order' for commands, which act after the delay of the plant; 'first-order'
+            for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter.
+        columns: columns of the files by the names that they get, such as `{"t": "time", "V1": "u"}`.
+        dt: time between samples in s, for a table without a clock.
+        out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
+            `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
+        overwrite: whether an earlier result in that folder may be replaced.
+        progress: called with the fraction done.
+
+    Raises:
+        MaskingError: a declaration, a name, a setting or a recording is wrong; the message says what to do about it.
+    """
+    _check_method(method, records, shooting_interval, other=square_root or iterated != 1)
+    check_folder(out, "fit.json", "model.yaml", "plant.yaml", overwrite=overwrite)
+    twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
+    twin.validate()
+    names = parameters or prior.uncertain(twin)
+    train, held_out = ([Data.read(path, twin, hold, columns, dt) for path in paths] for paths in (records, validation))
+    found: fits.Fit | KalmanFit
+    if method == "kalman":
+        found = extended_kalman.extended_kalman(
+            twin, train[0], names, validation=held_out, square_root=square_root, iterated=iterated, progress=progress
+        )
+    else:
+        found = fits.fit(
+            twin, train, names, validation=held_out, shooting_interval=shooting_interval, progress=progress
+        )
+    if out is not None:
+        figures, sentence = fit_figures.figures(found, train, held_out)
+        fit_files.save(found, out)
+        identification_page.save_fit(found, figures, sentence, out)
+    return found
+
+
+def _check_method(method: str, records: Sequence[str | Path], shooting_interval: float | None, *, other: bool) -> None:
+    """Refuse an unknown method, and settings of the other one."""
+    if method not in METHODS:
+        raise DeclarationError(Problem(None, "method", f"there is no method '{method}'", nearest(method, METHODS)))
+    if not records:
+        raise RecordError("give at least one recording to fit")
+    if method == "kalman" and len(records) > 1:
+        raise RecordError(
+            f"the filter takes one record, {len(records)} are given; filter one after the other, or fit them together "
+            "by least squares"
+        )
+    if method == "kalman" and shooting_interval is not None:
+        raise DeclarationError(Problem(None, "shooting_interval", "a filter has none", "leave it out"))
+    if method != "kalman" and other:
+        message = "square roots and iterations are settings of the filter"
+        raise DeclarationError(Problem(None, "method", message, "give the method kalman"))

@@ -1,0 +1,134 @@
+"""Operator of a running loop: a process beside it that shows its rows, as a page, as datagrams, or as both.
+
+`attend` starts the process with the files of the loop's ring and switch; it prints one line of JSON: the address of the
+`page`, or an `error`. It ends with the loop; a page that is still looked at stays, so that the operator sees how the
+loop ended, until a trip is acknowledged or the browser has gone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from masking.errors import MaskingError, OperatorError
+from masking.lab.records.datagrams import Datagrams
+from masking.lab.records.ring import RingReader
+from masking.lab.records.stop_switch import Switch, is_running
+from masking.reports.live_monitor import Monitor
+from masking.reports.operator_page import GONE, OperatorPage
+
+_LOOK: Final = 0.02  # s between looks at the rows
+
+
+@dataclass
+class Attendant:
+    """The process beside a loop.
+
+    Args:
+        page: the address of the page; empty where there is none.
+        process: that serves it.
+    """
+
+    page: str
+    process: subprocess.Popen[Any]
+
+    def wait(self) -> None:
+        """Wait until a trip is acknowledged on the page, or nobody looks at it any more."""
+        self.process.wait()
+
+
+def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None = None) -> Attendant:
+    """Start a process beside a loop.
+
+    Args:
+        ring: file of the loop's rows.
+        switch: file of the loop's switch.
+        page: port of a page on this machine, 0 for a free one; None for no page.
+        stream: `host:port` that gets the rows as JSON over UDP; None for none.
+
+    Raises:
+        OperatorError: the port is taken, or the address is none.
+    """
+    command = [sys.executable, "-m", "masking.app.workflows.operator_process", str(ring), str(switch)]
+    command += [] if page is None else ["--page", str(page)]
+    command += [] if stream is None else ["--stream", stream]
+    # In a session of its own: an interrupt from the keyboard is for the loop.
+    process = subprocess.Popen(  # noqa: S603  # our own module
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    with process.stdout or contextlib.nullcontext() as answer:
+        line = answer.readline() if answer is not None else b""
+    told = json.loads(line or b'{"error": "the process of the operator page did not start"}')
+    if "error" in told:
+        process.wait()
+        raise OperatorError(told["error"])
+    return Attendant(told["page"] or "", process)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Attend a loop until it ends; return the exit status."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("ring")
+    parser.add_argument("switch")
+    parser.add_argument("--page", type=int, metavar="PORT")
+    parser.add_argument("--stream", metavar="HOST:PORT")
+    chosen = parser.parse_args(arguments)
+    _step_back()
+    try:
+        with contextlib.ExitStack() as way_out:
+            reader, switch = RingReader(chosen.ring), Switch(chosen.switch)
+            page = datagrams = None
+            if chosen.stream is not None:
+                datagrams = Datagrams(RingReader(chosen.ring), chosen.stream)
+                way_out.callback(datagrams.close)
+            if chosen.page is not None:
+                monitor = Monitor(RingReader(chosen.ring), switch)
+                page = way_out.enter_context(OperatorPage(monitor, switch, chosen.page))
+            print(json.dumps({"page": None if page is None else page.address}), flush=True)
+            _attend(reader, switch, page, datagrams)
+    except MaskingError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        return 2
+    return 0
+
+
+def _step_back() -> None:
+    """Let the loop go first, and outlive what ends a terminal."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(10)
+
+
+def _attend(reader: RingReader, switch: Switch, page: OperatorPage | None, datagrams: Datagrams | None) -> None:
+    """Stay until the loop has ended, and nobody looks at the page any more."""
+    ended = None
+    while True:
+        is_over = reader.is_closed or not is_running(reader.process)
+        if datagrams is not None:
+            datagrams.send()
+        if is_over:
+            now = time.monotonic()
+            ended = now if ended is None else ended
+            if not reader.is_closed:  # killed: it removes no names
+                reader.path.unlink(missing_ok=True)
+                switch.remove()
+            is_awaited = page is not None and (page.is_looked_at or now - ended < GONE)
+            if not is_awaited or switch.is_acknowledged:
+                return
+        time.sleep(_LOOK)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,191 @@
+"""Recover: the recording of a run that did not end in order, from what it had streamed to disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from masking.app.workflows.output_folders import RUN, check_folder
+from masking.compile.numerics.arrays import Array
+from masking.errors import MaskingError, RecordError
+from masking.lab.records import stream, stream_content
+from masking.lab.records.json_text import json_text
+from masking.lab.records.recorder import CLOSED
+from masking.lab.records.recording import Recording
+from masking.lab.records.ring import RingReader
+from masking.lab.records.stop_switch import is_running
+from masking.lab.records.stream_content import Stream
+from masking.lab.records.tick_times import timing
+from masking.lab.runs import manifest
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.loop_rows import RowLayout, samples_after
+from masking.lab.runs.stopping import KILLED
+from masking.reports import run_report
+
+TICKS: Final = "ticks"
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was recovered.
+
+    Args:
+        folder: of the recordings.
+        rows: ticks that are there, the homing included.
+        homing: how many of them are in the homing.
+        seconds: from the first to the last.
+        missing: rows before the end of the stream that are not there.
+        end: why the stream ends.
+        damages: what in it was changed or is missing, a sentence each.
+        recording: that of the run since the release; None where there is none.
+        why: why there is none, or no other column than those of the loop; empty otherwise.
+    """
+
+    folder: Path
+    rows: int
+    homing: int
+    seconds: float
+    missing: int
+    end: str
+    damages: tuple[str, ...]
+    recording: Recording | None
+    why: str
+
+    def __str__(self) -> str:
+        parts = [
+            f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.folder / TICKS}"
+        ]
+        parts.append(f"{self.missing} ticks are missing" if self.missing else "no tick is missing")
+        parts += [self.end, *self.damages]
+        parts.append(self.why or f"the run since the release, {len(self.recording or ())} samples: {self.folder}")
+        return "\n".join(parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it."""
+        names = ("rows", "homing", "seconds", "missing", "end", "why")
+        found = {name: getattr(self, name) for name in names} | {"damages": list(self.damages)}
+        recording = str(self.folder) if self.recording is not None else None
+        return {**found, "ticks": str(self.folder / TICKS), "recording": recording}
+
+
+def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: bool = False) -> Recovered:
+    """Make the recording of a run on a rig that was killed, or whose recording could not be saved.
+
+    `ticks` below the folder gets a row for each tick, the homing included. The run since the release becomes what it
+    would have been, if the files of the experiment are still those that it was read from. Once all is saved, the stream
+    is removed, unless something in it was damaged.
+
+    Args:
+        folder: that the run was to be saved in.
+        out: folder to save in; by default the same.
+        overwrite: whether an earlier recording there may be replaced.
+
+    Raises:
+        RecordError: there is no stream, or no row in it, it is still being written, or the folder cannot be written.
+    """
+    target = Path(folder if out is None else out)
+    found = stream_content.read(folder)
+    check_folder(target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite)
+    numbers, table = _with_ring(found)
+    if not len(table):
+        raise RecordError(f"{folder}: the run ended before its first tick; remove {stream.MANIFEST} and {stream.ROWS}")
+    names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
+    column = dict(zip(names, table.T, strict=True))
+    missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
+    end = _end(found)
+    lost = {"missing": missing, "end": end, "damages": list(found.damages)}
+    _ticks(found, column, numbers / rate, lost).save(target / TICKS, overwrite=True)
+    recording, why = _run(found, table, column, lost)
+    if recording is not None:
+        recording.save(target, overwrite=True)
+        run_report.report(recording, target)
+    if not found.damages:
+        stream.remove(folder)
+        _remove_ring(found)
+    seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / rate
+    homing = int(np.count_nonzero(column["index"] < 0))
+    return Recovered(target, len(table), homing, seconds, missing, end, found.damages, recording, why)
+
+
+def _end(found: Stream) -> str:
+    """Say how the stream ends."""
+    if found.end is None:
+        return "it is cut off: the machine stopped, or the recorder was killed too; what followed may be missing"
+    if found.end["why"] == CLOSED:
+        return "the run ended in order, but its recording was not saved"
+    return "the process of the controller was killed; the recorder took all rows that it had made"
+
+
+def _ring(found: Stream) -> RingReader | None:
+    """Rows in memory that the stream was taken from, if they are still there."""
+    try:
+        reader = RingReader(found.manifest["ring"])
+    except (RecordError, KeyError, TypeError):
+        return None
+    return reader if reader.facts.get("number") == found.manifest.get("number") else None
+
+
+def _with_ring(found: Stream) -> tuple[Array, Array]:
+    """Numbers and rows, with those that only memory still holds."""
+    reader = _ring(found) if found.end is None else None
+    if reader is None:
+        return found.numbers, found.table
+    reader.next = int(found.numbers[-1]) + 1 if len(found.numbers) else 0
+    rows = reader.take()
+    more = rows.first + np.arange(len(rows.table))
+    return np.concatenate([found.numbers, more]), np.concatenate([found.table, rows.table])
+
+
+def _remove_ring(found: Stream) -> None:
+    """Remove the rows in memory of a process that is no longer there."""
+    reader = _ring(found)
+    if reader is not None and not is_running(reader.process):
+        reader.path.unlink(missing_ok=True)
+
+
+def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mapping[str, Any]) -> Recording:
+    """Rows as they were; what is not finite is 0 there, and 1 in `nonfinite.<column>`.
+
+    Where the plant's clock did not go on from each to the next, they are as far apart as they should be, at `times`.
+    """
+    rate = float(found.manifest["rate"])
+    columns = {"t": column["tick"] / rate if np.all(np.diff(column["tick"]) > 0.0) else times}
+    for name, values in column.items():
+        finite = np.isfinite(values)
+        columns[name] = np.where(finite, values, 0.0)
+        if not finite.all():
+            columns[f"nonfinite.{name}"] = np.where(finite, 0.0, 1.0)
+    kept = {name: found.manifest.get(name) for name in ("created", "columns", "declarations", "files", "versions")}
+    return Recording(columns, {"name": "the ticks of a run", **kept, "rate": rate, "recovered": dict(lost)})
+
+
+def _run(
+    found: Stream, table: Array, column: Mapping[str, Array], lost: Mapping[str, Any]
+) -> tuple[Recording | None, str]:
+    """Recording since the release; or None, and why."""
+    if not (column["index"] >= 0).any():
+        return None, "the run ended in the homing, before the release"
+    read_from = found.manifest["read_from"]
+    mend = "put them back as they were, and recover it again"
+    try:
+        experiment = Experiment.load(read_from["experiment"], plant=read_from["plant"])
+        content = manifest.content(experiment.assembly, experiment.virtual, {})
+        if json.loads(json_text(content["declarations"])) != found.manifest["declarations"]:
+            return None, f"{read_from['experiment']} or what it names has changed since the run; {mend}"
+        layout = RowLayout(experiment)
+        if [*layout.columns.items()] != [*found.manifest["columns"].items()]:
+            return None, "another version of this program has written it; recover it with that version"
+        after = samples_after(experiment, experiment.sampled)
+        counters = {"late": int(np.count_nonzero(column["late"])), "missed": int(np.sum(np.diff(column["tick"]) - 1.0))}
+        is_lockstep = bool(found.manifest["lockstep"])
+        clock = {} if is_lockstep else {"lateness": column["lateness"]}
+        times = timing(column["tick"].astype(np.int64), **clock, controller=column["duration"])
+        outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost), "timing": times}
+        return layout.recording(table, after, lockstep=is_lockstep, outcome=outcome), ""
+    except MaskingError as error:
+        return None, f"the run since the release could not be made: {error}"

@@ -1,0 +1,108 @@
+"""The verbs run and report: an experiment to its recording, and a recording to its report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from masking.app.workflows.output_folders import RUN, beside, check_folder
+from masking.errors import ModelError
+from masking.lab.records import stream
+from masking.lab.records.recording import TABLE, Recording
+from masking.lab.runs import error_budget, long_run
+from masking.lab.runs.experiment import Experiment
+from masking.reports import animation, html, run_report
+
+
+def run(
+    name_or_path: str | Path,
+    *,
+    changes: Mapping[str, float] | None = None,
+    plant: str | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    budget: bool | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
+
+    Args:
+        name_or_path: an experiment file, or the name of a packaged experiment.
+        changes: parameters of the virtual system that replace the declared ones.
+        plant: a plant that replaces the declared one.
+        out: folder to save the recording and its report in; by default nothing is saved.
+        overwrite: whether an earlier run in that folder may be replaced.
+        budget: whether to make an error budget, by further runs; by default if these take a few seconds.
+        progress: called with the fraction done.
+
+    Raises:
+        MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
+    """
+    wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
+    check_folder(out, *RUN, overwrite=overwrite)
+    made = record(wanted, out, budget, progress)
+    if out is not None:
+        save(made, Path(out))
+    return made
+
+
+def record(
+    experiment: Experiment,
+    out: str | Path | None,
+    budget: bool | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Recording of a run; one that is long goes into its folder while it runs.
+
+    Args:
+        experiment: to run.
+        out: folder, in which an earlier recording is replaced; None where nothing is saved.
+        budget: whether to make an error budget, by further runs; by default if these take a few seconds.
+        progress: called with the fraction done.
+
+    Raises:
+        MaskingError: the run could not go on, or a budget is wanted of a long one.
+    """
+    if out is None or not long_run.is_long(experiment):
+        return error_budget.run(experiment, budget, progress)
+    if budget:
+        raise ModelError(
+            f"{experiment.declaration.name}: the runs of a budget stay in memory, and this one is too long for that; "
+            "make the budget of a shorter duration"
+        )
+    return long_run.run(experiment, out, overwrite=True, progress=progress)
+
+
+def save(recording: Recording, folder: Path) -> run_report.Report:
+    """Save a recording with its report; an animation of an earlier run in the folder, and a stream, are removed.
+
+    Args:
+        recording: of a run.
+        folder: made if need be; what it holds of an earlier run is replaced.
+
+    Raises:
+        RecordError: the folder cannot be written.
+    """
+    if recording.path != folder / TABLE:
+        recording.save(folder, overwrite=True)
+    with html.writing(folder):
+        stream.remove(folder)
+        (folder / animation.PAGE).unlink(missing_ok=True)
+    return run_report.report(recording, folder)
+
+
+def report(record: str | Path, out: str | Path | None = None, *, overwrite: bool = False) -> run_report.Report:
+    """Write the report of a recording: one HTML page and its figures.
+
+    Args:
+        record: the folder of a recording, or its parquet file.
+        out: folder of the report; by default the recording's own.
+        overwrite: whether an earlier report in another folder may be replaced.
+
+    Raises:
+        RecordError: there is no recording, or the report cannot be written, or would replace another one.
+    """
+    own = beside(record)
+    folder = own if out is None else Path(out)
+    check_folder(folder, run_report.PAGE, overwrite=overwrite or folder.resolve() == own.resolve())
+    return run_report.report(Recording.load(record), folder)

@@ -1,0 +1,155 @@
+"""Work of a sweep: rows made by this process, by others on this machine, or by a cluster of dask."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+import pickle
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for
+from pathlib import Path
+from typing import Any, Final
+
+from threadpoolctl import threadpool_limits
+
+from masking.app.workflows.sweep_runs import Plan
+from masking.errors import MaskingError
+from masking.lab.records.table_chunks import Columns
+
+Made = tuple[int, int, Columns, float]  # first row, one more than the last, their columns, and the seconds that it took
+Submit = Callable[[int, int], "Future[Made]"]
+
+_SECONDS: Final = 2.0  # that a chunk takes, about
+_MOST: Final = 2000  # rows of a chunk
+_AHEAD: Final = 2  # chunks for each process
+
+_plans: list[Plan] = []  # of this process, which keeps what a plan has compiled
+
+
+def made(plan: Plan, first: int, last: int) -> Made:
+    """Make some rows."""
+    begun = time.perf_counter()
+    with threadpool_limits(1):
+        columns = plan.rows_of(first, last)
+    return first, last, columns, time.perf_counter() - begun
+
+
+def _begin(path: Path) -> None:
+    """Begin a process that makes rows of the plan in a file, and that ends with the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one that started it says when to end
+    parent = multiprocessing.parent_process()
+
+    def end() -> None:
+        if parent is not None:
+            wait_for([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
+    _plans[:] = [pickle.loads(path.read_bytes())]  # noqa: S301  (its parent wrote it)
+
+
+def _made_here(first: int, last: int) -> Made:
+    return made(_plans[0], first, last)
+
+
+def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int, dask: str | None) -> Iterator[Made]:
+    """Make rows, as chunks that take a second or two each.
+
+    Args:
+        plan: of the sweep.
+        missing: ranges of rows, each of whole chains.
+        workers: processes; this one alone for 1.
+        dask: address of a scheduler of dask, whose workers take the place of processes.
+
+    Raises:
+        MaskingError: a process ended, or dask is not there.
+    """
+    if workers == 1 and dask is None:
+        yield from _one_after_the_other(plan, missing)
+        return
+    with _cluster(plan, dask) if dask else _processes(plan, workers) as (submit, count):
+        yield from _together(plan, missing, submit, _AHEAD * count)
+
+
+class _Sizes:
+    """How many rows a chunk has, by what the last ones took."""
+
+    def __init__(self, chain: int) -> None:
+        self.chain, self.rows = chain, chain
+
+    def learn(self, rows: int, seconds: float) -> None:
+        """Take note of a chunk."""
+        wanted = min(_MOST, int(_SECONDS / max(seconds / rows, 1e-9)), 4 * self.rows)
+        self.rows = max(1, wanted // self.chain) * self.chain
+
+
+def _one_after_the_other(plan: Plan, missing: Sequence[tuple[int, int]]) -> Iterator[Made]:
+    sizes = _Sizes(plan.chain)
+    for first, last in missing:
+        at = first
+        while at < last:
+            one = made(plan, at, min(last, at + sizes.rows))
+            sizes.learn(one[1] - at, one[3])
+            yield one
+            at = one[1]
+
+
+def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ahead: int) -> Iterator[Made]:
+    sizes, pending, left = _Sizes(plan.chain), set[Future[Made]](), [*missing]
+    try:
+        while left or pending:
+            while left and len(pending) < ahead:
+                first, last = left.pop(0)
+                end = min(last, first + sizes.rows)
+                if end < last:
+                    left.insert(0, (end, last))
+                pending.add(submit(first, end))
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                one = future.result()
+                sizes.learn(one[1] - one[0], one[3])
+                yield one
+    except BrokenProcessPool:
+        raise MaskingError(
+            "a process of the sweep has ended, perhaps for want of memory. Finished runs are kept: start the same "
+            "again, with fewer --workers. In a script of your own, call masking.sweep under "
+            "'if __name__ == \"__main__\":'"
+        ) from None
+
+
+@contextmanager
+def _processes(plan: Plan, workers: int) -> Iterator[tuple[Submit, int]]:
+    context = multiprocessing.get_context("spawn")
+    with tempfile.TemporaryDirectory(prefix="masking-") as folder:  # measured: through a pipe, each waits for the last
+        path = Path(folder) / "plan"
+        path.write_bytes(pickle.dumps(plan))
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
+        try:
+            yield lambda first, last: pool.submit(_made_here, first, last), workers
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _cluster(plan: Plan, address: str) -> Iterator[tuple[Submit, int]]:
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ModuleNotFoundError:
+        raise MaskingError("dask is not installed: pip install 'masking[dask]'") from None
+    try:
+        client = distributed.Client(address, timeout=10)
+    except OSError as error:
+        raise MaskingError(f"no dask scheduler answers at {address} ({error}); start one, or correct --dask") from None
+    with client:
+        shared = client.scatter(plan, broadcast=True)
+        count = max(1, len(client.scheduler_info()["workers"]))
+        executor = client.get_executor(pure=False)
+        yield lambda first, last: executor.submit(made, shared, first, last), count

@@ -1,0 +1,62 @@
+"""Kernels as what they close over: the source of a function, and what each free name in it stands for."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any
+
+from masking.compile.codegen.source import Expressions, Made, Module
+
+
+@dataclass(frozen=True)
+class Named:
+    """A function of a generated module, which its printed text calls by this name."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A kernel.
+
+    Args:
+        function: its Python function.
+        tree: the definition, as it is written.
+        names: what its free names stand for: numbers, slices, modules, `Named`, and functions.
+    """
+
+    function: FunctionType
+    tree: ast.FunctionDef
+    names: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, function: Callable[..., Any]) -> Closure:
+        """Function that is plain, or that numba has decorated."""
+        plain: Any = getattr(function, "py_func", function)
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(plain))).body
+        assert isinstance(tree, ast.FunctionDef)  # noqa: S101
+        found = inspect.getclosurevars(plain)
+        return cls(plain, tree, {**found.builtins, **found.globals, **found.nonlocals})
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arguments."""
+        return tuple(a.arg for a in self.tree.args.args)
+
+    @property
+    def body(self) -> list[ast.stmt]:
+        """Statements without the docstring."""
+        return self.tree.body[1:] if ast.get_docstring(self.tree) is not None else self.tree.body
+
+
+def part_of(module: Module, name: str) -> Expressions | Closure:
+    """Function of a module: its expressions, or the kernel that its factory makes."""
+    part = module.parts[name]
+    if not isinstance(part, Made):
+        return part
+    return Closure.of(part.factory(*(Named(one) if isinstance(one, str) else one for one in part.given)))

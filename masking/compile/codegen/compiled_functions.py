@@ -1,0 +1,289 @@
+"""The compiled functions of one generated module, with the checks that their callers want."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from masking.compile.codegen import cuda, native, store
+from masking.compile.codegen.event_jumps import Jumps
+from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.source import Module
+from masking.compile.codegen.store import Generated
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.stop_codes import EVENT, MESSAGES, REACHED, SINGULAR
+from masking.errors import IntegrationError, SingularityError, nearest
+
+# The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
+STEPS_PER_RADIAN = 50.0
+# What decays by exp(-5) between samples, to less than a hundredth, is not followed: a step of a radian is stable.
+GONE, STABLE = 5.0, 1.0
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States over time.
+
+    Args:
+        times: (m,).
+        states: (m, 2 n + k), coordinates, velocities, internal states; of an ensemble (runs, m, 2 n + k).
+        coordinates: names of the n coordinates.
+        steps: integration steps taken.
+        internal: names of the k internal states.
+        events: the time and the name of each event.
+        errors: why a run of an ensemble could not go on, by its number; its states are not a number.
+    """
+
+    times: Array
+    states: Array
+    coordinates: tuple[str, ...]
+    steps: int
+    internal: tuple[str, ...] = ()
+    events: tuple[tuple[float, str], ...] = ()
+    errors: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def positions(self) -> Array:
+        """Coordinates (m, n), or (runs, m, n)."""
+        return self.states[..., : len(self.coordinates)]
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities (m, n), or (runs, m, n)."""
+        n = len(self.coordinates)
+        return self.states[..., n : 2 * n]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,), or (runs, m)."""
+        if name in self.internal:
+            return self.states[..., 2 * len(self.coordinates) + self.internal.index(name)]
+        index = self.coordinates.index(name.rstrip("'"))
+        return self.states[..., index + (len(self.coordinates) if name.endswith("'") else 0)]
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """The functions of a generated module, by the names they have in it, and what it says of itself."""
+
+    generated: Generated
+    _functions: dict[str, NativeFunction] = field(default_factory=dict, repr=False)
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """Names of coordinates, states, inputs and parameters, in the order of the arrays, and the units."""
+        return self.generated.meta
+
+    def __getattr__(self, name: str) -> NativeFunction:
+        """Function of the module; it is compiled when it is first called."""
+        if name.startswith("_") or name not in self.meta["functions"]:
+            raise AttributeError(f"there is no compiled function '{name}'; {nearest(name, self.meta['functions'])}")
+        if name not in self._functions:
+            self._functions[name] = self.generated.function(name)
+        return self._functions[name]
+
+    def by_signature(self, *signatures: str) -> dict[str, NativeFunction]:
+        """Functions by their signatures, as `linked` takes them."""
+        return {signature: getattr(self, signature.partition("(")[0]) for signature in signatures}
+
+    def integrate(
+        self,
+        times: Array,
+        state: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        tolerance: float,
+        method: str | None = None,
+        fixed_step: float = 0.0,
+        progress: Callable[[float], None] | None = None,
+        pieces: int = 1,
+    ) -> Trajectory:
+        """Integrate the module's dynamics over given times.
+
+        Args:
+            times: monotone (m,); the state is that at the first.
+            state: (2 n + k,) at `times[0]`; left as it is. States that are returned have delayed expressions behind.
+            inputs: (k,), held constant.
+            parameters: array in the module's order.
+            tolerance: local relative error of a step.
+            method: `taylor` or `runge_kutta`; by default Taylor series where the dynamics have them.
+            fixed_step: length of every step; 0 to control it.
+            progress: called with the part done after each piece.
+            pieces: number of pieces that the times are cut into.
+
+        Raises:
+            SingularityError: a matrix that must be inverted became singular; holds the state.
+            IntegrationError: the integrator could not go on, or an event comes without end; says when and why.
+        """
+        times = in_order(times)
+        solve = getattr(self, f"solve_{method or self.meta['method']}")
+        lags = self.meta.get("lags", 0)
+        if lags and times[-1] < times[0]:
+            raise IntegrationError(
+                "what depends on the past by a delay is integrated forwards only: let times increase"
+            )
+        jumps = Jumps(self, times, state, parameters) if self.meta.get("events") else None
+        y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
+        out = np.empty((len(times), len(state) + lags))
+        t, steps = float(times[0]), 0
+        pieces = 1 if lags else max(1, min(pieces, len(times)))  # the past is that of one call
+        for piece in range(pieces):
+            first, last = (len(times) * i // pieces for i in (piece, piece + 1))
+            status = EVENT
+            while status == EVENT:
+                rows = slice(first, last)
+                status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
+                steps += taken
+                if jumps is not None and jumps.follow(status, t):
+                    first = max(first, int(np.searchsorted(times[:last], t, side="right")))
+            if status != REACHED:
+                self.stop(status, t, y[: len(state)])
+            if progress is not None:
+                progress(last / len(times))
+        names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
+        return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
+
+    def integrate_each(
+        self,
+        times: Array,
+        states: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        tolerance: float,
+        threads: int,
+        gpu: bool = False,
+    ) -> Trajectory:
+        """Integrate dynamics without delays and events from several initial states, each with its own parameters.
+
+        Args:
+            times: monotone (m,); the states are those at the first.
+            states: (runs, 2 n + k).
+            inputs: (k,), held constant.
+            parameters: (runs, parameters).
+            tolerance: local relative error of a step.
+            threads: that share the runs.
+            gpu: whether a GPU makes the runs.
+
+        Raises:
+            IntegrationError: times are none, or not in order.
+            MaskingError: there is no GPU.
+        """
+        times, y = in_order(times), np.array(states, dtype=float, order="C")
+        p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
+        begin, errors = float(times[0]), dict[int, str]()
+        if gpu:
+            solve = getattr(self, f"solve_{self.meta['method']}")
+            found = cuda.each(solve, len(y), begin, y, times, inputs, p, tolerance, 0.0, out)
+        elif "solve_in_lanes" in self.meta["functions"]:
+            found, solve = np.empty((len(y), 3)), self.solve_in_lanes
+            solve.prepare()  # before threads do
+
+            def part(first: int, last: int) -> None:
+                some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])
+                solve(begin, y[some], times, inputs, p[some], tolerance, found[some], rows)
+
+            native.share(part, len(y), threads)
+        else:
+            solve = getattr(self, f"solve_{self.meta['method']}")
+            found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
+        for run in np.flatnonzero(found[:, 0] != REACHED).tolist():
+            try:
+                self.stop(int(found[run, 0]), found[run, 1], y[run])
+            except (IntegrationError, SingularityError) as error:
+                errors[run] = str(error)
+            out[run] = np.nan
+        names, internal = tuple(self.meta["coordinates"]), tuple(self.meta.get("states", ()))
+        return Trajectory(times, out, names, int(found[:, 2].sum()), internal, errors=errors)
+
+    def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
+        """Raise the error that a kernel's status stands for.
+
+        Args:
+            status: one of `masking.compile.numerics.stop_codes`.
+            time: at which it stopped.
+            state: at that time.
+            mend: what to do about a singular matrix.
+
+        Raises:
+            SingularityError: a matrix became singular.
+            IntegrationError: the kernel could not go on for another reason.
+        """
+        names = self.meta["coordinates"]
+        internal = self.meta.get("states", ())
+        at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))
+        if status == SINGULAR:
+            raise SingularityError(MESSAGES[status], time, at, mend)
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
+        raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def in_order(times: Array) -> Array:
+    """Times as the kernels take them.
+
+    Raises:
+        IntegrationError: they are none, or not in order.
+    """
+    times = np.ascontiguousarray(times, dtype=float)
+    steps = np.diff(times)
+    if times.ndim != 1 or len(times) == 0 or not (np.all(steps >= 0.0) or np.all(steps <= 0.0)):
+        raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
+    return times
+
+
+def linked(
+    name: str,
+    factories: Callable[[], Mapping[str, tuple[Any, ...]]],
+    links: Mapping[str, NativeFunction],
+    work: tuple[int, int],
+) -> Kernels:
+    """Kernels that are compiled once for all models, with functions of one model linked to them.
+
+    Args:
+        name: of the kernels together.
+        factories: returns for each kernel what `Module.add_factory` is given after its name; called, and numba imported
+            with it, only if the kernels are not on disk yet.
+        links: functions of the model by their signatures, as `Module.add_link` takes them.
+        work: the shape of the kernels' work space.
+    """
+
+    def build() -> Module:
+        module = Module(f"{name}, of any model", {})
+        for signature in links:
+            module.add_link(signature)
+        for kernel, given in factories().items():
+            module.add_factory(kernel, *given)
+        return module
+
+    by_name = {signature.partition("(")[0]: function for signature, function in links.items()}
+    return Kernels(store.load(store.key({"kernels": name, "links": list(links)}), build, by_name, work))
+
+
+def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:
+    """Steps of the classical Runge-Kutta method between samples that resolve the fastest motion at a state.
+
+    What is over long before the next sample, such as the slip of a contact that sticks, takes steps that are stable.
+
+    Args:
+        slope: writes dy/dt of a state into its second argument.
+        state: y (n,).
+        lengths: a size of each state (n,), for differences.
+        rate: samples per second.
+    """
+    size = len(state)
+    if not size:
+        return 1
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(1e-6 * lengths):
+        change = step * np.eye(size)[i]
+        slope(state + change, ahead)
+        slope(state - change, behind)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 1
+    modes = np.linalg.eigvals(jacobian) / rate
+    needed = np.where(modes.real > -GONE, STEPS_PER_RADIAN, STABLE) * np.abs(modes)
+    return max(1, int(np.ceil(float(np.max(needed)))))

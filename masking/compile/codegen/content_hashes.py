@@ -1,0 +1,107 @@
+"""Hashes of all that shapes machine code: generated text, sources of this package, versions, and the processor.
+
+Two hashes find what was made before. The key of a module covers what it was declared from and every source of this
+package: an edit anywhere prints the module anew. The content of a function covers its generated text, the sources of
+the kernels in it and the versions of what compiles it: text that an edit leaves as it was is not compiled again.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.metadata
+import sys
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2]
+DIGITS = 32  # of a hash
+COMPILERS = ("llvmlite", "numba", "numpy", "scipy")
+
+
+def digest(*parts: str) -> str:
+    """Short hash of texts, in their order."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
+
+
+@cache
+def versions() -> str:
+    """Versions of Python and of the packages that turn text into machine code."""
+    return " ".join([sys.version, *(f"{name} {importlib.metadata.version(name)}" for name in COMPILERS)])
+
+
+@cache
+def sources() -> str:
+    """Hash of every source file of this package, with the versions of all that prints and compiles."""
+    every = hashlib.sha256()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        every.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    return digest(every.hexdigest(), versions(), importlib.metadata.version("sympy"))
+
+
+def contents(text: str, names: Iterable[str]) -> dict[str, str]:
+    """Content hash of functions of a generated module.
+
+    Args:
+        text: the source of the module.
+        names: of the functions.
+    """
+    lines = text.splitlines()
+    parts: dict[str, list[str]] = {}
+    uses: dict[str, set[str]] = {}
+    for node in ast.parse(text).body:
+        first = min([node.lineno, *(d.lineno for d in getattr(node, "decorator_list", ()))])
+        part = "\n".join(lines[first - 1 : node.end_lineno])
+        if isinstance(node, ast.ImportFrom | ast.Import):
+            part += _source_of_imports(node)
+        for name in _defined(node):
+            parts.setdefault(name, []).append(part)
+            uses.setdefault(name, set()).update(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
+    found = {}
+    for name in names:
+        wanted, stack = set[str](), [name]
+        while stack:
+            if (one := stack.pop()) in parts and one not in wanted:
+                wanted.add(one)
+                stack.extend(uses[one])
+        found[name] = digest(versions(), name, *(part for one in sorted(wanted) for part in parts[one]))
+    return found
+
+
+def _defined(node: ast.stmt) -> list[str]:
+    """Names that a statement of a module gives something to."""
+    if isinstance(node, ast.FunctionDef):
+        return [node.name]
+    if isinstance(node, ast.ImportFrom | ast.Import):
+        return [(alias.asname or alias.name).partition(".")[0] for alias in node.names]
+    return [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+
+
+def _source_of_imports(node: ast.stmt) -> str:
+    return "".join(source_of(name) for name in sorted(_imported(node)) if name.partition(".")[0] == PACKAGE.name)
+
+
+@cache
+def source_of(name: str) -> str:
+    """Hash of a module of this package and of all that it imports of it; nothing if there is no such one."""
+    every, stack = dict[str, str](), [name]
+    while stack:
+        one = stack.pop()
+        path = PACKAGE.parent.joinpath(*one.split("."))
+        file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if one in every or not file.exists():
+            continue
+        every[one] = file.read_text(encoding="utf-8")
+        imports = (n for node in ast.walk(ast.parse(every[one])) for n in _imported(node))
+        stack.extend(n for n in imports if n.startswith(f"{PACKAGE.name}."))
+    return digest(*(f"{one}\0{every[one]}" for one in sorted(every))) if every else ""
+
+
+def _imported(node: ast.AST) -> list[str]:
+    """Return what a statement imports: modules, and names in them that may be modules."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.module:
+        return [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return []

@@ -1,0 +1,168 @@
+"""Kernels compiled once for all models: what a factory closes over is linked, its whole numbers as well as functions.
+
+A template is the text of a kernel and of all kernels that it calls, in which each function of the model is a symbol
+that is linked later, and so is each whole number that a factory has closed over. Numba compiles it once; LLVM then
+optimises it together with the functions of a model and the numbers as constants.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+from masking.compile.codegen import native
+from masking.compile.codegen.closures import Closure, Named, part_of
+from masking.compile.codegen.content_hashes import digest, source_of, versions
+from masking.compile.codegen.source import Expressions, Module
+
+HEADER = '''"""Generated; do not edit."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numba import carray
+
+'''
+BUILTINS = {abs, max, min, range, int, float, bool, len}
+INLINED = "@inlined"
+DECORATORS = "from masking.compile.numerics.compilation import compiled, inlined"
+
+
+@dataclass(frozen=True)
+class Template:
+    """A kernel.
+
+    Args:
+        text: of the template, Python.
+        sizes: the whole numbers, in the order of their symbols.
+        uses: names of the functions of the model that it calls.
+        content: hash of the text and of all that it imports.
+    """
+
+    text: str
+    sizes: tuple[int, ...]
+    uses: tuple[str, ...]
+    content: str
+
+
+def template(module: Module, name: str) -> Template:
+    """Template of a kernel of a module, and what is linked to it."""
+    printer = _Printer(module)
+    closure = part_of(module, name)
+    assert isinstance(closure, Closure)  # noqa: S101
+    printer.add(Named(name), name)
+    described = module.meta["functions"][name]
+    interface = native.interface(name, described["arguments"], described["results"])
+    sizes = [
+        f'size_{i} = numba.types.ExternalFunction("{size_symbol(i)}", numba.i8())' for i in range(len(printer.sizes))
+    ]
+    header = HEADER + "".join(f"{line}\n" for line in sorted(printer.imports))
+    text = "\n\n".join([header, "\n".join(sizes), *printer.texts, interface]) + "\n"
+    content = digest(versions(), text, *(source_of(line.split()[1]) for line in sorted(printer.imports)))
+    return Template(text, tuple(printer.sizes), tuple(printer.uses), content)
+
+
+def size_symbol(index: int) -> str:
+    """Return what a template calls a whole number."""
+    return f"masking_size_{index}"
+
+
+@dataclass
+class _Printer:
+    """The text of kernels, each after those that it calls."""
+
+    module: Module
+    names: dict[object, str] = field(default_factory=dict)
+    texts: list[str] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+    uses: list[str] = field(default_factory=list)
+    imports: set[str] = field(default_factory=lambda: {DECORATORS})
+
+    def add(self, callee: Any, wanted: str = "") -> str:  # noqa: ANN401
+        """Name in the text of a function of the module, or of a kernel that others call."""
+        if callee not in self.names:
+            part = part_of(self.module, callee.name) if isinstance(callee, Named) else Closure.of(callee)
+            if isinstance(part, Expressions):
+                self.names[callee] = f"linked_{callee.name}"
+                self.uses.append(callee.name)
+                self.texts.append(_link(callee.name, part.types, part.returns is not None))
+            else:
+                text = self._kernel(part, callee)
+                self.names[callee] = wanted or f"kernel_{len(self.names)}_{part.tree.name}"
+                decorator = INLINED if self._is_inlined(part, callee) else native.DECORATOR
+                self.texts.append(f"{decorator}\ndef {self.names[callee]}{text}")
+        return self.names[callee]
+
+    def size(self, value: int) -> str:
+        """Text that stands for a whole number."""
+        self.sizes.append(value)
+        return f"size_{len(self.sizes) - 1}()"
+
+    def _is_inlined(self, part: Closure, callee: Any) -> bool:  # noqa: ANN401
+        return bool(getattr(callee, "targetoptions", {}).get("forceinline"))
+
+    def _kernel(self, closure: Closure, callee: Any) -> str:  # noqa: ANN401
+        writer = _Written(closure, self)
+        body = [writer.visit(statement) for statement in closure.body]
+        text = "\n".join(ast.unparse(ast.fix_missing_locations(statement)) for statement in body)
+        return "\n".join([f"({', '.join(closure.arguments)}):", *(f"    {line}" for line in text.splitlines())])
+
+
+class _Written(ast.NodeTransformer):
+    """Names from outside of a kernel, as numbers, as sizes that are linked, and as functions of the printed text."""
+
+    def __init__(self, closure: Closure, printer: _Printer) -> None:
+        self.closure, self.printer = closure, printer
+        self.enclosed: Mapping[str, Any] = inspect.getclosurevars(closure.function).nonlocals
+        self.known: dict[str, str] = {}
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        known = self.closure.names.get(node.value.id) if isinstance(node.value, ast.Name) else None
+        if isinstance(known, slice):
+            return self._size(ast.unparse(node), getattr(known, node.attr))
+        self.generic_visit(node)
+        return node
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id not in self.closure.names:
+            return node
+        known = self.closure.names[node.id]
+        if isinstance(known, ModuleType) or (callable(known) and known in BUILTINS):
+            return node
+        if isinstance(known, int) and not isinstance(known, bool) and node.id in self.enclosed:
+            return self._size(node.id, known)
+        if isinstance(known, bool | int | float):
+            return ast.Constant(known)
+        if callable(known) or isinstance(known, Named):
+            return ast.Name(self.printer.add(known), node.ctx)
+        module = self.closure.function.__module__
+        self.printer.imports.add(f"from {module} import {node.id}")
+        return node
+
+    def _size(self, name: str, value: int) -> ast.expr:
+        if name not in self.known:
+            self.known[name] = self.printer.size(value)
+        return ast.parse(self.known[name], mode="eval").body
+
+
+def _link(name: str, types: Mapping[str, str], returns: bool) -> str:
+    """Source of a function that calls a function of the model, as `llvm_text` prints it."""
+    declared, passed = native.passed(types)
+    result = "numba.f8" if returns else "numba.void"
+    return "\n".join(
+        [
+            f'_{name} = numba.types.ExternalFunction("{native.symbol(name)}", {result}({", ".join(declared)}))',
+            "",
+            "",
+            native.DECORATOR,
+            f"def linked_{name}({', '.join(types)}):",
+            f"    {'return ' if returns else ''}_{name}({', '.join(passed)})",
+        ]
+    )

@@ -1,0 +1,318 @@
+"""Graph nodes printed as functions of LLVM code, without any liberty in floating point but what is asked for.
+
+A function has one value of each node, or one in each of several lanes, which are computed side by side: there a value
+is a vector, and an element of an array is a row of such.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from masking.compile.codegen import elementary
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import arguments, needed
+
+# Sums of products in a free order, and quotients by products with the inverse.
+FREE = "contract reassoc nsz arcp"
+FUSED = "contract"  # a product and a sum in one, rounded once
+PAIR = ("sin", "cos")
+OWN: Mapping[str, Callable[..., Any]] = {
+    **dict.fromkeys(PAIR, elementary.sine_and_cosine),
+    "exp": elementary.exponential,
+    "log": elementary.logarithm,
+    "tan": elementary.tangent,
+    "sinh": elementary.hyperbolic_sine,
+    "cosh": elementary.hyperbolic_cosine,
+    "tanh": elementary.hyperbolic_tangent,
+    "asin": elementary.arc_sine,
+    "acos": elementary.arc_cosine,
+    "atan": elementary.arc_tangent,
+    "atan2": elementary.arc_tangent_of_two,
+    "pow": elementary.power,
+}
+TWO = ("atan2", "pow")  # functions of two numbers
+LESS_EXACT = ("pow",)  # than that of the library, which lanes take
+FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
+(ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
+INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+COMPARED = {"lt": "olt", "le": "ole"}
+INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
+LIBRARY = ("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "atan2")
+AXES = {"Vector": 1, "Matrix": 2}
+Results = Sequence[tuple[str, Node]]
+ALIGNED = 8  # bytes of an element of an array
+
+
+def parameters(types: Mapping[str, str]) -> list[str]:
+    """Parameters of a function in LLVM: an array is its address and its shape.
+
+    Args:
+        types: of its arguments by their names, such as `float` or `Matrix`.
+    """
+    found = []
+    for name, kind in types.items():
+        axes = range(AXES.get(kind.removeprefix("Int"), 0))
+        first = "ptr noalias" if axes else {"float": "double", "int": "i64"}[kind]
+        found += [f"{first} %{name}", *(f"i64 %{name}.{axis}" for axis in axes)]
+    return found
+
+
+def function(  # noqa: PLR0917  (what a function is made of)
+    symbol: str,
+    types: Mapping[str, str],
+    graph: Graph,
+    results: Sequence[tuple[str, Node]],
+    loads: Mapping[str, str],
+    returns: Node | None = None,
+    free: str = "",
+    lanes: int = 1,
+) -> str:
+    """Definition of a function that computes nodes: it reads all that it needs, and then writes results.
+
+    Args:
+        symbol: what it is called.
+        types: of its arguments by their names.
+        graph: the graph that holds the nodes.
+        results: elements of arrays, such as `out[0]`, and the nodes that they get.
+        loads: for each symbol of the graph an argument or an element of an array.
+        returns: the node whose value is returned, if any.
+        free: the liberties that are taken with floating point.
+        lanes: number of values side by side; more than one have arrays with as many columns, and return nothing.
+    """
+    body = _Body(types, free, lanes)
+    body.compute(graph, results, loads, [] if returns is None else [returns])
+    body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
+    return body.definition(symbol, "void" if returns is None else "double")
+
+
+def choice(
+    symbol: str,
+    types: Mapping[str, str],
+    zeros: Sequence[str],
+    cases: Sequence[tuple[Graph, Results, Mapping[str, str]]],
+) -> str:
+    """Definition of a function that computes the nodes of one of several graphs, whose number it is given.
+
+    Args:
+        symbol: what it is called.
+        types: of its arguments by their names; the first is the number, from 0 on.
+        zeros: elements of arrays that are 0 where the graph has no result for them, or where there is no such graph.
+        cases: of each graph what `function` takes of it.
+    """
+    body = _Body(types, "", 1)
+    body.store((target, body.number(0.0)) for target in zeros)
+    labels = " ".join(f"i64 {i}, label %case.{i}" for i in range(len(cases)))
+    body.lines.append(f"switch i64 %{next(iter(types))}, label %none [{labels}]")
+    for i, (graph, results, loads) in enumerate(cases):
+        body.lines.append(f"case.{i}:")
+        body.compute(graph, results, loads)
+        body.lines.append("ret void")
+    body.lines += ["none:", "ret void"]
+    return body.definition(symbol, "void")
+
+
+def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) -> str:
+    """Definition of a C interface, which writes what a function returns through its last argument."""
+    given = ", ".join(part.replace(" noalias", "") for part in parameters(types))
+    call = (
+        [f"%.value = call double @{called}({given})", "store double %.value, ptr %.found"]
+        if returns
+        else [f"call void @{called}({given})"]
+    )
+    return defined(f"void @{symbol}({', '.join([*parameters(types), 'ptr noalias %.found'])})", [*call, "ret void"])
+
+
+def defined(head: str, lines: Iterable[str]) -> str:
+    """Definition of a function: its type, name and parameters, and its lines."""
+    return "\n".join([f"define {head} {{", *(f"  {line}" for line in lines), "}"])
+
+
+def constant(symbol: str, value: int) -> str:
+    """Definition of a function that returns a whole number."""
+    return f"define i64 @{symbol}() alwaysinline {{\n  ret i64 {value}\n}}"
+
+
+def definition(text: str, symbol: str) -> str:
+    """Definition of one function in a text."""
+    found = re.search(rf"^define [a-z]+ @{re.escape(symbol)}\(.*?^}}$", text, re.MULTILINE | re.DOTALL)
+    return found[0] if found else ""
+
+
+def declarations(text: str) -> str:
+    """Declarations of all functions of mathematics that LLVM code calls."""
+    called = sorted(set(re.findall(r"call [a-z ]*(double|<\d+ x double>) @([\w.]+)\(([^)]*)\)", text)))
+    found = {name: f"declare {kind} @{name}({', '.join([kind] * given.count(kind))})" for kind, name, given in called}
+    return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
+
+
+def with_elementary_functions(text: str) -> list[str]:
+    """LLVM code without functions of the library of mathematics, and behind it definitions of those of our own.
+
+    Args:
+        text: the code, which keeps LLVM's own functions that every processor has.
+    """
+    intrinsics = {name: f"llvm.{one}.f64" for name, one in INTRINSICS.items()} | {"fabs": "llvm.fabs.f64"}
+    wanted = {one: name for name, one in intrinsics.items()} | {name: name for name in (*intrinsics, *LIBRARY)}
+    declared = re.compile(r"^declare (?:[a-z]+ )*double @([\w.]+)\(.*$", re.MULTILINE)
+    used = [name for name in dict.fromkeys(declared.findall(text)) if name in wanted]
+    own = {wanted[name]: f"masking_{wanted[name]}" for name in used if wanted[name] in OWN}
+    symbols = {name: own.get(wanted[name], intrinsics.get(wanted[name], name)) for name in used}
+    text = declared.sub(lambda found: "" if found[1] in symbols else found[0], text)
+    text = re.sub(r"@([\w.]+)(?=\()", lambda found: f"@{symbols.get(found[1], found[1])}", text)
+    kept = sorted({symbol for symbol in symbols.values() if symbol.startswith("llvm.")})
+    return [text, *(f"declare double @{one}(double)" for one in kept), *(_elementary(own[name], name) for name in own)]
+
+
+def _elementary(symbol: str, name: str) -> str:
+    """Definition of a function of mathematics."""
+    types = {"x": "float", "y": "float"} if name in TWO else {"x": "float"}
+    body = _Body(types, "", 1)
+    body.lines.append(f"ret double {body.own(name, [f'%{one}' for one in types])}")
+    return body.definition(symbol, "double").replace(") {", ") alwaysinline {", 1)
+
+
+def number(value: float) -> str:
+    """Constant, to the last bit."""
+    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
+
+
+class _Body:
+    """The lines of a function on their way."""
+
+    def __init__(self, types: Mapping[str, str], free: str, lanes: int) -> None:
+        self.types, self.free, self.lanes = types, f"{free} " if free else "", lanes
+        self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
+        self.lines: list[str] = []
+        self.values: dict[Node, str] = {}
+        self._known: dict[tuple[str, ...], str] = {}  # functions of our own, by their names and arguments
+        self._count = 0
+
+    def compute(self, graph: Graph, results: Results, loads: Mapping[str, str], more: Sequence[Node] = ()) -> None:
+        """Compute nodes of a graph, which are known afterwards, and then write the results."""
+        self.values = {}
+        for node in needed(graph, [*(node for _, node in results), *more]):
+            name, *rest = graph.operations[node]
+            if name == "symbol":
+                self.values[node] = self.read(loads.get(str(rest[0]), str(rest[0])))
+            elif name == "number":
+                self.values[node] = self.number(float(rest[0]))
+            else:
+                self.values[node] = self.apply(str(name), [self.values[a] for a in arguments(graph, node)])
+        self.store((target, self.values[node]) for target, node in results)
+
+    def store(self, values: Iterable[tuple[str, str]]) -> None:
+        """Write values into elements of arrays."""
+        for target, value in values:
+            self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
+
+    def definition(self, symbol: str, kind: str) -> str:
+        """Definition of the function, which returns what is of a kind."""
+        return defined(f"{kind} @{symbol}({', '.join(parameters(self.types))})", self.lines)
+
+    def new(self, text: str) -> str:
+        """New name for what a line computes."""
+        self._count += 1
+        self.lines.append(f"%.{self._count} = {text}")
+        return f"%.{self._count}"
+
+    def read(self, text: str) -> str:
+        """Argument, an element of an array, or a number."""
+        if self.types.get(text) == "float":
+            return f"%{text}"
+        return self.new(f"load {self.type}, ptr {self.element(text)}, align {ALIGNED}")
+
+    def number(self, value: float) -> str:
+        """Constant, the same in all lanes."""
+        return number(value) if self.lanes == 1 else f"<{', '.join([f'double {number(value)}'] * self.lanes)}>"
+
+    def element(self, text: str) -> str:
+        """Address of an element, such as `y[3]` or `c[2, 0]`."""
+        name, _, inner = text.rstrip("]").partition("[")
+        first, *rest = (int(index) for index in inner.split(","))
+        if not rest:
+            return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {first}")
+        row = self.new(f"mul i64 %{name}.1, {first}")
+        return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
+
+    def apply(self, name: str, given: Sequence[str]) -> str:
+        """Value of an operation."""
+        x, zero, one = given[0], self.number(0.0), self.number(1.0)
+        match name:
+            case "add" | "sub" | "mul" | "div":
+                found = self.new(f"{INFIX[name]} {self.free}{self.type} {x}, {given[1]}")
+            case "neg":
+                found = self.new(f"fneg {self.free}{self.type} {x}")
+            case "lt" | "le":
+                found = self._is(COMPARED[name], *given)
+            case "where":
+                found = self._choice(*given)
+            case "min" | "max":
+                found = self._choice(self._is("olt" if name == "min" else "ogt", given[1], x), given[1], x)
+            case "sign":  # 0 of both zeros, and no number of what is none
+                middle = self._choice(self._is("oeq", x, zero), zero, x)
+                below = self._choice(self._is("olt", x, zero), self.number(-1.0), middle)
+                found = self._choice(self._is("ogt", x, zero), one, below)
+            case "heaviside":
+                below = self._choice(self._is("oeq", x, zero), self.number(0.5), zero)
+                found = self._choice(self._is("ogt", x, zero), one, below)
+            case "power_of_two" | "exponent" | "significand":
+                found = self._bits(name, x)
+            case _:
+                found = self._call(name, given)
+        return found
+
+    def _call(self, name: str, given: Sequence[str]) -> str:
+        """Value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
+        if name in OWN and name not in LESS_EXACT and self.lanes > 1:
+            return self.own(name, given)
+        if name in INTRINSICS:
+            kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
+            return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
+        if self.lanes == 1:
+            return self._called(name, "double", given)
+        found = "undef"
+        for lane in range(self.lanes):
+            parts = [self.new(f"extractelement {self.type} {x}, i64 {lane}") for x in given]
+            value = self._called(name, "double", parts)
+            found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
+        return found
+
+    def own(self, name: str, given: Sequence[str]) -> str:
+        """Value of a function of our own, whose operations keep their order."""
+        if (name, *given) not in self._known:
+            free, self.free = self.free, f"{FUSED} "
+            found = OWN[name](lambda operation, *parts: self.apply(operation, parts), self.number, *given)
+            names, values = (PAIR, found) if name in PAIR else ((name,), (found,))
+            self._known |= {(one, *given): value for one, value in zip(names, values, strict=True)}
+            self.free = free
+        return self._known[name, *given]
+
+    def _bits(self, name: str, x: str) -> str:
+        """2^x of a whole number x; or the exponent of x, or its significand in [sqrt(1/2), sqrt(2))."""
+        whole = self.type.replace("double", "i64")
+
+        def constant(value: int) -> str:
+            return f"{value}" if self.lanes == 1 else f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
+
+        if name == "power_of_two":
+            raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(BIAS)}")
+            shifted = self.new(f"shl {whole} {raised}, {constant(FRACTION)}")
+            return self.new(f"bitcast {whole} {shifted} to {self.type}")
+        bits = self.new(f"bitcast {self.type} {x} to {whole}")
+        above = self.new(f"sub {whole} {bits}, {constant(ROOT_HALF)}")
+        if name == "exponent":
+            return self.new(f"sitofp {whole} {self.new(f'ashr {whole} {above}, {constant(FRACTION)}')} to {self.type}")
+        power = self.new(f"and {whole} {above}, {constant(-(2**FRACTION))}")
+        return self.new(f"bitcast {whole} {self.new(f'sub {whole} {bits}, {power}')} to {self.type}")
+
+    def _called(self, name: str, kind: str, given: Sequence[str]) -> str:
+        return self.new(f"call {self.free}{kind} @{name}({', '.join(f'{kind} {x}' for x in given)})")
+
+    def _is(self, relation: str, a: str, b: str) -> str:
+        return self.new(f"fcmp {relation} {self.type} {a}, {b}")
+
+    def _choice(self, condition: str, a: str, b: str) -> str:
+        return self.new(f"select {self.truth} {condition}, {self.type} {a}, {self.type} {b}")

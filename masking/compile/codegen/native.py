@@ -1,0 +1,462 @@
+"""Compiled functions kept on disk as machine code, and called without numba.
+
+The first call of a function compiles it: numba turns it into LLVM code behind a C interface, whose machine code is
+written to a file that is named by the hash of the function's content. Every later call, in this process or another,
+only links that: starting takes a tenth of the time that importing numba does. A file that was damaged, or that holds
+another function, is compiled anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import itertools
+import math
+import re
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen import trusted_files
+
+if TYPE_CHECKING:
+    import llvmlite.binding as llvm
+    import numba
+
+    from masking.compile.numerics import compilation
+else:
+    llvm = lazy.load("llvmlite.binding", suppress_warning=True)
+    numba = lazy.load("numba")
+    compilation = lazy.load("masking.compile.numerics.compilation", suppress_warning=True)
+
+# How an argument of each type goes through the C interface: an array as its address and its shape.
+DIMENSIONS = {"Vector": 1, "Matrix": 2, "IntVector": 1, "IntMatrix": 2}
+C_TYPES: dict[str, tuple[Any, ...]] = {"float": (ctypes.c_double,), "int": (ctypes.c_int64,)}
+C_TYPES |= {kind: (ctypes.c_void_p, *(ctypes.c_int64,) * axes) for kind, axes in DIMENSIONS.items()}
+NUMBA_TYPES = {"float": "f8", "int": "i8"}
+NUMBA_TYPES |= {
+    kind: f"CPointer({'i8' if kind.startswith('Int') else 'f8'})" + axes * ", i8" for kind, axes in DIMENSIONS.items()
+}
+LLVM_TYPES = {"float": "double", "int": "i64"}
+ENTRY = "masking_entry"
+# No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
+# computes the same numbers. measured: fused multiply-add makes the sampled loop slower, not faster.
+DECORATOR = "@compiled"
+VECTOR = 64  # bytes of the longest that a processor computes with
+RESULTS = 4  # room for the results of a function
+
+
+@dataclass(frozen=True, eq=False)
+class BoundFunction:
+    """A function with its arguments, which costs little to call: machine code that passes the same arrays each time.
+
+    Args:
+        call: calls it; other threads of Python wait meanwhile, so that the caller never waits for them.
+        results: of the last call, (RESULTS,).
+        arguments: the arrays, kept alive.
+        code: the machine code, kept alive.
+    """
+
+    call: Callable[[], object]
+    results: ctypes.Array[ctypes.c_double]
+    arguments: Sequence[np.ndarray]
+    code: object = field(repr=False)
+
+
+@dataclass
+class NativeFunction:
+    """A function of a generated module, called with numpy arrays.
+
+    Args:
+        name: its name in the module.
+        arguments: the types of its arguments by their names, such as `float` or `Matrix`.
+        results: the types of its results: none, or `float` and `int`.
+        work: the shape of its work space, which callers need not give; None if it has none.
+        assembled: returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet.
+        stem: path of its machine code, which the processor and an ending follow.
+        links: functions whose machine code it calls, by the names that it has for them.
+    """
+
+    name: str
+    arguments: Mapping[str, str]
+    results: Sequence[str]
+    work: tuple[int, int] | None
+    assembled: Callable[[], Any]
+    stem: Path
+    links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
+    _call: Any = field(default=None, repr=False)
+
+    def __call__(self, *given: Any) -> Any:  # noqa: ANN401
+        """Call the machine code; arrays are read and written in place.
+
+        Raises:
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        """
+        call, values, found = self.prepare(), self._completed(given), (ctypes.c_double * RESULTS)()
+        call(*self._passed(values), found)
+        read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
+        return None if not read else read[0] if len(read) == 1 else tuple(read)
+
+    def each(self, runs: int, *given: Any, threads: int = 1) -> np.ndarray:  # noqa: ANN401
+        """Call the machine code once for each of several runs; measured: 3 us of Python a run.
+
+        Args:
+            runs: how many.
+            given: arguments; an array with one axis more than the function takes is passed row by row, a row a run.
+            threads: that share the runs; machine code holds no lock.
+
+        Returns:
+            results (runs, RESULTS).
+
+        Raises:
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        """
+        call, results = self.prepare(), np.zeros((runs, RESULTS))
+
+        def part(first: int, last: int) -> None:
+            values, moved = self._completed(given), list[tuple[int, int, int]]()
+            passed = self._passed(values, moved)
+            moved.append((len(passed), results.ctypes.data, results.strides[0]))
+            passed.append(0)
+            for run in range(first, last):
+                for place, address, stride in moved:
+                    passed[place] = address + run * stride
+                call(*passed)
+
+        share(part, runs, threads)
+        return results
+
+    def bind(self, *given: np.ndarray) -> BoundFunction:
+        """Function with arrays that it reads and writes at each call; a number is an array of one.
+
+        Raises:
+            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        """
+        results, passed, lines = (ctypes.c_double * RESULTS)(), list[str](), list[str]()
+        arrays = self._completed(given)
+        for (name, kind), value in zip(self.arguments.items(), arrays, strict=True):
+            self._check(name, kind, DIMENSIONS.get(kind, 1), value)
+            address = _pointer(value.ctypes.data)
+            if kind in DIMENSIONS:
+                passed += [address, *(f"i64 {size}" for size in value.shape)]
+            else:
+                lines.append(f"  %{name} = load {LLVM_TYPES[kind]}, {address}")
+                passed.append(f"{LLVM_TYPES[kind]} %{name}")
+        passed.append(_pointer(ctypes.addressof(results)))
+        called = _pointer(self.address).removeprefix("ptr ")
+        body = [f"define void @{ENTRY}() {{", *lines, f"  call void {called}({', '.join(passed)})", "  ret void", "}"]
+        _initialise()
+        code = llvm.JITLibraryBuilder().add_ir("\n".join(body)).export_symbol(ENTRY)
+        with _linking:
+            library = code.link(_linker(), f"bound {next(_numbers)}")
+        call = ctypes.PYFUNCTYPE(None)(library[ENTRY])
+        return BoundFunction(call, results, arrays, (library, self))
+
+    def _passed(self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None) -> list[Any]:
+        """Return what goes through the C interface: numbers, and addresses and shapes of arrays that a caller holds.
+
+        Args:
+            values: all arguments.
+            moved: gets the place, address and stride of each array with one axis more than the function takes, whose
+                rows are passed one by one; by default no array may have one.
+        """
+        passed = list[Any]()
+        for (name, kind), value in zip(self.arguments.items(), values, strict=True):
+            if kind not in DIMENSIONS:
+                passed.append(value)
+                continue
+            axes = int(moved is not None and np.ndim(value) == DIMENSIONS[kind] + 1)
+            self._check(name, kind, DIMENSIONS[kind] + axes, value)
+            if moved is not None and axes:
+                moved.append((len(passed), value.ctypes.data, value.strides[0]))
+            passed += [value.ctypes.data, *value.shape[axes:]]
+        return passed
+
+    def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
+        """All arguments for those that a caller has given."""
+        values = list(given) if self.work is None else [*given, _aligned(self.work)]
+        if len(values) != len(self.arguments):
+            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
+        return values
+
+    def _check(self, name: str, kind: str, dimension: int, value: Any) -> None:  # noqa: ANN401
+        """Refuse what machine code cannot read as an array."""
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
+        dtype = np.int64 if kind in {"int", "IntVector", "IntMatrix"} else np.float64
+        if value.ndim != dimension or value.dtype != dtype or not value.flags.c_contiguous:
+            raise TypeError(
+                f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
+                f"{dimension}, not {value.dtype} of shape {value.shape}"
+            )
+
+    def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
+        """Compile or load the function now; return its C interface."""
+        if self._call is None:
+            self._call = self._load()
+        return self._call
+
+    @property
+    def address(self) -> int:
+        """Address of the machine code, compiled or loaded now."""
+        return int(ctypes.cast(self.prepare(), ctypes.c_void_p).value or 0)
+
+    def _load(self) -> Callable[..., None]:
+        path = self.stem.with_name(f"{self.stem.name}.{processor()}.o")
+        code = trusted_files.find(path)
+        if code is not None:
+            try:
+                return self._interface(path.stem, code)
+            except RuntimeError as error:  # of the linker
+                trusted_files.notice(
+                    "linked", f"{path} is no machine code of this processor ({error}); it is made anew"
+                )
+        code = self._compile()
+        trusted_files.keep(path, code)
+        return self._interface(f"{path.stem} anew", code)
+
+    def _interface(self, content: str, code: bytes) -> Callable[..., None]:
+        types = [c_type for kind in self.arguments.values() for c_type in C_TYPES[kind]]
+        called = {symbol(name): one for name, one in self.links.items() if symbol(name).encode() in code}
+        addresses = {name: one.address for name, one in called.items()}
+        return ctypes.CFUNCTYPE(None, *types, ctypes.c_void_p)(_linked(content, code, addresses))
+
+    def _compile(self) -> bytes:
+        """Machine code of the function behind a C interface."""
+        module = self.assembled()
+        optimise(module, ENTRY, _machine)
+        code: bytes = _machine().emit_object(module)
+        return code
+
+
+def share(part: Callable[[int, int], None], runs: int, threads: int) -> None:
+    """Call a function with the first of a range of runs and that after its last, for one range in each thread."""
+    bounds = [runs * i // threads for i in range(threads + 1)]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(part, bounds[:-1], bounds[1:]))
+
+
+def _aligned(shape: tuple[int, int]) -> np.ndarray:
+    """New array that begins where a vector does: one that lies across two lines of the cache is read twice."""
+    memory = np.empty(math.prod(shape) + VECTOR // 8)
+    first = -memory.ctypes.data % VECTOR // 8
+    return memory[first : first + math.prod(shape)].reshape(shape)
+
+
+def compiled_by_numba(interface: Callable[..., None], arguments: Iterable[str], symbols: Iterable[str]) -> Any:  # noqa: ANN401
+    """LLVM code of a function's C interface, as `ENTRY`.
+
+    Args:
+        interface: as `interface` prints it.
+        arguments: types of the function's arguments.
+        symbols: that are linked later.
+    """
+    signature = f"void({', '.join(NUMBA_TYPES[kind] for kind in arguments)}, CPointer(f8))"
+    for name in symbols:  # numba links what it compiles at once, although it is not called there
+        llvm.add_symbol(name, _stop())
+    made = numba.cfunc(signature, error_model="numpy", pipeline_class=compilation.Lowered)(interface)
+    module = parsed(_without_aliases(made.inspect_llvm()))
+    module.get_function(made.native_name).name = ENTRY
+    return module
+
+
+@contextlib.contextmanager
+def lightly_optimised() -> Iterator[None]:
+    """Let numba leave its code as it is: only with what a template is linked with is it known how loops unroll.
+
+    measured: optimised before, loops over states stay loops, and the Runge-Kutta method takes 2.8 times as long.
+    """
+    config: Any = numba.config
+    names = {"OPT": type(config.OPT)(0), "LOOP_VECTORIZE": 0, "SLP_VECTORIZE": 0}
+    before = {name: getattr(config, name) for name in names}
+    try:
+        for name, value in names.items():
+            setattr(config, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(config, name, value)
+
+
+def parsed(text: str) -> Any:  # noqa: ANN401
+    """LLVM code of a text."""
+    _initialise()
+    return llvm.parse_assembly(text)
+
+
+def linked_template(bitcode: bytes, text: str) -> Any:  # noqa: ANN401
+    """Template, as LLVM bitcode, together with the functions that are linked to it."""
+    _initialise()
+    module = llvm.parse_bitcode(bitcode)
+    module.link_in(llvm.parse_assembly(text))
+    return module
+
+
+def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -> str:
+    """Source of a function's C interface: pointers and sizes in, results through a pointer.
+
+    Args:
+        name: of the function.
+        arguments: their types by their names.
+        results: their types.
+    """
+    parameters, passed = [], []
+    for argument, kind in arguments.items():
+        axes = [f"{argument}_{axis}" for axis in range(DIMENSIONS.get(kind, 0))]
+        parameters += [argument, *axes]
+        passed.append(f"carray({argument}, ({', '.join(axes)},))" if axes else argument)
+    call = f"{name}({', '.join(passed)})"
+    lines = [f"def {name}_c({', '.join([*parameters, 'found'])}):"]
+    if not results:
+        lines.append(f"    {call}")
+    elif len(results) == 1:
+        lines.append(f"    carray(found, ({RESULTS},))[0] = {call}")
+    else:
+        names = ", ".join(f"r{i}" for i in range(len(results)))
+        lines += [f"    {names} = {call}", f"    results = carray(found, ({RESULTS},))"]
+        lines += [f"    results[{i}] = r{i}" for i in range(len(results))]
+    return "\n".join(lines)
+
+
+def passed(arguments: Mapping[str, str]) -> tuple[list[str], list[str]]:
+    """Types in numba by which arguments go to machine code, and the texts that are passed."""
+    types, texts = [], []
+    for argument, kind in arguments.items():
+        axes = [f"{argument}.shape[{axis}]" for axis in range(DIMENSIONS.get(kind, 0))]
+        types.append(re.sub(r"\b([fi]8)", r"numba.\1", NUMBA_TYPES[kind].replace("CPointer(", "numba.types.CPointer(")))
+        texts += [f"{argument}.ctypes", *axes] if axes else [argument]
+    return types, texts
+
+
+def link(name: str, arguments: Mapping[str, str]) -> str:
+    """Source of a function that calls machine code of its own, which is linked when it is loaded.
+
+    Args:
+        name: of the function.
+        arguments: their types by their names; one at least is an array.
+    """
+    types, given = passed(arguments)
+    unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
+    signature = f"numba.void({', '.join(types)}, numba.types.CPointer(numba.f8))"
+    typed = ", ".join(f"{argument}: {kind}" for argument, kind in arguments.items())
+    return "\n".join(
+        [
+            f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})',
+            "",
+            "",
+            DECORATOR,
+            f"def {name}({typed}) -> None:",
+            f"    _{name}({', '.join([*given, unused])})",
+        ]
+    )
+
+
+def _without_aliases(text: str) -> str:
+    """LLVM code in which the arrays that a function is given do not overlap; numba has no option for that.
+
+    No kernel is given overlapping arrays. measured: parameters then stay in registers through a loop.
+    """
+
+    def mark(head: re.Match[str]) -> str:
+        return re.sub(r"\bptr (?!noalias|@)(?=[^,]*%)", "ptr noalias ", head[0])
+
+    return re.sub(r"^define (?!.*@NRT_)[^\n]*$", mark, text, flags=re.MULTILINE)
+
+
+def optimise(module: Any, entry: str, machine: Callable[[], Any]) -> None:  # noqa: ANN401
+    """Optimise LLVM code once more, now that all of it is known to be one function.
+
+    Args:
+        module: the code.
+        entry: name of the function.
+        machine: returns a new description of the processor that the code is for.
+    """
+    # Names are kept inside: numba gives functions of different processes the same ones.
+    for value in (*module.functions, *module.global_variables):
+        if not value.is_declaration and not value.name.startswith("llvm.") and value.name != entry:
+            value.linkage = "internal"
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    for _ in range(2):  # measured: what the first unrolls, the second unrolls further; a third changes nothing
+        builder = llvm.create_pass_builder(machine(), options)
+        builder.getModulePassManager().run(module, builder)
+
+
+def _machine() -> Any:  # noqa: ANN401  (llvmlite has no types)
+    """New description of this processor that machine code is made for; a linker takes it over."""
+    _initialise()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        reloc="pic",
+        codemodel="jitdefault",
+    )
+
+
+@cache
+def _initialise() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+
+
+@cache
+def processor() -> str:
+    """Short name of this processor and its features; machine code of another is not used."""
+    features = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
+    return hashlib.sha256(features.encode()).hexdigest()[:8]
+
+
+_libraries: dict[str, Any] = {}  # the machine code that this process has linked, which lives as long as these
+_linking = threading.Lock()
+_numbers = itertools.count()  # of bound functions, each of which is a library of its own
+
+
+def symbol(name: str) -> str:
+    """Return what machine code calls a function that is linked to it."""
+    return f"masking_link_{name}"
+
+
+def _linked(content: str, code: bytes, addresses: Mapping[str, int]) -> int:
+    """Link machine code into this process, once with the same functions; return the address of its entry."""
+    name = " ".join([content, *(f"{address:x}" for _, address in sorted(addresses.items()))])
+    with _linking:
+        if name not in _libraries:
+            builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process().export_symbol(ENTRY)
+            # Numba's error handlers get an address also if numba is not loaded: generated code raises nothing.
+            for one, address in {**dict.fromkeys(ERROR_SYMBOLS, _stop()), **addresses}.items():
+                builder.import_symbol(one, address)
+            _libraries[name] = builder.link(_linker(), name)
+        return int(_libraries[name][ENTRY])
+
+
+def _pointer(address: int) -> str:
+    return f"ptr inttoptr (i64 {address} to ptr)"
+
+
+@cache
+def _stop() -> int:
+    return int(ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value or 0)
+
+
+@cache
+def _linker() -> Any:  # noqa: ANN401
+    return llvm.create_lljit_compiler(_machine())
+
+
+ERROR_SYMBOLS = (
+    "numba_gil_ensure",
+    "numba_gil_release",
+    "numba_unpickle",
+    "numba_do_raise",
+    "numba_runtime_build_excinfo_struct",
+    "NRT_Free",
+    "NRT_MemInfo_call_dtor",
+)

@@ -1,0 +1,285 @@
+"""Modules of generated functions, compiled when first called: by LLVM what prints nodes, and by numba kernels.
+
+A module is made of two kinds of functions. Both say the types of their arguments in their signature: `float`, `int`,
+`Vector` and `Matrix` (C-contiguous arrays of float64), `IntVector` and `IntMatrix` (of int64).
+
+* Expressions: `Module.add("energy(t: float, q, v, p)", graph, ...)` prints graph nodes; what has no type is a `Vector`.
+* Kernels: plain functions that a factory closes over sizes and over functions of the module, such as
+  `numerics.sampled_loop.transforms`. `Module.add_factory("transforms", sampled_loop.transforms, "transform",
+  2)` adds what it returns; text names a function of the module, all else is written as it is. The factory lives in a
+  module that takes `compiled` from `numerics.compilation` and postpones annotations (`from __future__`); import
+  it by `lazy_loader`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last
+  argument is work space that callers need not give. With `exported=False` only other functions of the module call it,
+  and its arguments need no types.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
+from typing import Any
+
+from masking.compile.codegen import llvm_text, native
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import PYTHON, Language, needed
+from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
+from masking.compile.numerics.rig_sizes import LANES
+
+# measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
+# order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
+TAYLOR_ORDERS = (14, 12)
+MOST_PRODUCTS_OF_HIGH_ORDER = 8
+# measured: beyond this number of products of series, straight-line code costs seconds to compile.
+LARGEST_TAYLOR_COST = 40
+
+HEADER = '''"""Generated from {title!r}; do not edit."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numba import carray
+
+from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.compilation import compiled
+'''
+
+
+def taylor_order(products: int) -> int:
+    """Order of the Taylor series for dynamics with this number of products of series."""
+    return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """What `Module.add` was given; `types` are those of the arguments by their names."""
+
+    types: Mapping[str, str]
+    graph: Graph
+    results: Sequence[tuple[str, Node]]
+    loads: Mapping[str, str]
+    returns: Node | None
+
+
+@dataclass(frozen=True)
+class Made:
+    """What `Module.add_factory` was given: text among `given` names a function of the module."""
+
+    factory: Callable[..., Any]
+    given: tuple[object, ...]
+
+
+@dataclass
+class Module:
+    """A generated module: what it was made from, what it says of itself, and the text of its functions.
+
+    `functions` are Python for numba, in a module of kernels to which functions of a model are linked by their
+    addresses; `definitions` are LLVM code, by name, in all others.
+    `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
+    work space, as `native` reads them; `parts` holds what functions were made of, for other printers.
+    """
+
+    title: str
+    meta: dict[str, Any]
+    functions: list[str] = field(default_factory=list)
+    definitions: dict[str, str] = field(default_factory=dict)
+    parts: dict[str, Expressions | Made] = field(default_factory=dict)
+    _imports: set[str] = field(default_factory=set)
+
+    def text(self) -> str:
+        """Whole source, Python or LLVM code."""
+        if not self.functions:
+            return "\n\n".join([f"; Generated from {self.title!r}; do not edit.", *self.definitions.values()]) + "\n"
+        return "\n\n".join([HEADER.format(title=self.title) + "".join(sorted(self._imports)), *self.functions]) + "\n"
+
+    def add(
+        self,
+        signature: str,
+        graph: Graph,
+        results: Sequence[tuple[str, Node]],
+        loads: Mapping[str, str],
+        returns: Node | None = None,
+        *,
+        free: str = "",
+        lanes: int = 1,
+    ) -> None:
+        """Add a function that computes nodes.
+
+        Args:
+            signature: name and arguments, such as `energy(t: float, q, v, p)`; what has no type is a `Vector`.
+            graph: the graph that holds the nodes.
+            results: assignable texts and the nodes they get.
+            loads: for each symbol text, the text that reads it from the arguments.
+            returns: the node whose value is returned, if any.
+            free: the liberties that are taken with floating point.
+            lanes: number of values side by side; of more than one each argument is a `Matrix` with as many columns,
+                whose rows are its elements, and nothing is returned.
+        """
+        name, types = _read(signature)
+        self.parts[name] = Expressions(types, graph, results, loads, returns)
+        self._export(name, types, "None" if returns is None else "float")
+        given = (types, graph, results, loads, returns, free, lanes)
+        self.definitions[name] = llvm_text.function(native.symbol(name), *given)
+
+    def add_choice(
+        self,
+        signature: str,
+        zeros: Sequence[str],
+        cases: Sequence[tuple[Graph, Sequence[tuple[str, Node]], Mapping[str, str]]],
+    ) -> None:
+        """Add a function that computes the nodes of one of several graphs.
+
+        Args:
+            signature: as for `add`; the first argument is the number of the graph, from 0 on.
+            zeros: assignable texts that are 0 where a graph has no result for them.
+            cases: of each graph what `add` takes of it: the graph, its results and loads.
+        """
+        name, types = _read(signature)
+        self._export(name, types, "None")
+        self.definitions[name] = llvm_text.choice(native.symbol(name), types, zeros, cases)
+
+    def add_coefficients(
+        self,
+        graph: Graph,
+        states: Sequence[Node],
+        derivatives: Sequence[Node],
+        *,
+        time: Node,
+        health: Node,
+        loads: Mapping[str, str],
+        order: int,
+    ) -> None:
+        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
+
+        For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
+        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor.step_terms` gives, a row each, and
+        `lane_states(x, c, y)` the states at the times x from there.
+
+        Args:
+            graph: the graph that holds all nodes.
+            states: symbols of the states.
+            derivatives: of the states.
+            time: symbol of the time.
+            health: node of the returned health.
+            loads: how each symbol is read.
+            order: highest k.
+        """
+        rows = coefficients(graph, states, derivatives, time, order)
+        results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
+        # that of the order and tolerance, whatever the order of summation.
+        free = llvm_text.FREE
+        self.add("coefficients(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
+        size, loads_of_lanes = len(states), {**loads, str(graph.operations[time][1]): "t[0]"}
+        results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        signature = in_lanes("lane_coefficients", "t", "y", "u", "p", "c", "health")
+        self.add(signature, graph, [*results, ("health[0]", health)], loads_of_lanes, free=free, lanes=LANES)
+        steps = Graph()
+        given = [[steps.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(order + 1)]
+        terms = step_terms(steps, given, steps.symbol("tolerance[0]", varying=True))
+        results = [(f"terms[{i}]", node) for i, node in enumerate(terms)]
+        self.add(in_lanes("lane_terms", "c", "tolerance", "terms"), steps, results, {}, lanes=LANES)
+        found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
+        results = [(f"y[{i}]", node) for i, node in enumerate(found)]
+        self.add(in_lanes("lane_states", "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
+
+    def add_factory(
+        self,
+        name: str,
+        factory: Callable[..., Any],
+        *given: object,
+        work: tuple[int, int] | None = None,
+        exported: bool = True,
+    ) -> None:
+        """Add the function that a factory returns.
+
+        Args:
+            name: of the function in this module.
+            factory: returns the function, decorated by `compiled`.
+            given: arguments of the factory; text names a function of this module, all else is written as it is.
+            work: the shape of the work space, which is the last argument of the function.
+            exported: whether the function is called from outside of the module.
+        """
+        self.parts[name] = Made(factory, given)
+        if "links" in self.meta:
+            written = [one if isinstance(one, str) else self._written(one) for one in given]
+            self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
+        if exported:
+            function = factory(*(None if isinstance(one, str) else one for one in given)).py_func
+            types = {argument: str(kind) for argument, kind in inspect.get_annotations(function).items()}
+            self._export(name, types, types.pop("return", "None"), work)
+
+    def _written(self, value: object) -> str:
+        if not is_dataclass(value):
+            return repr(value)
+        module, dot, _ = self._name(type(value)).rpartition(".")
+        return module + dot + repr(value)
+
+    def _name(self, one: Any) -> str:  # noqa: ANN401
+        """Name of a class or function, whose module is imported."""
+        package, _, module = one.__module__.rpartition(".")
+        self._imports.add(f"from {package} import {module}\n")
+        return f"{module}.{one.__qualname__}"
+
+    def add_link(self, signature: str) -> None:
+        """Add a function that is machine code of its own: those that call it do not depend on what it is made of.
+
+        Args:
+            signature: as for `add`, with arrays that are not empty; the function returns nothing. Its machine code is
+                that of the function of this name in the `links` of `store.load`.
+        """
+        name, types = _read(signature)
+        self.functions.append(native.link(name, types))
+        self.meta.setdefault("links", []).append(name)
+
+    def add_text(self, signature: str, text: str) -> None:
+        """Add printed functions, the last of which has this signature; it returns nothing without `-> float`."""
+        self.functions.append(text)
+        self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
+
+    def _export(
+        self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
+    ) -> None:
+        """Tell of a function in `meta`, and add its C interface where it is Python."""
+        for argument, kind in arguments.items():
+            if kind not in native.C_TYPES:
+                raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(native.C_TYPES)}")
+        results = [] if returned == "None" else re.findall(r"float|int", returned)
+        if self.functions:
+            self.functions.append(native.interface(name, arguments, results))
+        self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+
+
+def in_lanes(name: str, *arguments: str) -> str:
+    """Signature of a function in lanes."""
+    return f"{name}({', '.join(f'{argument}: Matrix' for argument in arguments)})"
+
+
+def _read(signature: str) -> tuple[str, dict[str, str]]:
+    """Name of a function and the types of its arguments by their names."""
+    (function,) = ast.parse(f"def {signature}: pass").body
+    assert isinstance(function, ast.FunctionDef)  # noqa: S101
+    types = {a.arg: ast.unparse(a.annotation) if a.annotation else "Vector" for a in function.args.args}
+    return function.name, types
+
+
+def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language = PYTHON) -> list[str]:
+    """Statements that read the symbols which nodes use.
+
+    Args:
+        graph: the graph that holds the nodes.
+        nodes: that are to be computed.
+        loads: for each symbol text, the text that reads it.
+        language: the language to print.
+    """
+    used = {str(graph.operations[n][1]) for n in needed(graph, nodes) if graph.operations[n][0] == "symbol"}
+    return [
+        f"{language.declare}{symbol} = {text}{language.end}"
+        for symbol, text in loads.items()
+        if symbol in used and symbol != text
+    ]

@@ -1,0 +1,238 @@
+"""Generated modules on disk, found again by the hash of what they were made from.
+
+`modules/` holds for each key what the module says of itself and which text and objects are its own; `texts/` the
+printed modules, named by their hash; `objects/` the machine code of each function that was ever called, named by the
+hash of its content. A file that does not hold what its name says, or that another user could have written, is
+made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.abc
+import importlib.util
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import platformdirs
+
+from masking.compile.codegen import llvm_text, native, trusted_files
+from masking.compile.codegen.content_hashes import contents, digest, sources, versions
+from masking.compile.codegen.kernel_templates import size_symbol, template
+from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.source import Module
+
+KEPT = 60 * 86400.0  # seconds that a file is kept without being used
+_importing = threading.Lock()
+
+
+def directory() -> Path:
+    """Folder of generated modules: `$MASKING_CACHE`, or the user's cache folder."""
+    chosen = os.environ.get("MASKING_CACHE")
+    return Path(chosen) if chosen else platformdirs.user_cache_path("masking")
+
+
+def key(made_from: Mapping[str, object]) -> str:
+    """Hash of what a module is made from (anything that json can write) and of what prints it.
+
+    The order of keys counts: that of parameters and coordinates is the order of the arrays.
+    """
+    return digest(json.dumps(made_from), sources())
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A generated module on disk.
+
+    Args:
+        path: of its text.
+        text: Python, as it is executed; never read again from the disk.
+        meta: what it says of itself.
+        objects: the content hash of each function.
+        kernels: of each kernel that has a template, the hashes of that, its whole numbers and the functions it calls.
+        links: functions of other modules that it calls, by the names that it has for them.
+        work: the shape of the work space of functions that do not say it.
+    """
+
+    path: Path
+    text: str = field(repr=False)
+    meta: Mapping[str, Any]
+    objects: Mapping[str, str] = field(repr=False)
+    kernels: Mapping[str, Any] = field(repr=False)
+    links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
+    work: tuple[int, int] | None = None
+
+    def module(self) -> ModuleType:
+        """Import the module, if it is Python, and numba with it."""
+        return _imported(self.path, self.text)
+
+    def function(self, name: str) -> NativeFunction:
+        """Function of the module, compiled when it is first called."""
+        described = self.meta["functions"][name]
+        types = described["arguments"], described["results"]
+        work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
+        stem = self.path.parent.parent / "objects" / self.objects[name]
+        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, self.links)
+
+    def _assembled(self, name: str) -> Any:  # noqa: ANN401  (llvmlite has no types)
+        """LLVM code of a function behind its C interface, not optimised yet."""
+        described = self.meta["functions"][name]
+        if "links" in self.meta or not self.text.startswith(";"):
+            interface = getattr(self.module(), f"{name}_c")
+            return native.compiled_by_numba(interface, described["arguments"].values(), map(native.symbol, self.links))
+        if name not in self.kernels:
+            symbol = native.symbol(name)
+            returns = bool(described["results"])
+            parts = [llvm_text.definition(self.text, symbol)]
+            parts.append(llvm_text.entry(native.ENTRY, symbol, described["arguments"], returns=returns))
+            return native.parsed("\n\n".join([llvm_text.declarations(parts[0]), *parts]))
+        kernel = self.kernels[name]
+        parts = [llvm_text.definition(self.text, native.symbol(one)) for one in kernel["uses"]]
+        parts += [llvm_text.constant(size_symbol(i), size) for i, size in enumerate(kernel["sizes"])]
+        declared = llvm_text.declarations("\n".join(parts))
+        return native.linked_template(self._bitcode(name, kernel), "\n\n".join([declared, *parts]))
+
+    def _bitcode(self, name: str, kernel: Mapping[str, Any]) -> bytes:
+        """Template of a kernel as LLVM bitcode; numba makes it if it is not on disk yet."""
+        path = self.path.parent.parent / "kernels" / f"{kernel['content']}.{native.processor()}.bc"
+        found = trusted_files.find(path)
+        if found is None:
+            text_path = _text_path(kernel["text"])
+            text = trusted_files.find(text_path)
+            if text is None:
+                raise ImportError(f"the generated text {text_path} is no longer there; start again")
+            symbols = [*map(native.symbol, kernel["uses"]), *map(size_symbol, range(len(kernel["sizes"])))]
+            arguments = self.meta["functions"][name]["arguments"].values()
+            with native.lightly_optimised():
+                interface = getattr(_imported(text_path, text.decode()), f"{name}_c")
+                found = bytes(native.compiled_by_numba(interface, arguments, symbols).as_bitcode())
+            trusted_files.keep(path, found)
+        return found
+
+
+def _imported(path: Path, text: str) -> ModuleType:
+    """Import a generated module, and numba with it."""
+    with _importing:  # of another thread, half a module would be seen
+        name = path.stem
+        if name in sys.modules:
+            return sys.modules[name]
+        loader = _Checked(path, text)
+        specification = importlib.util.spec_from_loader(name, loader)
+        if specification is None:
+            raise ImportError(f"cannot import the generated module {path}")
+        module = importlib.util.module_from_spec(specification)
+        sys.modules[name] = module  # numba looks functions up by the name of their module
+        try:
+            loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+        return module
+
+
+@dataclass(frozen=True)
+class _Checked(importlib.abc.ExecutionLoader):
+    """Imports a text that was checked when it was read, and no compiled Python that lies beside it."""
+
+    path: Path
+    text: str
+
+    def get_source(self, fullname: str) -> str:
+        """Text."""
+        return self.text
+
+    def get_filename(self, fullname: str) -> str:
+        """Path of the text, for tracebacks."""
+        return str(self.path)
+
+
+def exists(name: str) -> bool:
+    """Whether the generated module of a key is on disk."""
+    return _read(name) is not None
+
+
+def load(
+    name: str,
+    build: Callable[[], Module],
+    links: Mapping[str, NativeFunction] | None = None,
+    work: tuple[int, int] | None = None,
+) -> Generated:
+    """Generated module of a key; `build` makes it if it is not on disk yet, or not as it was written.
+
+    Args:
+        name: the key.
+        build: prints the module.
+        links: functions of other modules, by the names that `Module.add_link` gives them.
+        work: the shape of the work space of functions that do not say it.
+    """
+    found = _read(name) or _made(name, build)
+    return replace(found, links=links or {}, work=work)
+
+
+def _made(name: str, build: Callable[[], Module]) -> Generated:
+    made = build()
+    _forget(directory())
+    text = made.text()
+    objects, kernels, templates = described(made)
+    for one in (*templates, text):
+        if trusted_files.find(_text_path(digest(one))) is None:  # those of templates are the same for many models
+            trusted_files.keep(_text_path(digest(one)), one.encode())
+    content = json.dumps({"text": digest(text), "meta": made.meta, "objects": objects, "kernels": kernels})
+    trusted_files.keep(_path(name), content.encode())  # last: if it is there, all is
+    return _generated(content, text)
+
+
+def described(made: Module) -> tuple[dict[str, str], dict[str, Any], list[str]]:
+    """Content hashes of a module's functions, what is linked to its kernels, and the texts of templates."""
+    names, texts = made.meta.get("functions", ()), list[str]()
+    if made.functions:
+        return contents(made.text(), names), {}, texts
+    objects, kernels = dict[str, str](), dict[str, Any]()
+    for name in names:
+        if name in made.definitions:
+            objects[name] = digest(versions(), name, made.definitions[name])
+            continue
+        one = template(made, name)
+        kernels[name] = {"text": digest(one.text), "content": one.content, "sizes": one.sizes, "uses": one.uses}
+        objects[name] = digest(one.content, repr(one.sizes), *(made.definitions[use] for use in one.uses))
+        texts.append(one.text)
+    return objects, kernels, texts
+
+
+@cache
+def _forget(folder: Path) -> None:
+    """Remove what was not used for long, once in a process; what is wanted again is made again."""
+    oldest = time.time() - KEPT
+    for part in ("modules", "texts", "objects", "kernels"):
+        for file in (folder / part).glob("*"):
+            with contextlib.suppress(OSError):  # another process was first, or it is not this user's
+                if max(file.stat().st_atime, file.stat().st_mtime) < oldest:
+                    file.unlink()
+
+
+def _read(name: str) -> Generated | None:
+    described = trusted_files.find(_path(name))
+    text = trusted_files.find(_text_path(json.loads(described)["text"])) if described else None
+    return _generated(described, text.decode()) if described and text else None
+
+
+def _generated(described: str | bytes, text: str) -> Generated:
+    found = json.loads(described)
+    return Generated(_text_path(found["text"]), text, found["meta"], found["objects"], found["kernels"])
+
+
+def _path(name: str) -> Path:
+    return directory() / "modules" / f"{name}.json"
+
+
+def _text_path(content: str) -> Path:
+    return directory() / "texts" / f"masking_generated_{content}.txt"

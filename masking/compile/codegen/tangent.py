@@ -1,0 +1,131 @@
+"""Derivatives of nodes with respect to symbols, as nodes of the same graph, by the chain rule in forward mode.
+
+Source: Griewank and Walther, Evaluating Derivatives (2008), chapter 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.printers import needed
+
+# For each operation the derivative with respect to each of its arguments, given the node itself and its arguments; None
+# where it is zero wherever there is one.
+Rule = Callable[[Graph, Node, tuple[Node, ...]], tuple[Node | None, ...]]
+
+
+def _square(graph: Graph, x: Node) -> Node:
+    return graph.mul(x, x)
+
+
+def _one_less(graph: Graph, x: Node) -> Node:
+    return graph.sub(graph.number(1.0), x)
+
+
+def _inverse(graph: Graph, x: Node) -> Node:
+    return graph.div(graph.number(1.0), x)
+
+
+def _power(graph: Graph, node: Node, arguments: tuple[Node, ...]) -> tuple[Node, ...]:
+    base, exponent = arguments
+    lower = graph.apply("pow", base, graph.sub(exponent, graph.number(1.0)))
+    return graph.mul(exponent, lower), graph.mul(node, graph.apply("log", base))
+
+
+def _angle(graph: Graph, arguments: tuple[Node, ...]) -> tuple[Node, Node]:
+    y, x = arguments
+    size = graph.add(_square(graph, x), _square(graph, y))
+    return graph.div(x, size), graph.apply("neg", graph.div(y, size))
+
+
+RULES: dict[str, Rule] = {
+    "neg": lambda g, _, a: (g.number(-1.0),),
+    "add": lambda g, _, a: (g.number(1.0), g.number(1.0)),
+    "sub": lambda g, _, a: (g.number(1.0), g.number(-1.0)),
+    "mul": lambda g, _, a: (a[1], a[0]),
+    "div": lambda g, n, a: (_inverse(g, a[1]), g.apply("neg", g.div(n, a[1]))),
+    "pow": _power,
+    "sqrt": lambda g, n, a: (g.div(g.number(0.5), n),),
+    "exp": lambda g, n, a: (n,),
+    "log": lambda g, _, a: (_inverse(g, a[0]),),
+    "sin": lambda g, _, a: (g.apply("cos", a[0]),),
+    "cos": lambda g, _, a: (g.apply("neg", g.apply("sin", a[0])),),
+    "tan": lambda g, n, a: (g.add(g.number(1.0), _square(g, n)),),
+    "asin": lambda g, _, a: (_inverse(g, g.apply("sqrt", _one_less(g, _square(g, a[0])))),),
+    "acos": lambda g, _, a: (g.apply("neg", _inverse(g, g.apply("sqrt", _one_less(g, _square(g, a[0]))))),),
+    "atan": lambda g, _, a: (_inverse(g, g.add(g.number(1.0), _square(g, a[0]))),),
+    "sinh": lambda g, _, a: (g.apply("cosh", a[0]),),
+    "cosh": lambda g, _, a: (g.apply("sinh", a[0]),),
+    "tanh": lambda g, n, a: (_one_less(g, _square(g, n)),),
+    "atan2": lambda g, _, a: _angle(g, a),
+    "abs": lambda g, _, a: (g.apply("sign", a[0]),),
+    "sign": lambda g, _, a: (None,),
+    "floor": lambda g, _, a: (g.number(1.0),),  # that of its mean, x - 1/2: steps are seen from afar
+    "heaviside": lambda g, _, a: (None,),
+    "lt": lambda g, _, a: (None, None),
+    "le": lambda g, _, a: (None, None),
+}
+
+
+# For each operation that is one of its arguments: the condition, what it is where that holds, and what where not. The
+# derivative of what is not chosen does not count, even where it is not a number.
+SWITCHES: dict[str, Callable[[Graph, tuple[Node, ...]], tuple[Node, Node, Node]]] = {
+    "where": lambda g, a: (a[0], a[1], a[2]),
+    "min": lambda g, a: (g.apply("lt", a[0], a[1]), a[0], a[1]),
+    "max": lambda g, a: (g.apply("lt", a[0], a[1]), a[1], a[0]),
+}
+
+
+def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) -> list[list[Node]]:
+    """D node / d symbol for each node (rows) and symbol (columns).
+
+    At a switch, such as the corner of `abs` or the step of `sign`, they are those of one side. A stair (`floor`) counts
+    as the line through it.
+
+    Args:
+        graph: the graph, to which they are added.
+        nodes: what is differentiated.
+        symbols: nodes of symbols.
+    """
+    order = needed(graph, nodes)
+    zero = graph.number(0.0)
+    partial: dict[Node, tuple[Node | None, ...]] = {}
+    columns = []
+    for symbol in symbols:
+        tangent: dict[Node, Node] = {symbol: graph.number(1.0)}
+        for node in order:
+            name, *given = graph.operations[node]
+            if name in {"symbol", "number"}:
+                continue
+            arguments = tuple(int(a) for a in given)
+            if not any(a in tangent for a in arguments):
+                continue
+            if name in SWITCHES:
+                condition, first, second = SWITCHES[str(name)](graph, arguments)
+                total = graph.apply("where", condition, tangent.get(first, zero), tangent.get(second, zero))
+            else:
+                if node not in partial:
+                    partial[node] = RULES[str(name)](graph, node, arguments)
+                pairs = zip(arguments, partial[node], strict=True)
+                total = graph.total([graph.mul(by, tangent[a]) for a, by in pairs if by is not None and a in tangent])
+            if not graph.is_number(total, 0.0):
+                tangent[node] = total
+        columns.append([tangent.get(node, zero) for node in nodes])
+    return [list(row) for row in zip(*columns, strict=True)] if columns else [[] for _ in nodes]
+
+
+def jacobian(
+    graph: Graph, name: str, nodes: Sequence[Node], symbols: Sequence[Node], columns: Sequence[int]
+) -> list[tuple[str, Node]]:
+    """D node / d symbol as entries `name[row, column]` of a matrix.
+
+    Args:
+        graph: the graph, to which they are added.
+        name: of the matrix.
+        nodes: what is differentiated, one in each row.
+        symbols: nodes of symbols.
+        columns: of the symbols.
+    """
+    rows = derivatives(graph, nodes, symbols)
+    return [(f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)]

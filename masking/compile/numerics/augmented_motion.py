@@ -1,0 +1,449 @@
+"""Augmented model: how a rig moves with trial effects at its places, and how that depends on all parameters.
+
+A force port at each place and an offset of each actuator are entries of the rig's parameter array. Instances of effects
+(`instances`) drive these ports; they are laws that know no rig, each with a number:
+`law(number, t, x, rate, z, values, rows)`. States of effects follow those of the rig in y. At an instant, the effects
+act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
+force or a command at once see what the effects do, too.
+Kernels serve any rig: its functions are linked to them, and the table of `rig_sizes` has its sizes and indices.
+Source: as `variational`; of inertias as `inertia`.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0912, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from masking.compile.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.effect_table import (
+    ACTUATOR,
+    BY_DISPLACEMENT,
+    BY_PARAMETER,
+    BY_RATE,
+    BY_STATE,
+    ELEMENT,
+    FIRST,
+    INERTIA,
+    KIND,
+    LAW,
+    PLACE,
+    SENSOR,
+    STATE,
+    VALUE,
+)
+from masking.compile.numerics.inertia import accelerate, draw_rows
+from masking.compile.numerics.integrators import held_late
+from masking.compile.numerics.motion_sensitivities import (
+    command_at,
+    drive,
+    normal_equations,
+    put_entries,
+    rows_in,
+    take,
+)
+from masking.compile.numerics.rig_sizes import (
+    CHANNELS,
+    COORDINATES,
+    FORCE_ENTRIES,
+    INPUT_COLUMNS,
+    IS_FED,
+    LANES,
+    PLACES,
+    READ_ROWS,
+    SENSORS,
+    SIZES,
+    STATES,
+)
+from masking.compile.numerics.vectors import add_products, cleared
+
+Kernel = Callable[..., Any]
+
+
+class Given(NamedTuple):
+    """What an augmented model is simulated with.
+
+    Args:
+        table: sizes and indices of the rig, as `rig_sizes` has them.
+        p: the parameter array of the rig.
+        moved, moved_by, read, read_by: terms of (df/dp) B, as `variational.Given` has them.
+        instances: of effects, those of sensors last; columns as `instances` says.
+        estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
+        values: parameters of the instances, one after the other.
+        support: displacements, then rates, between which each instance acts (instances, 4).
+        acting: places, then channels, where an effect acts, by their numbers.
+        late: delay of each channel, in samples.
+        late_columns: column of each channel's delay, or -1.
+        lead: derivative of each command by its delay.
+    """
+
+    table: Any
+    p: Any
+    moved: Any
+    moved_by: Any
+    read: Any
+    read_by: Any
+    instances: Any
+    estimated: Any
+    values: Any
+    support: Any
+    acting: Any
+    late: Any
+    late_columns: Any
+    lead: Any
+
+
+class Ports(NamedTuple):
+    """What effects do at an instant.
+
+    Args:
+        inputs: derivatives of the force at each place, then of the command of each channel.
+        inertias: derivatives of the inertia at each place.
+        followed: derivatives of displacements and rates by the state (2 places, n).
+        pushed: what a unit of force adds to the rates, with the inertias before it (places, n).
+        displacement: of each place, then its rate (2 places,).
+        acceleration: of each place (places,); its inertia first.
+        share: part of the acceleration without it that the force of an inertia is (places,).
+        command: of each channel, after its effects (channels,).
+    """
+
+    inputs: Any
+    inertias: Any
+    followed: Any
+    pushed: Any
+    displacement: Any
+    acceleration: Any
+    share: Any
+    command: Any
+
+
+@inlined
+def lead_of(commands, index, channel, late, part, dt, is_linear):
+    """Derivative of a command by its delay: the difference over a sample about it."""
+    before = command_at(commands, index, channel, late + 0.5, part, is_linear)
+    after = command_at(commands, index, channel, late - 0.5, part, is_linear)
+    return (before - after) / dt
+
+
+@inlined
+def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
+    """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
+    drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+    for a in range(u.shape[0]):
+        late = given.late[a]
+        if given.late_columns[a] < 0:
+            continue
+        if is_linear:
+            given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
+        else:
+            before, _ = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
+            after, _ = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
+            given.lead[a] = (before - after) * substeps / dt
+
+
+@inlined
+def ports_in(work, places, channels):
+    """Work space of the ports, and what remains of it."""
+    inputs, work = rows_in(work, places + channels)
+    inertias, work = rows_in(work, places)
+    followed, work = take(work, 2 * places)
+    pushed, work = take(work, places)
+    vectors, work = take(work, 4)
+    return Ports(inputs, inertias, followed, pushed, vectors[0], vectors[1], vectors[2], vectors[3]), work
+
+
+@inlined
+def add_row(by, r, c, source, i, n, width, target, o):
+    """Add a row of derivatives by n states and `width` columns, times by[r, c], to another."""
+    add_vectors(by, r, c, source.by_state, i, n, target.by_state, o)
+    add_vectors(by, r, c, source.by_column, i, width, target.by_column, o)
+
+
+@inlined
+def add_vectors(by, r, c, source, i, n, target, o):
+    """Add the first n of a row, times by[r, c], to another, in whole vectors."""
+    for at in range(0, n, LANES):
+        add_products(by, r, c, 1, source, i, target, o, at)
+
+
+@inlined
+def scale_row(by, target, o, n, width):
+    """Multiply a row of derivatives."""
+    for j in range(n):
+        target.by_state[o, j] *= by
+    for j in range(width):
+        target.by_column[o, j] *= by
+
+
+@inlined
+def add_inputs(by_entry, i, given, inputs, n, target):
+    """Add to derivatives of a rate or reading i what acts at the ports; `by_entry` are those by affected entries."""
+    for q in given.acting:
+        column = given.table[INPUT_COLUMNS, q]
+        if by_entry[i, column] != 0.0:
+            add_row(by_entry, i, column, inputs, q, n, target.by_column.shape[1], target, i)
+
+
+@inlined
+def put_readings(by_entry, given, ports, n, made):
+    """Complete the derivatives of readings: by states of effects, by columns, and through what acts at the ports."""
+    put_entries(by_entry, given.read, given.read_by, 0, made.by_column)
+    for o in range(made.by_column.shape[0]):
+        for z in range(given.table[SIZES, STATES], n):
+            made.by_state[o, z] = 0.0
+        if given.table[SIZES, IS_FED]:
+            add_inputs(by_entry, o, given, ports.inputs, n, made)
+
+
+@inlined
+def is_beyond(support, x, rate):
+    """Whether a motion is where an effect does not act; measured: most pieces of a curve do not, most times."""
+    return x < support[0] or x > support[1] or rate < support[2] or rate > support[3]
+
+
+@inlined
+def add_law(i, z, by, given, target, o):
+    """Add to derivatives what a law gives (`by`) by the state z of its effect, if it has one, and by its parameters."""
+    if z >= 0:
+        target.by_state[o, z] += by[BY_STATE]
+    for m in range(given.estimated.shape[1]):
+        if given.estimated[i, m] >= 0:
+            target.by_column[o, given.estimated[i, m]] += by[BY_PARAMETER + m]
+
+
+@inlined
+def add_motion(kind, at, places, by, r, n, width, ports, readings, target, o):
+    """Add to derivatives what a law gives (row r of `by`) by what it follows: a place, a command or a reading."""
+    if kind == ELEMENT:
+        if by[r, BY_DISPLACEMENT] != 0.0 or by[r, BY_RATE] != 0.0:  # pieces of a curve are 0 but for a few
+            add_vectors(by, r, BY_DISPLACEMENT, ports.followed, at, n, target.by_state, o)
+            add_vectors(by, r, BY_RATE, ports.followed, places + at, n, target.by_state, o)
+    elif kind == ACTUATOR:
+        add_row(by, r, BY_DISPLACEMENT, ports.inputs, places + at, n, width, target, o)
+    elif kind == SENSOR:
+        add_row(by, r, BY_DISPLACEMENT, readings, at, n, width, target, o)
+
+
+@inlined
+def clear(u, n, given, has_inertia, ports):
+    """Take forces and inertias out of the ports, and put commands into them."""
+    table, places = given.table, given.table[SIZES, PLACES]
+    for a in range(table[SIZES, CHANNELS]):
+        ports.command[a] = u[a]
+    for q in given.acting:
+        clear_row(ports.inputs, q, n)
+        if q < places:
+            given.p[table[FORCE_ENTRIES, q]] = 0.0
+            if has_inertia:
+                ports.acceleration[q] = 0.0
+                clear_row(ports.inertias, q, n)
+        elif given.late_columns[q - places] >= 0:
+            ports.inputs.by_column[q, given.late_columns[q - places]] = given.lead[q - places]
+
+
+@inlined
+def clear_row(target, o, n):
+    """Make a row of derivatives 0."""
+    for j in range(n):
+        target.by_state[o, j] = 0.0
+    cleared(target.by_column, o, o + 1)
+
+
+def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
+    """Make what effects do at an instant.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        placed: `placed(t, y, u, p, d, by_state)` writes displacements, then rates, of places, and their derivatives.
+        sensed: writes readings, and their derivatives.
+
+    Returns:
+        `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
+        and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the rates of the
+        effects' states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 4 rows.
+    """
+
+    @inlined
+    def act(t, y, u, given, rate, made, ports, work):
+        n, width, places = y.size, made.by_column.shape[1], given.table[SIZES, PLACES]
+        readings, work = rows_in(work, given.table[SIZES, SENSORS])
+        by_entry, work = take(work, given.table[SIZES, SENSORS])
+        rows, work = take(work, 2)
+        s, noise = work[0], work[1]
+        instances = given.instances
+        has_elements, has_inertia, is_sensed = False, False, False
+        for i in range(instances.shape[0]):
+            has_elements |= instances[i, KIND] == ELEMENT
+            has_inertia |= instances[i, KIND] == INERTIA
+        clear(u, n, given, has_inertia, ports)
+        if has_elements or has_inertia:
+            placed(t, y, ports.command, given.p, ports.displacement, ports.followed)
+        for i in range(instances.shape[0]):
+            kind, at, z = instances[i, KIND], instances[i, PLACE], instances[i, STATE]
+            if kind == SENSOR and z < 0:
+                continue
+            if kind == SENSOR and not is_sensed:
+                sensed(t, y, ports.command, given.p, noise, s, readings.by_state, by_entry)
+                put_readings(by_entry, given, ports, n, readings)
+                is_sensed = True
+            x, moved = 1.0, 0.0  # of an inertia
+            if kind == ELEMENT:
+                x, moved = ports.displacement[at], ports.displacement[places + at]
+            elif kind == ACTUATOR:
+                x = ports.command[at]
+            elif kind == SENSOR:
+                x = s[at]
+            if is_beyond(given.support[i], x, moved):
+                continue
+            inside = y[z] if z >= 0 else 0.0
+            law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
+            if z >= 0:
+                rate[z] = rows[1, VALUE]
+                clear_row(made, z, n)
+                add_motion(kind, at, places, rows, 1, n, width, ports, readings, made, z)
+                add_law(i, z, rows[1], given, made, z)
+            if kind == ELEMENT:
+                given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
+                add_motion(kind, at, places, rows, 0, n, width, ports, readings, ports.inputs, at)
+                add_law(i, z, rows[0], given, ports.inputs, at)
+            elif kind == ACTUATOR:
+                ports.command[at] = rows[0, VALUE]
+                scale_row(rows[0, BY_DISPLACEMENT], ports.inputs, places + at, n, width)
+                add_law(i, z, rows[0], given, ports.inputs, places + at)
+            elif kind == INERTIA:
+                ports.acceleration[at] += rows[0, VALUE]
+                add_law(i, z, rows[0], given, ports.inertias, at)
+        return has_inertia
+
+    return act
+
+
+def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
+    """Make the flow of a rig with effects.
+
+    Args:
+        act: writes what effects do, as that of `effects_at_ports`.
+        slopes: writes the rates of the rig's state, and their derivatives.
+
+    Returns:
+        `flow(t, y, u, given, rate, made, work)`, as that of `variational.motion_with_derivatives`; `work` has as many
+        rows as the rig has states, then those of the ports, and one more.
+    """
+
+    @inlined
+    def flow(t, y, u, given, rate, made, work):
+        table, width = given.table, made.by_column.shape[1]
+        n, coordinates, places = table[SIZES, STATES], table[SIZES, COORDINATES], table[SIZES, PLACES]
+        by_entry, work = take(work, n)
+        ports, work = ports_in(work, places, table[SIZES, CHANNELS])
+        total, work = take(work, 1)
+        has_inertia = act(t, y, u, given, rate, made, ports, work)
+        by_state, by_column = made.by_state[:n], made.by_column[:n]
+        for again in range(2 if has_inertia else 1):
+            if again:
+                accelerate(y.size, width, by_entry, given, rate, ports)
+            slopes(t, y, ports.command, given.p, rate, made.by_state, by_entry)
+        put_entries(by_entry, given.moved, given.moved_by, coordinates, by_column)
+        for i in range(coordinates, n):
+            for z in range(n, y.size):
+                by_state[i, z] = 0.0
+            add_inputs(by_entry, i, given, ports.inputs, y.size, made)
+        if has_inertia:
+            for e in range(places):
+                share, followed, pushed = ports.share[e], ports.followed[e], ports.pushed[e]
+                draw_rows(n, coordinates, share, followed, pushed, by_state, total[0][: y.size])
+                draw_rows(n, coordinates, share, followed, pushed, by_column, total[0][:width])
+
+    return flow
+
+
+def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
+    """Make the readings of a rig with effects, and their derivatives.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        act: writes what effects do, as that of `effects_at_ports`.
+        sensed: writes readings, and their derivatives.
+
+    Returns:
+        `read`, as that of `variational.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
+    """
+
+    @inlined
+    def bend(t, y, given, s, made, by):
+        n, width = y.size, made.by_column.shape[1]
+        for i in range(given.instances.shape[0]):
+            if given.instances[i, KIND] == SENSOR:
+                at, first, z = given.instances[i, PLACE], given.instances[i, FIRST], given.instances[i, STATE]
+                law(given.instances[i, LAW], t, s[at], 0.0, y[z] if z >= 0 else 0.0, given.values[first:], by)
+                s[at] = by[0, VALUE]
+                scale_row(by[0, BY_DISPLACEMENT], made, at, n, width)
+                add_law(i, z, by[0], given, made, at)
+
+    @inlined
+    def read(t, dt, y, commands, index, is_linear, given, s, made, work):
+        table = given.table
+        channels = table[SIZES, CHANNELS]
+        by_entry, work = take(work, table[SIZES, SENSORS])
+        by, work = take(work, 2)
+        vectors, work = take(work, 3)
+        noise, u, rate = vectors[0], vectors[1][:channels], vectors[2]
+        moved, work = rows_in(work, y.size)
+        ports, work = ports_in(work, table[SIZES, PLACES], channels)
+        for a in range(channels):
+            u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
+            ports.command[a] = u[a]
+            if given.late_columns[a] >= 0:
+                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
+        if table[SIZES, IS_FED]:
+            act(t, y, u, given, rate, moved, ports, work)
+        sensed(t, y, ports.command, given.p, noise, s, made.by_state, by_entry)
+        put_readings(by_entry, given, ports, y.size, made)
+        bend(t, y, given, s, made, by)
+
+    return read
+
+
+def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
+    """Make the normal equations of an augmented model over a record.
+
+    Args:
+        law: writes what a law gives, and its derivatives.
+        placed: writes displacements and rates of places, with derivatives.
+        slopes: writes the rates of the rig's state, and their derivatives.
+        sensed: writes readings, and their derivatives.
+        carry: moves columns over a step.
+
+    Returns:
+        `normal(count, dt, substeps, interval, is_linear, table, k, free, starts, y, columns, p, moved, moved_by, read,
+        read_by, instances, estimated, values, support, acting, late, late_columns, commands, readings, weights, matrix,
+        gradient, squares, simulated, work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
+    """
+    act = effects_at_ports(law, placed, sensed)
+    flow = motion_with_effects(act, slopes)
+    accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, flow, carry)
+
+    @compiled
+    def normal(
+        count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, k: int, free: IntVector,
+        starts: Matrix, y: Vector, columns: Matrix, p: Vector, moved: IntMatrix, moved_by: Vector, read: IntMatrix,
+        read_by: Vector, instances: IntMatrix, estimated: IntMatrix, values: Vector, support: Matrix, acting: IntVector,
+        late: Vector, late_columns: IntVector, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
+        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+    ) -> int:  # fmt: skip
+        work[:] = 0.0
+        first, work = take(work, 1)
+        read_work, work = take(work, table[SIZES, READ_ROWS])
+        lead = first[0][: table[SIZES, CHANNELS]]
+        given = Given(
+            table, p, moved, moved_by, read, read_by, instances, estimated, values, support, acting, late, late_columns,
+            lead,
+        )  # fmt: skip
+        return accumulate(
+            count, dt, substeps, interval, is_linear, k, free, starts, y, columns, given, commands, readings, weights,
+            matrix, gradient, squares, simulated, read_work, work,
+        )  # fmt: skip
+
+    return normal

@@ -1,0 +1,105 @@
+"""Sizes of a sampled controller, and the columns of its tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Columns of the table of limits, one row for each actuator.
+LARGEST, HEATING, POWER, TIME = range(4)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a sampled controller.
+
+    Args:
+        coordinates: n.
+        states: length of [q, v, s]; at the end of s are what a virtual system remembers, and the balance's damping.
+        inputs: of the rig's model.
+        actuators: channels that are commanded.
+        order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
+        balanced: virtual coordinates whose energy balance is held; 0 where none is.
+        offsets: sensors whose offset is measured at rest; 0 where none is.
+        remembered: internal states of the virtual system.
+        lags: its delayed expressions.
+        kept: samples of them that are kept; 0 where there are none.
+        events: of the virtual system.
+        targets: for each value that jumps in them, the index of its event and that of the state in [q, v, s].
+    """
+
+    coordinates: int
+    states: int
+    inputs: int
+    actuators: int
+    order: int
+    balanced: int = 0
+    offsets: int = 0
+    remembered: int = 0
+    lags: int = 0
+    kept: int = 0
+    events: int = 0
+    targets: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def memory(self) -> slice:
+        """Where the virtual system's internal states are in the rig's state; its delayed expressions follow."""
+        stop = self.states - (self.balanced > 0) - self.lags
+        return slice(stop - self.remembered, stop)
+
+    @property
+    def estimate(self) -> int:
+        """Length of the estimate z = [q, v, s, d, d', ...]."""
+        return self.states + self.order * self.coordinates
+
+    @property
+    def power(self) -> slice:
+        """Where the mean powers of the actuators are in the memory.
+
+        The memory holds the estimate at the last sample, these, the estimate for the next sample, what the energy
+        balance and the offsets remember, and the inputs under way, oldest first: as many as there are samples of delay,
+        which its length gives.
+        """
+        return slice(self.estimate, self.estimate + self.actuators)
+
+    @property
+    def next(self) -> slice:
+        """Where the estimate for the next sample is in the memory."""
+        return slice(self.power.stop, self.power.stop + self.estimate)
+
+    @property
+    def balance(self) -> slice:
+        """Where the memory of the energy balance is."""
+        return slice(self.next.stop, self.next.stop + (6 * self.balanced + 2 if self.balanced else 0))
+
+    @property
+    def rest(self) -> slice:
+        """Where offsets of sensors, their readings at rest without offset, and two numbers are.
+
+        The numbers are the time at which the rest ends, and the part of a difference that a sample corrects.
+        """
+        return slice(self.balance.stop, self.balance.stop + (2 * self.offsets + 2 if self.offsets else 0))
+
+    @property
+    def past(self) -> slice:
+        """Where the past of the delayed expressions is.
+
+        It holds the latest sample, the seconds between samples, the delays in samples, and a row for each kept sample.
+        """
+        return slice(self.rest.stop, self.rest.stop + (2 + self.lags * (1 + self.kept) if self.lags else 0))
+
+    @property
+    def fixed(self) -> int:
+        """Length of the memory without inputs under way."""
+        return self.past.stop
+
+    @property
+    def work(self) -> tuple[int, int]:
+        """Shape of the work space, whose rows must also hold the readings and the rig's states."""
+        rows = 39 if self.events else 34 if self.remembered + self.lags else 26
+        switched = self.events + len(self.targets)
+        return rows, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)
+
+
+def lane_work(order: int, size: int, inputs: int, parameters: int, lanes: int) -> tuple[int, int]:
+    """Shape of the work space of `masking.compile.numerics.lanes`."""
+    return 13 + (order - order // 2 - 2) // 2 + (order + 3) * size + inputs + parameters, lanes

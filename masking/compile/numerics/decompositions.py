@@ -1,0 +1,96 @@
+"""Decompositions that end in a result or in an `IntegrationError`, whatever the matrix.
+
+LAPACK gives up at numbers that are not finite, at singular matrices, and now and then at a finite one whose entries are
+hundreds of orders of magnitude apart. What simulates a motion that runs away makes all three of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array, Complex
+from masking.errors import IntegrationError
+
+
+@contextmanager
+def decomposed() -> Iterator[None]:
+    """Raise an IntegrationError where a decomposition inside fails.
+
+    Raises:
+        IntegrationError: a matrix is singular, not finite, or its decomposition does not converge.
+    """
+    try:
+        yield
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise IntegrationError(f"the equations are singular or no longer finite ({error})") from error
+
+
+def svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """Singular value decomposition u (m, k), s (k,), v (k, n) of a matrix (m, n); k = min(m, n).
+
+    Raises:
+        IntegrationError: it does not converge, or the matrix is not finite.
+    """
+    with decomposed():
+        u, s, v = np.linalg.svd(_finite(matrix), full_matrices=False)
+    return u, s, v
+
+
+def eigenvalues(matrix: Array) -> Complex:
+    """Eigenvalues (n,) of a matrix (n, n).
+
+    Raises:
+        IntegrationError: they do not converge, or the matrix is not finite.
+    """
+    with decomposed():
+        return np.asarray(np.linalg.eigvals(_finite(matrix)), dtype=np.complex128)
+
+
+def symmetric(matrix: Array) -> tuple[Array, Array]:
+    """Eigenvalues (n,), in rising order, and eigenvectors (n, n) of a symmetric matrix (n, n).
+
+    Raises:
+        IntegrationError: they do not converge, or the matrix is not finite.
+    """
+    with decomposed():
+        values, vectors = np.linalg.eigh(_finite(matrix))
+    return values, vectors
+
+
+def inverse(matrix: Array, rcond: float | None = None, *, hermitian: bool = False) -> Array:
+    """Pseudoinverse (n, m) of a matrix (m, n).
+
+    Args:
+        matrix: to invert, real or complex.
+        rcond: singular values below this part of the largest are taken as 0; by default those that rounding makes.
+        hermitian: whether it is symmetric.
+
+    Raises:
+        IntegrationError: its decomposition does not converge, or the matrix is not finite.
+    """
+    with decomposed():
+        if rcond is None:
+            return np.asarray(np.linalg.pinv(_finite(matrix), hermitian=hermitian))
+        return np.asarray(np.linalg.pinv(_finite(matrix), rcond=rcond, hermitian=hermitian))
+
+
+def least_squares(matrix: Array, right: Array, rcond: float | None = None) -> Array:
+    """X (n, ...) of least norm that makes |matrix x - right| least.
+
+    Args:
+        matrix: (m, n).
+        right: (m, ...).
+        rcond: singular values below this part of the largest are taken as 0; by default those that rounding makes.
+
+    Raises:
+        IntegrationError: the decomposition does not converge, or a number is not finite.
+    """
+    with decomposed():
+        return np.asarray(np.linalg.lstsq(_finite(matrix), _finite(right), rcond=rcond)[0])
+
+
+def _finite(matrix: Array) -> Array:
+    return np.asarray_chkfinite(matrix)

@@ -1,0 +1,127 @@
+"""Delays: what a delayed expression was, read from the dense output of the steps that an integrator has taken.
+
+The method of steps: no step is longer than the shortest delay, so that all that a step reads is behind it, and steps
+end where the kink at the initial time comes back, until it is as smooth as the integrator can see. Before the initial
+time everything was as it is then. Source: Hairer, Norsett and Wanner (1993), section II.17.
+
+The state is followed by the values of the delayed expressions, y = [q, v, s, w], which are read and not integrated.
+"""
+# ruff: noqa: ANN001, ANN202, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.integrators import copy, embedded_steps, no_event
+
+Kernel = Callable[..., Any]
+
+STEPS = 4096  # that are kept: as many as fit into the longest delay
+KINKS = 9  # derivatives of the solution in which the kink at the initial time comes back
+# Rows of the history: initial time and number of steps, delays, initial state, two for work, inputs; then nine for each
+# of the latest steps: its beginning and its length, the state there, and the seven coefficients of its dense output.
+HEAD, DELAYS, BEFORE, THEN, VALUES, INPUTS, FIRST = range(7)
+ROWS = 9
+
+
+def history_shape(size: int, lags: int, inputs: int) -> tuple[int, int]:
+    """Shape of the work space of `runge_kutta`.
+
+    Args:
+        size: number of states that are integrated.
+        lags: number of delayed expressions.
+        inputs: number of inputs.
+    """
+    return 24 + FIRST + ROWS * STEPS, max(size + lags, inputs, 2)
+
+
+def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, lags: int, inputs: int) -> Kernel:
+    """Make the integrator of `integrators.runge_kutta` for equations with delays.
+
+    Args:
+        derivative: writes the derivatives of y = [q, v, s, w].
+        lagged: `lagged(t, y, p, w)` writes what the delayed expressions are now.
+        delays: `delays(p, w)` writes their delays.
+        size: number of states that are integrated.
+        lags: number of delayed expressions.
+        inputs: number of inputs.
+
+    Returns:
+        `solve`, as that of `integrators.runge_kutta`, with states [q, v, s, w] and the work space of `history_shape`.
+    """
+
+    @compiled
+    def state_at(t, past, y):
+        if t <= past[HEAD, 0]:
+            copy(past[BEFORE], y, size)
+            return
+        count = int(past[HEAD, 1])
+        low, high = max(0, count - STEPS), count - 1
+        while low < high:
+            middle = (low + high + 1) // 2
+            if past[FIRST + ROWS * (middle % STEPS), 0] <= t:
+                low = middle
+            else:
+                high = middle - 1
+        at = FIRST + ROWS * (low % STEPS)
+        x = (t - past[at, 0]) / past[at, 1]
+        for i in range(size):
+            value = past[at + 8, i]
+            for r in range(5, -1, -1):
+                value = past[at + 2 + r, i] + (1.0 - x if r % 2 == 0 else x) * value
+            y[i] = past[at + 1, i] + x * value
+
+    @compiled
+    def filled(t, y, past, p, dy):
+        for j in range(lags):
+            then = t - past[DELAYS, j]
+            state_at(then, past, past[THEN])
+            lagged(then, past[THEN], p, past[VALUES])
+            y[size + j] = past[VALUES, j]
+        return derivative(t, y, past[INPUTS], p, dy)
+
+    @compiled
+    def bound(t, past):
+        limit = math.inf
+        for j in range(lags):
+            time = past[DELAYS, j]
+            limit = min(limit, time)
+            kink = math.floor((t - past[HEAD, 0]) / time + 1e-9) + 1.0
+            if kink <= KINKS:
+                limit = min(limit, past[HEAD, 0] + kink * time - t)
+        return limit
+
+    @compiled
+    def keep(t, y, f, length, past):
+        count, longest = int(past[HEAD, 1]), 0.0
+        at = FIRST + ROWS * (count % STEPS)
+        oldest = past[at, 0]
+        for j in range(lags):
+            longest = max(longest, past[DELAYS, j])
+        past[at, 0], past[at, 1] = t, length
+        copy(y, past[at + 1], size)
+        for r in range(7):
+            copy(f[r], past[at + 2 + r], size)
+        past[HEAD, 1] = count + 1.0
+        return count < STEPS or oldest + longest < t
+
+    solve_with = embedded_steps(filled, bound, keep, size, True, no_event, False)
+
+    @compiled
+    def solve(
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
+        work: Matrix,
+    ) -> tuple[int, float, int]:  # fmt: skip
+        past = work[24:]
+        copy(u, past[INPUTS], inputs)
+        past[HEAD, 0], past[HEAD, 1] = t, 0.0
+        delays(p, past[DELAYS])
+        copy(y, past[BEFORE], size)
+        return solve_with(t, y, times, past, p, tolerance, fixed_step, states, work[:24])
+
+    return solve

@@ -1,0 +1,234 @@
+"""Kernels along a known motion: places and readings, a law with its derivatives, and first-order responses of sensors.
+
+Forces of latent sources on degrees of freedom stand beside the states (count, n + forces); `ports` are the indices of
+these forces in the parameter array. Functions of a rig are those of `variational` and `augmented`.
+"""
+# ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from masking.compile.numerics.arrays import IntVector, Matrix, Vector
+from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, VALUE
+from masking.compile.numerics.integrators import copy
+from masking.compile.numerics.motion_sensitivities import take
+
+Kernel = Callable[..., Any]
+
+NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
+ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
+
+
+def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
+    """Make the motion of places.
+
+    Returns:
+        `follow(count, dt, coordinates, ports, p, states, commands, moved, work)`, which writes displacements, rates and
+        accelerations of the places (count, 3 places).
+    """
+
+    @compiled
+    def follow(
+        count: int, dt: float, coordinates: int, ports: IntVector, p: Vector, states: Matrix, commands: Matrix,
+        moved: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        n, places = states.shape[1] - ports.size, moved.shape[1] // 3
+        work[:] = 0.0
+        followed, work = take(work, 2 * places)
+        d, rate = work[0], work[1]
+        for index in range(count):
+            for i in range(ports.size):
+                p[ports[i]] = states[index, n + i]
+            placed(index * dt, states[index], commands[index], p, d, followed)
+            derivative(index * dt, states[index], commands[index], p, rate)
+            for e in range(places):
+                moved[index, e] = d[e]
+                moved[index, places + e] = d[places + e]
+                total = 0.0
+                for i in range(coordinates):
+                    total += followed[e, i] * rate[coordinates + i]
+                moved[index, 2 * places + e] = total
+
+    return follow
+
+
+def readings_along(sensed: Kernel) -> Kernel:
+    """Make the readings along states.
+
+    Returns:
+        `read(count, dt, ports, p, states, commands, readings, work)`, which writes them (count, sensors).
+    """
+
+    @compiled
+    def read(
+        count: int, dt: float, ports: IntVector, p: Vector, states: Matrix, commands: Matrix, readings: Matrix,
+        work: Matrix,
+    ) -> None:  # fmt: skip
+        n, sensors = states.shape[1] - ports.size, readings.shape[1]
+        work[:] = 0.0
+        by_state, work = take(work, sensors)
+        by_entry, work = take(work, sensors)
+        noise, s = work[0], work[1]
+        for index in range(count):
+            for i in range(ports.size):
+                p[ports[i]] = states[index, n + i]
+            sensed(index * dt, states[index], commands[index], p, noise, s, by_state, by_entry)
+            copy(s, readings[index], sensors)
+
+    return read
+
+
+@compiled
+def relaxed(h: float, decay: float) -> float:
+    """Integral of exp(decay s) over s from 0 to h."""
+    return math.expm1(decay * h) / decay if abs(decay * h) > ROUNDED else h
+
+
+def law_along(law: Kernel) -> Kernel:
+    """Make the value of a law along a motion, and its derivatives by parameters.
+
+    The state of an effect is integrated by the exponential midpoint rule, with the law linearised in the middle of each
+    piece: second order, exact where the law is linear in its state, and stable however fast that decays.
+    Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
+
+    Returns:
+        `follow(count, dt, pieces, number, has_state, x, rate, parameters, values, features, work)`, which writes
+        `features` (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,). A
+        state is integrated in `pieces` of a sample.
+    """
+
+    @compiled
+    def follow(
+        count: int, dt: float, pieces: int, number: int, has_state: int, x: Vector, rate: Vector,
+        parameters: IntVector, values: Vector, features: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        rows, later, dz = work[:2], work[2:4], work[4]
+        many, h, z = features.shape[1], dt / pieces, NEARLY_ZERO
+        dz[:] = 0.0
+        for index in range(count):
+            t = index * dt
+            law(number, t, x[index], rate[index], z, values, rows)
+            features[index, 0] = rows[0, VALUE]
+            for j in range(1, many):
+                features[index, j] = rows[0, BY_STATE] * dz[j] + rows[0, BY_PARAMETER + parameters[j - 1]]
+            if has_state and index < count - 1:
+                for piece in range(pieces):
+                    share = (piece + 0.5) / pieces
+                    px = x[index] + share * (x[index + 1] - x[index])
+                    pr = rate[index] + share * (rate[index + 1] - rate[index])
+                    law(number, t + share * dt, px, pr, z, values, later)
+                    half = z + relaxed(0.5 * h, later[1, BY_STATE]) * later[1, VALUE]
+                    law(number, t + share * dt, px, pr, half, values, later)
+                    decay = later[1, BY_STATE]
+                    span = relaxed(h, decay)
+                    for j in range(1, many):
+                        dz[j] += span * (decay * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
+                    z += span * (later[1, VALUE] + decay * (z - half))
+
+    return follow
+
+
+@compiled
+def transition(by_state, h, phi, product):
+    """Write exp(A 4 h) - 1 into phi (n, n): that of h to the third order, doubled twice."""
+    n = phi.shape[0]
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for m in range(n):
+                total += by_state[i, m] * by_state[m, j]
+            product[i, j] = total
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for m in range(n):
+                total += by_state[i, m] * product[m, j]
+            phi[i, j] = h * by_state[i, j] + 0.5 * h * h * product[i, j] + h * h * h / 6.0 * total
+    for _ in range(2):
+        for i in range(n):
+            for j in range(n):
+                total = 2.0 * phi[i, j]
+                for m in range(n):
+                    total += phi[i, m] * phi[m, j]
+                product[i, j] = total
+        for i in range(n):
+            copy(product[i], phi[i], n)
+
+
+def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
+    """Make the first-order response of the sensors to forces and to initial states, along a motion.
+
+    Args:
+        slopes: writes rates, and their derivatives.
+        sensed: writes readings, and their derivatives.
+
+    Returns:
+        `respond(count, dt, every, interval, is_direct, entries, initial, states, commands, p, features, means, work)`
+        for M responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with
+        index `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n),
+        and `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend
+        on entries of the parameter array at once.
+    """
+
+    @compiled
+    def respond(
+        count: int, dt: float, every: int, interval: int, is_direct: int, entries: IntVector, initial: IntVector,
+        states: Matrix, commands: Matrix, p: Vector, features: Matrix, means: Matrix, work: Matrix,
+    ) -> None:  # fmt: skip
+        n, many = states.shape[1], features.shape[1]
+        sensors = means.shape[1] // many
+        work[:] = 0.0
+        means[:] = 0.0
+        by_state, work = take(work, n)
+        by_entry, work = take(work, n)
+        read_by_state, work = take(work, sensors)
+        read_by_entry, work = take(work, sensors)
+        transitions, work = take(work, 2 * n)
+        phi, product = transitions[:n, :n], transitions[n:, :n]
+        e, work = take(work, n)
+        f, work = take(work, n)
+        rate, s, noise = work[0], work[1], work[2]
+        for index in range(count):
+            t = index * dt
+            is_first = index % interval == 0
+            if is_first:
+                for i in range(n):
+                    for m in range(many):
+                        e[i, m] = 1.0 if initial[m] == i else 0.0
+            slopes(t, states[index], commands[index], p, rate, by_state, by_entry)
+            sensed(t, states[index], commands[index], p, noise, s, read_by_state, read_by_entry)
+            if not is_first:  # the half of the force that comes with this sample
+                for i in range(n):
+                    for m in range(many):
+                        e[i, m] += 0.5 * dt * by_entry[i, entries[m]] * features[index, m]
+            block = index // every
+            if block < means.shape[0]:
+                for o in range(sensors):
+                    for i in range(n):
+                        by = read_by_state[o, i] / every
+                        if by != 0.0:
+                            for m in range(many):
+                                means[block, o * many + m] += by * e[i, m]
+                    if is_direct:
+                        for m in range(many):
+                            means[block, o * many + m] += read_by_entry[o, entries[m]] * features[index, m] / every
+            for i in range(n):
+                for m in range(many):
+                    e[i, m] += 0.5 * dt * by_entry[i, entries[m]] * features[index, m]
+            transition(by_state[:, :n], 0.25 * dt, phi, product)
+            for i in range(n):
+                copy(e[i], f[i], many)
+                for j in range(n):
+                    by = phi[i, j]
+                    if by != 0.0:
+                        for m in range(many):
+                            f[i, m] += by * e[j, m]
+            for i in range(n):
+                copy(f[i], e[i], many)
+
+    return respond

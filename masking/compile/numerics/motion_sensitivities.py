@@ -1,0 +1,382 @@
+"""Variational equations: a simulated motion and its derivatives by parameters and initial values, in one pass.
+
+    y' = f(t, y, u, p),    S' = (df/dy) S + (df/dp) B
+
+The columns of S are derivatives of the state y by what is estimated; B (`basis`) says how the entries of the parameter
+array depend on it. Both are integrated by the classical Runge-Kutta method with the same steps, so that S is the exact
+derivative of the computed y: the motion of a step comes first, with df/dy and (df/dp) B at each of its stages, and then
+the columns, which are linear in these. What a least-squares fit needs, the normal equations, is accumulated sample by
+sample.
+Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section I.14 and Table II.1.2;
+Ljung, System Identification (1999), section 10.3.
+
+Kernels serve any rig: sizes are those of the arrays. Functions of a rig, with n states y = coordinates, velocities,
+others, are linked to them:
+
+* `derivative(t, y, u, p, rate)` writes y';
+* `slopes(t, y, u, p, rate, by_state, by_entry)` writes y', df/dy (n, n) and df/dp (n, affected);
+* `sensed(t, y, u, p, noise, s, by_state, by_entry)` writes the readings s and their derivatives;
+* `carry(by_state, by_column, columns, h)` moves the columns S (n, width) over a step, `codegen.column_step`.
+
+`given` stands for the arrays that a rig is simulated with, as one tuple: `Given` for a twin.
+Kernels need work space of zeros, and take rows of it from the top.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from masking.compile.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.integrators import held_late
+from masking.compile.numerics.rig_sizes import LANES, TOGETHER
+from masking.compile.numerics.vectors import add_products, cleared
+
+Kernel = Callable[..., Any]
+
+
+class Given(NamedTuple):
+    """What a twin is simulated with.
+
+    Args:
+        p: the parameter array.
+        moved, moved_by: terms of (df/dp) B in the rates and their values, as `put_entries` takes them.
+        read, read_by: the same in the readings.
+        coordinates: how many of the states are coordinates, whose rates are the states that follow them.
+        late: samples after which each actuator acts.
+    """
+
+    p: Any
+    moved: Any
+    moved_by: Any
+    read: Any
+    read_by: Any
+    coordinates: Any
+    late: Any
+
+
+class Late(NamedTuple):
+    """Samples after which each actuator acts, where nothing else is given to `drive`."""
+
+    late: Any
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of rates or readings, a row each.
+
+    Args:
+        by_state: df/dy (rows, n).
+        by_column: (df/dp) B (rows, width), by what is estimated while the state is held.
+    """
+
+    by_state: Any
+    by_column: Any
+
+
+@inlined
+def take(work, rows):
+    """First rows of a work space, and what remains of it."""
+    return work[:rows], work[rows:]
+
+
+@inlined
+def command_at(commands, index, channel, late, part, is_linear):
+    """Command a part of a sample after a sample, as it was `late` samples before.
+
+    Commands go linearly between samples (first-order hold), or are held; then they are means over a sample. Before the
+    first sample and after the last they are constant.
+    """
+    last = commands.shape[0] - 1
+    at = index + (part if is_linear else 0.0) - late
+    low = math.floor(at)
+    share = at - low
+    before, after = min(max(low, 0), last), min(max(low + 1, 0), last)
+    return (1.0 - share) * commands[before, channel] + share * commands[after, channel]
+
+
+@inlined
+def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
+    """Write the commands u that act at the begin and `end` of an integration step after a sample."""
+    for a in range(u.shape[0]):
+        late = given.late[a]
+        if is_linear:
+            u[a] = command_at(commands, index, a, late, step / substeps, is_linear)
+            end[a] = command_at(commands, index, a, late, (step + 1.0) / substeps, is_linear)
+        else:
+            mean, rise = held_late(commands, index, a, late, step, substeps)
+            u[a], end[a] = mean - rise, mean + rise
+
+
+@inlined
+def rows_in(work, rows):
+    """Derivatives in a work space, and what remains of it."""
+    by_state, work = take(work, rows)
+    by_column, work = take(work, rows)
+    return Derivatives(by_state, by_column), work
+
+
+@inlined
+def put_entries(by_entry, terms, values, first, out):
+    """Write (df/dp) B into the rows of a table from the first on, which are 0 where there is no term.
+
+    Args:
+        by_entry: df/dp (rows, affected).
+        first: row of the table.
+        out: the table.
+        terms: rows, entries and columns whose products are not 0 (3, terms), integers.
+        values: of B in each term (terms,).
+    """
+    cleared(out, first, out.shape[0])
+    for m in range(values.size):
+        i, j = np.uintp(terms[0, m]), np.uintp(terms[2, m])
+        out[i, j] += by_entry[i, np.uintp(terms[1, m])] * values[m]
+
+
+def motion_alone(derivative: Kernel) -> Kernel:
+    """Make the flow of a motion without derivatives, in which `given` is the parameter array."""
+
+    @inlined
+    def flow(t, y, u, given, rate, made, work):
+        derivative(t, y, u, given, rate)
+
+    return flow
+
+
+def motion_with_derivatives(slopes: Kernel) -> Kernel:
+    """Make the flow of a twin's motion.
+
+    Returns:
+        `flow(t, y, u, given, rate, made, work)`, which writes y' and its derivatives, the latter but those of
+        coordinates; `work` has n rows.
+    """
+
+    @inlined
+    def flow(t, y, u, given, rate, made, work):
+        by_entry, _ = take(work, y.size)
+        slopes(t, y, u, given.p, rate, made.by_state, by_entry)
+        put_entries(by_entry, given.moved, given.moved_by, given.coordinates, made.by_column)
+
+    return flow
+
+
+def readings_with_derivatives(sensed: Kernel) -> Kernel:
+    """Make the readings of a twin and their derivatives.
+
+    Returns:
+        `read(t, dt, y, commands, index, is_linear, given, s, made, work)`, which writes the readings s at a sample and
+        their derivatives; `work` has sensors + 2 rows.
+    """
+
+    @inlined
+    def read(t, dt, y, commands, index, is_linear, given, s, made, work):
+        sensors = made.by_state.shape[0]
+        by_entry, work = take(work, sensors)
+        u = work[1][: commands.shape[1]]
+        for a in range(u.size):
+            u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
+        sensed(t, y, u, given.p, work[0], s, made.by_state, by_entry)
+        put_entries(by_entry, given.read, given.read_by, 0, made.by_column)
+
+    return read
+
+
+@inlined
+def of_stage(stages, stage, n):
+    """Derivatives of one stage of a step among those of all."""
+    first = stage * n
+    return Derivatives(stages.by_state[first : first + n], stages.by_column[first : first + n])
+
+
+def runge_kutta_4(flow: Kernel) -> Kernel:
+    """Make one step of the classical Runge-Kutta method for a motion.
+
+    Args:
+        flow: writes the rates, and their derivatives.
+
+    Returns:
+        `advance(t, y, u, end, given, h, stages, work)`, which moves y (n,) over h, while the commands go linearly from
+        u to `end`; `stages` (4 n rows) gets the derivatives of each stage after the other, and `work` has 6 rows, and
+        then those of the flow.
+    """
+
+    @inlined
+    def advance(t, y, u, end, given, h, stages, work):
+        channels = u.shape[0]
+        rates, work = take(work, 4)
+        rows, work = take(work, 2)
+        state, now = rows[0][: y.size], rows[1][:channels]
+        for stage in range(4):
+            c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            for i in range(channels):
+                now[i] = u[i] + c * (end[i] - u[i])
+            for i in range(y.size):
+                state[i] = y[i] + (c * h * rates[stage - 1, i] if stage > 0 else 0.0)
+            flow(t + c * h, state, now, given, rates[stage], of_stage(stages, stage, y.size), work)
+        for i in range(y.size):
+            y[i] += h / 6.0 * (rates[0, i] + 2.0 * (rates[1, i] + rates[2, i]) + rates[3, i])
+
+    return advance
+
+
+def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
+    """Make the simulation of readings without derivatives.
+
+    Args:
+        sensed: `sensed(t, y, u, p, noise, s)` writes readings.
+        derivative: writes y'.
+
+    Returns:
+        `simulate(count, dt, substeps, is_linear, y, p, commands, readings, work)`, which writes `readings` (count,
+        sensors) from the state y on, which is the last state afterwards.
+    """
+    advance = runge_kutta_4(motion_alone(derivative))
+
+    @compiled
+    def simulate(
+        count: int, dt: float, substeps: int, is_linear: int, y: Vector, p: Vector, commands: Matrix, readings: Matrix,
+        work: Matrix,
+    ) -> None:  # fmt: skip
+        channels, h = commands.shape[1], dt / substeps
+        rows, work = take(work, 4)
+        noise, u, end, given = rows[0], rows[1][:channels], rows[2][:channels], Late(rows[3][:channels])
+        work[:] = 0.0
+        rows[:] = 0.0
+        none = Derivatives(work, work)
+        for index in range(count):
+            t = index * dt
+            sensed(t, y, commands[index], p, noise, readings[index])
+            for step in range(substeps):
+                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                advance(t + step * h, y, u, end, p, h, none, work)
+
+    return simulate
+
+
+def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -> Kernel:
+    """Make the accumulation of normal equations over a record.
+
+    Args:
+        read: writes readings and their derivatives, as that of `readings_with_derivatives`.
+        drive: writes the commands of an integration step, as `drive`.
+        flow: writes the rates of motion, and their derivatives.
+        carry: moves columns over a step.
+
+    Returns:
+        `accumulate(count, dt, substeps, interval, is_linear, k, free, starts, y, columns, given, commands, readings,
+        weights, matrix, gradient, squares, simulated, read_work, work) -> status`, which is 1 if the motion is no
+        longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
+        (intervals, n), where the states `free` may have any value, each with a column of S behind the k of the basis;
+        columns beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J;
+        above its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient`
+        (J^T W r). `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number
+        counts for nothing. States beyond n go on from one interval to the next. `columns` has `COLUMN_ROWS` rows for
+        each state: the first are the columns, the others work space. `read_work` is work space of `read`.
+    """
+    advance = runge_kutta_4(flow)
+
+    @inlined
+    def restart(window, first, free, starts, y, columns):
+        for i in range(columns.shape[0]):
+            for j in range(first, columns.shape[1]):
+                columns[i, j] = 0.0
+        for i in range(starts.shape[1]):
+            is_free = window == 0
+            for m in range(free.size):
+                is_free |= free[m] == i
+            if is_free:
+                y[i] = starts[window, i]
+                for j in range(first):
+                    columns[i, j] = 0.0
+        for i in range(free.size):
+            columns[free[i], first + i] = 1.0
+
+    @inlined
+    def add(at, width, rows, weighted, residuals, products, matrix, gradient):
+        many = rows.shape[0]
+        for i in range(width):
+            for m in range(many):
+                products[0, m] = weighted[m] * rows[m, i]
+                gradient[at + i] += products[0, m] * residuals[m]
+            for j in range(0, i + 1, LANES):
+                add_products(products, 0, 0, many, rows, 0, matrix, at + i, j)
+        weighted[:many] = 0.0
+
+    @inlined
+    def accumulate(
+        count, dt, substeps, interval, is_linear, first, free, starts, y, columns, given, commands, readings, weights,
+        matrix, gradient, squares, simulated, read_work, work,
+    ):  # fmt: skip
+        n, channels, h, sensors = y.size, commands.shape[1], dt / substeps, readings.shape[1]
+        width = first + free.size
+        columns, moved = take(columns, n)
+        by_state, work = take(work, 4 * n)
+        stages = Derivatives(by_state, moved)
+        read_by_state, work = take(work, sensors)
+        rows, work = take(work, TOGETHER * sensors)
+        vectors, work = take(work, 5)
+        s, u, end = vectors[0], vectors[1][:channels], vectors[2][:channels]
+        weighted, residuals = vectors[3], vectors[4]
+        products, work = take(work, 1)
+        held = 0
+        for index in range(count):
+            t, window = index * dt, index // interval
+            if index == window * interval:
+                restart(window, first, free, starts, y, columns)
+            now = held * sensors
+            made = Derivatives(read_by_state, rows[now : now + sensors])
+            read(t, dt, y, commands, index, is_linear, given, s, made, read_work)
+            for o in range(sensors):
+                for j in range(0, columns.shape[1], LANES):
+                    add_products(read_by_state, o, 0, n, columns, 0, rows, now + o, j)
+                if not math.isfinite(s[o]):
+                    return 1
+                simulated[index, o] = s[o]
+                residual = readings[index, o] - s[o]
+                if not math.isnan(residual):
+                    squares[o] += residual * residual
+                    weighted[now + o], residuals[now + o] = weights[o], residual
+            held += 1
+            if held == TOGETHER or index + 1 == min((window + 1) * interval, count):
+                add(window * width, width, rows, weighted, residuals, products, matrix, gradient)
+                held = 0
+            for step in range(substeps):
+                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                advance(t + step * h, y, u, end, given, h, stages, work)
+                carry(stages.by_state, stages.by_column, columns, h)
+        return 0
+
+    return accumulate
+
+
+def twin_normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
+    """Make the normal equations of a twin over one record, from one initial state.
+
+    Returns:
+        `normal(count, dt, substeps, is_linear, coordinates, k, free, starts, y, columns, p, moved, moved_by, read,
+        read_by, late, commands, readings, weights, matrix, gradient, squares, simulated, work) -> status`, as
+        `normal_equations`, with the arrays of `Given`; `starts` is (1, n).
+    """
+    accumulate = normal_equations(readings_with_derivatives(sensed), drive, motion_with_derivatives(slopes), carry)
+
+    @compiled
+    def normal(
+        count: int, dt: float, substeps: int, is_linear: int, coordinates: int, k: int, free: IntVector,
+        starts: Matrix, y: Vector, columns: Matrix, p: Vector, moved: IntMatrix, moved_by: Vector, read: IntMatrix,
+        read_by: Vector, late: Vector, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
+        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+    ) -> int:  # fmt: skip
+        given = Given(p, moved, moved_by, read, read_by, coordinates, late)
+        work[:] = 0.0
+        read_work, work = take(work, readings.shape[1] + 2)
+        return accumulate(
+            count, dt, substeps, count, is_linear, k, free, starts, y, columns, given, commands, readings, weights,
+            matrix, gradient, squares, simulated, read_work, work,
+        )  # fmt: skip
+
+    return normal

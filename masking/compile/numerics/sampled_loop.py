@@ -1,0 +1,458 @@
+"""Kernels of a controller that runs at a fixed rate: it observes, predicts, holds its output, and stays in its limits.
+
+Each function here takes compiled functions of a rig and a control law and returns a kernel, which numba compiles
+together with them. Their arguments, with y = [q, v, s] the rig's state (coordinates, velocities, internal states):
+
+* `law(t, since, y, d, p, u, r, g) -> health` writes the inputs u, the accelerations r (n,) that they give, and the part
+  g (n,) of r that is due to the inputs; `since` is the time since the release at which the inputs begin to act, and d
+  (n,) the accelerations that the model lacks;
+* `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
+* `measure(t, y, p, s)` writes what the sensors would read;
+* `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
+* `virtual` and `momentum` are those of `masking.compile.numerics.energy_balance`, `remember`, `lagged` and
+  `conditions` of `virtual_memory`.
+"""
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0915, PLR0917
+# The types are numba's to infer, and what a kernel calls stands before it.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME, Sizes
+from masking.compile.numerics.energy_balance import energy_balance
+from masking.compile.numerics.integrators import copy, fault
+from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
+from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
+
+Kernel = Callable[..., Any]
+
+
+def predict(rate: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of the controller's model, with the disturbance that was estimated.
+
+    Returns:
+        `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical
+        Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .) and `y`
+        are work space.
+    """
+    n, size, order = sizes.coordinates, sizes.states, sizes.order
+
+    @compiled
+    def slope(t, y, u, z, p, h, dy):
+        rate(t, y, u, p, dy)
+        if order > 0:
+            for i in range(n):
+                dy[n + i] += z[size + i]
+        if order > 1:
+            for i in range(n):
+                dy[n + i] += 0.5 * h * z[size + n + i]
+
+    @compiled
+    def step(t, z, u, p, h, k, y):
+        slope(t, z, u, z, p, h, k[0])
+        for i in range(size):
+            y[i] = z[i] + 0.5 * h * k[0, i]
+        slope(t + 0.5 * h, y, u, z, p, h, k[1])
+        for i in range(size):
+            y[i] = z[i] + 0.5 * h * k[1, i]
+        slope(t + 0.5 * h, y, u, z, p, h, k[2])
+        for i in range(size):
+            y[i] = z[i] + h * k[2, i]
+        slope(t + h, y, u, z, p, h, k[3])
+        for i in range(size):
+            z[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+        if order > 1:
+            for i in range(n):
+                z[size + i] += h * z[size + n + i]
+
+    return step
+
+
+def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
+    """Make the control law for an output that is held over a sample.
+
+    An output that is held from t to t + h should act as one that follows the law g(t) continuously does. To fourth
+    order in h it does, at the instants of the samples, if its value is
+
+        g(t + h/2) - h^2/24 g''(t + h/2) = 4/3 g(t + h/2) - (g(t) + g(t + h)) / 6,
+
+    with g taken along the motion that is wanted. This motion passes the samples with velocities that differ from those
+    of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. Internal
+    states of the model move along it too. measured: with that of a hysteresis held, its force is late by half a
+    sample, which takes 23 % of the amplitude of clocks in 320 s. Those of the virtual system are integrated along it
+    by `glide`. Where they jump within the sample, they are shifted by the mean of that, so that the output has the
+    impulse of the law. measured: without, chi of clocks with escapements at 500 Hz, on a rig that is known, is 0.035
+    instead of 2e-4.
+
+    Returns:
+        `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
+    """
+    n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
+    remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
+    first, last = sizes.memory.start, sizes.memory.stop
+    saved, spare = (26, 27) if remembers else (0, 0)
+    shifting = 38 if jumping else 0
+
+    @compiled
+    def disturbance(z, ahead, d):
+        for i in range(n):
+            d[i] = z[size + i] if order > 0 else 0.0
+        if order > 1:
+            for i in range(n):
+                d[i] += ahead * z[size + n + i]
+
+    @compiled
+    def remind(t, h, a, y, past, p, space):
+        if remembers:
+            glide(t, h, a, y, past, p, space)
+            recall(t + h, y, past)
+
+    @compiled
+    def internal(z, early, late, s0, s2, t, h, a, y, past, p, space):
+        for i in range(2 * n, size):
+            y[i] = z[i] + early * s0[i] + late * s2[i]
+        remind(t, h, a, y, past, p, space)
+
+    @compiled
+    def shift(y, m):
+        if jumping:
+            for i in range(first, last):
+                y[i] += m[i]
+
+    @compiled
+    def held(t, since, z, past, p, h, u, work):
+        y, d, u0, u1, u2 = work[0], work[1][:n], work[2][:m], work[3][:m], work[4][:m]
+        r0, r1, r2, g0, g2, v = work[5][:n], work[6][:n], work[7][:n], work[8][:n], work[9][:n], work[10][:n]
+        s0, s2, before, space, jumped = work[22], work[23], work[saved], work[spare:], work[shifting]
+        copy(z, y, size)
+        remind(t, 0.0, z, y, past, p, space)
+        disturbance(z, 0.0, d)
+        health = law(t, since, y, d, p, u0, r0, g0)
+        rate(t, y, u0, p, s0)
+        for i in range(n):
+            y[i] = z[i] + h * (z[n + i] + 0.5 * h * r0[i])
+            y[n + i] = z[n + i] + h * r0[i]
+        if jumping:
+            mean_jump(t, h, z, y, past, p, space, jumped)
+        internal(z, h, 0.0, s0, s0, t, h, z, y, past, p, space)
+        shift(y, jumped)
+        disturbance(z, h, d)
+        law(t + h, since, y, d, p, u2, r2, g2)
+        rate(t + h, y, u2, p, s2)
+        for i in range(n):
+            v[i] = z[n + i] + h / 12.0 * (g2[i] - g0[i])
+            y[i] = z[i]
+            y[n + i] = v[i]
+        internal(z, 0.0, 0.0, s0, s2, t, 0.0, z, y, past, p, space)
+        shift(y, jumped)
+        copy(y, before, size)
+        disturbance(z, 0.0, d)
+        law(t, since, y, d, p, u0, r0, g0)
+        for i in range(n):
+            y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
+            y[n + i] = v[i] + h / 8.0 * (3.0 * r0[i] + r2[i])
+        internal(z, 0.375 * h, 0.125 * h, s0, s2, t, 0.5 * h, before, y, past, p, space)
+        copy(y, before, size)
+        disturbance(z, 0.5 * h, d)
+        law(t + 0.5 * h, since, y, d, p, u1, r1, g0)
+        for i in range(n):
+            y[i] = z[i] + h * v[i] + h * h / 6.0 * (2.0 * r0[i] + r2[i])
+            y[n + i] = v[i] + 0.5 * h * (r0[i] + r2[i])
+        internal(z, 0.5 * h, 0.5 * h, s0, s2, t + 0.5 * h, 0.5 * h, before, y, past, p, space)
+        disturbance(z, h, d)
+        law(t + h, since, y, d, p, u2, r2, g2)
+        for i in range(m):
+            u[i] = 4.0 / 3.0 * u1[i] - (u0[i] + u2[i]) / 6.0
+        return health
+
+    return held
+
+
+def limiter(sizes: Sizes) -> Kernel:
+    """Make the last step before the actuators: largest command, then largest mean power.
+
+    The mean power P of an actuator whose power is `heating` times its squared command c follows
+    P' = (heating c^2 - P) / time, solved exactly over a sample in which c is held; a command is made so small that P
+    stays within its limit at the next sample.
+
+    Returns:
+        `limit(demanded, table, power, h, applied)`, with `table` (actuators, 4) and the mean powers `power`, which
+        are brought to the next sample.
+    """
+    count, warm = sizes.actuators, heat(sizes)
+
+    @compiled
+    def limit(demanded, table, power, h, applied):
+        for i in range(count):
+            most = table[i, LARGEST]
+            heating, part = table[i, HEATING], -math.expm1(-h / table[i, TIME])
+            if heating > 0.0:
+                free = max(0.0, (table[i, POWER] - (1.0 - part) * power[i]) / (part * heating))
+                most = min(most, math.sqrt(free))
+            applied[i] = min(max(demanded[i], -most), most)
+        warm(applied, table, h, power)
+
+    return limit
+
+
+def heat(sizes: Sizes) -> Kernel:
+    """Make the step of the mean powers: `heat(command, table, h, power)`, for a command (actuators,) held over h."""
+    count = sizes.actuators
+
+    @compiled
+    def warm(command, table, h, power):
+        for i in range(count):
+            part = -math.expm1(-h / table[i, TIME])
+            power[i] += part * (table[i, HEATING] * command[i] * command[i] - power[i])
+
+    return warm
+
+
+@compiled
+def advance_queue(queue, u, m):
+    """Take the oldest inputs (m,) from those under way, and add the newest."""
+    last = queue.size - m
+    for j in range(last):
+        queue[j] = queue[j + m]
+    if last >= 0:
+        copy(u, queue[last:], m)
+
+
+def control_with_model(
+    law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
+    remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes,
+) -> Kernel:  # fmt: skip
+    """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
+
+    What was applied, not what was demanded, moves the model: in saturation nothing winds up. While the rig is at rest
+    before homing, the offsets of the sensors follow what they read beyond the model's rest position.
+
+    Returns:
+        `control(t, h, s, x, p, gain, table, demanded, applied, work) -> health` for the readings `s` at time t; x is
+        the memory, as `Sizes.power` says, and `gain` (estimate, sensors) the observer's.
+    """
+    m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
+    powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
+    is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
+    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
+    (follow, glide, mean_jump), then = follow_memory(remember, recall, conditions, sizes), sizes.past
+    step, held, limit = predict(rate, sizes), hold(law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
+    balance = energy_balance(virtual, momentum, sizes)
+
+    @compiled
+    def move(t, z, u, past, p, h, work):
+        if remembers:
+            copy(z, work[26], length)
+        step(t, z, u, p, h, work[13:17], work[17])
+        if remembers:
+            follow(t, h, work[26], z, past, p, work[27:])
+            notice(t + h, z, past, p, work[27])
+
+    @compiled
+    def control(
+        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, work: Matrix,
+    ) -> float:  # fmt: skip
+        now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
+        delay = queue.size // m
+        ahead, u, expected = work[11], work[12][:m], work[18]
+        acts, standing, past = t + delay * h, x[rest.start : rest.stop], x[then.start : then.stop]
+        measure(t, z, p, expected)
+        for j in range(offsets):
+            if t < standing[2 * offsets]:
+                standing[j] += standing[2 * offsets + 1] * (s[j] - standing[offsets + j] - standing[j])
+            expected[j] += standing[j]
+        for i in range(length):
+            for j in range(s.size):
+                z[i] += gain[i, j] * (s[j] - expected[j])
+        if remembers:
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
+        if is_balanced:
+            z[last] = balance(t, h, z, x[remembered.start : remembered.stop], p, work[24], work[25])
+        copy(z, now, length)
+        copy(z, ahead, length)
+        for j in range(delay):
+            move(t + j * h, ahead, queue[j * m : (j + 1) * m], past, p, h, work)
+            if j == 0:
+                copy(ahead, z, length)
+        health = held(acts, acts, ahead, past, p, h, u, work)
+        allocate(u, p, demanded)
+        if offsets > 0 and acts < standing[2 * offsets]:
+            for i in range(channels):
+                demanded[i] = 0.0
+        limit(demanded, table, power, h, applied)
+        wire(applied, p, u)
+        if delay == 0:
+            move(t, z, u, past, p, h, work)
+        advance_queue(queue, u, m)
+        return health
+
+    return control
+
+
+def skip_with_differences(remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
+
+    Returns:
+        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
+    """
+    n, length = sizes.coordinates, sizes.estimate
+    next_one, warm = length + sizes.actuators, heat(sizes)
+    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
+    (follow, _, _), then = follow_memory(remember, recall, conditions, sizes), sizes.past
+
+    @compiled
+    def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
+        now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
+        for i in range(n):
+            z[i] += h * z[n + i]
+        if remembers:
+            past = x[then.start : then.stop]
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
+        copy(z, now, length)
+        warm(command, table, h, power)
+
+    return skip
+
+
+def control_with_differences(
+    law: Kernel, allocate: Kernel, remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes
+) -> Kernel:
+    """Make the step of a controller that differences the positions and applies the law at once.
+
+    Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
+
+    Returns:
+        `control` with the arguments of `control_with_model`; here `gain` (n, sensors) gives the coordinates of
+        readings, and the memory holds the last coordinates where `control_with_model` has its estimate.
+    """
+    n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
+    next_one = length + sizes.actuators
+    limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
+    remembers, then = sizes.remembered + sizes.lags > 0, sizes.past
+    follow, _, _ = follow_memory(remember, recall, conditions, sizes)
+
+    @compiled
+    def control(
+        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, work: Matrix,
+    ) -> float:  # fmt: skip
+        now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
+        d, u, r, g = work[1][:n], work[2][:m], work[5][:n], work[8][:n]
+        for i in range(n):
+            position = 0.0
+            for j in range(s.size):
+                position += gain[i, j] * s[j]
+            z[n + i] = (position - z[i]) / h
+            z[i] = position
+            d[i] = 0.0
+        if remembers:
+            past = x[then.start : then.stop]
+            follow(t - h, h, now, z, past, p, work[27:])
+            notice(t, z, past, p, work[27])
+            recall(t, z, past)
+        copy(z, now, length)
+        acts = t + (x.size - fixed) // m * h
+        health = law(t, acts, z, d, p, u, r, g)
+        allocate(u, p, demanded)
+        limit(demanded, table, power, h, applied)
+        return health
+
+    return control
+
+
+def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
+    """Make the loop of a sampled controller and a simulated rig.
+
+    At sample k, at time k h, the sensors are read, the controller answers, and its command joins those under way; the
+    rig then moves for h.
+
+    Args:
+        sense: `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`.
+        control: the controller.
+        move: moves the rig under the commands under way, as that of `integrators.steps_under_way`.
+        size: number of the rig's states.
+
+    Returns:
+        `run(begin, count, h, substeps, every, y, x, p, c, gain, table, queue, late, noise, first, states, estimates,
+        sensed, demanded, applied, work) -> (status, samples done, first)`, where `p` are the parameters of the
+        rig and `c` those of the controller; `queue` (commands, actuators) holds the commands under way, the newest
+        last, and `late` (actuators,) after how many samples they act; `noise` (count, sensors); row k // every of the
+        tables gets what happened at sample k, from sample 0 on; `first` as for `integrators.sampled`.
+    """
+
+    @compiled
+    def loop(
+        begin: int, count: int, h: float, substeps: int, every: int, y: Vector, x: Vector, p: Vector, c: Vector,
+        gain: Matrix, table: Matrix, queue: Matrix, late: Vector, noise: Matrix, first: float, states: Matrix,
+        estimates: Matrix, sensed: Matrix, demanded: Matrix, applied: Matrix, work: Matrix,
+    ) -> tuple[int, int, float]:  # fmt: skip
+        sensors, channels = noise.shape[1], queue.shape[1]
+        s, wanted, given = work[19][:sensors], work[20][:channels], work[21][:channels]
+        row = 0
+        for index in range(begin, begin + count):
+            t = index * h
+            sense(t, y, p, noise[index - begin], s)
+            health = control(t, h, s, x, c, gain, table, wanted, given, work)
+            first = health if first == 0.0 else first
+            status = fault(health, first)
+            if status != REACHED:
+                return status, index - begin, first
+            for i in range(channels):
+                if not math.isfinite(given[i]):
+                    return NOT_FINITE, index - begin, first
+            if index >= 0 and index % every == 0:
+                copy(y, states[row], size)
+                copy(x, estimates[row], estimates.shape[1])
+                copy(s, sensed[row], sensors)
+                copy(wanted, demanded[row], channels)
+                copy(given, applied[row], channels)
+                row += 1
+            copy(given, queue[queue.shape[0] - 1], channels)
+            move(t, y, queue, late, p, h, substeps, given, work[13:18])
+        return REACHED, count, first
+
+    return loop
+
+
+def transforms(transform: Kernel, count: int) -> Kernel:
+    """Make `transforms(times, states, p, virtual)`, which transforms each state [q, v, s] of a rig with n coordinates.
+
+    Args:
+        transform: `transform(t, q, v, p, out)` writes the virtual state.
+        count: number n of coordinates.
+    """
+
+    @compiled
+    def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
+        for i in range(times.size):
+            transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
+
+    return every
+
+
+def along(transform: Kernel, step: Kernel, count: int) -> Kernel:
+    """Make `along(times, states, p, virtual, inputs)`: virtual states and inputs of a controller along a motion.
+
+    Args:
+        transform: as for `transforms`.
+        step: `step(t, q, v, u, p)` writes the inputs.
+        count: number n of coordinates.
+    """
+
+    @compiled
+    def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix, inputs: Matrix) -> None:
+        for i in range(times.size):
+            transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
+            step(times[i], states[i, :count], states[i, count:], inputs[i], p)
+
+    return every

@@ -1,0 +1,78 @@
+"""Kernels of one step of a controller by itself, for loops that are not compiled with it: a rig's, or a user's own."""
+# ruff: noqa: ANN001, ANN201, PLR0917
+# The types are numba's to infer.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.controller_sizes import Sizes
+from masking.compile.numerics.integrators import fault
+from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
+
+Kernel = Callable[..., Any]
+
+
+@compiled
+def status_of(health, first, commands):
+    """Return why a controller must stop after a step, or REACHED; keep the health of the first step in `first`."""
+    if first[0] == 0.0:
+        first[0] = health
+    status = fault(health, first[0])
+    for command in commands:
+        if status == REACHED and not math.isfinite(command):
+            status = NOT_FINITE
+    return status
+
+
+def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
+    """Make the step of a sampled controller.
+
+    Args:
+        control: the controller, as `masking.compile.numerics.sampled_loop` makes it.
+        sizes: of the controller.
+
+    Returns:
+        `answer(index, h, s, x, p, gain, table, demanded, applied, first, work) -> status` for the readings s of a
+        sample, as `control` has them; `first` (1,) is 0 at the beginning.
+    """
+    channels = sizes.actuators
+
+    @compiled
+    def answer(
+        index: int, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
+        applied: Vector, first: Vector, work: Matrix,
+    ) -> int:  # fmt: skip
+        health = control(index * h, h, s, x, p, gain, table, demanded, applied, work)
+        return status_of(health, first, applied[:channels])
+
+    return answer
+
+
+def law_step(step: Kernel, coordinates: int, inputs: int) -> Kernel:
+    """Make the step of a control law that is given the rig's state.
+
+    Args:
+        step: `step(t, q, v, u, p) -> health` writes the inputs.
+        coordinates: n.
+        inputs: m.
+
+    Returns:
+        `answer(t, y, p, inverse, u, commands, first) -> status`, which writes the inputs u (m,) for a state y and, by
+        the inverse of the allocation (actuators, m), the commands (actuators,); `first` (1,) is 0 at the beginning.
+    """
+
+    @compiled
+    def answer(t: float, y: Vector, p: Vector, inverse: Matrix, u: Vector, commands: Vector, first: Vector) -> int:
+        health = step(t, y[:coordinates], y[coordinates:], u, p)
+        for i in range(commands.size):
+            commands[i] = 0.0
+            for j in range(inputs):
+                commands[i] += inverse[i, j] * u[j]
+        return status_of(health, first, u)
+
+    return answer

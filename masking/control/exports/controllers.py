@@ -1,0 +1,152 @@
+"""Controllers as units: a sampled one from readings to commands, and a control law from states to inputs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from masking.compile.codegen.source import Module
+from masking.compile.numerics.arrays import Array
+from masking.control.closed_loop import ClosedLoop
+from masking.control.closed_loop import module as module_of
+from masking.control.exports import unit_kernels
+from masking.control.exports.unit import Channel, Kernel, Operation, Unit, add_operation, identifier
+from masking.control.sampled_controller import SampledController
+
+INIT = "Begin, on a rig at rest, with its first readings."
+STEP = "Answer readings with commands, once a period; zero once it has stopped."
+MISS = "Step over a sample that was missed, with the readings of the next; call it before step."
+STATES_READ = "The readings are states, in SI units: this law has no observer, no limits and no watchdog."
+WATCH = "Count a period, from a timer; without a step for too long, set the commands to zero until init."
+
+
+def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit:
+    """Sampled controller as a unit.
+
+    Args:
+        sampled: the controller.
+        name: of the unit.
+        watchdog: seconds without a step after which commands are zero.
+    """
+    module, sizes, known = Module(name, {}), sampled.sizes, sampled.instruments
+    sampled.add_to(module)
+    period, a = 1.0 / sampled.rate, sizes.actuators
+    operations: dict[str, Operation] = {}
+    module.add_factory("clear", unit_kernels.clear, -sampled.before, exported=False)
+    module.add_factory("instant", unit_kernels.instant, period, exported=False)
+    constants = _begin(sampled, module, operations)
+    arguments = "readings commands x p demanded applied work first counters gain limits"
+    step = Operation(tuple(arguments.split()), STEP, returns_status=True)
+    add_operation(operations, module, "step", (unit_kernels.controller_step, ("control", "instant", a, period)), step)
+    memory = {
+        "x": constants["memory0"].shape,
+        "p": constants["values"].shape,
+        "demanded": (a,),
+        "applied": (a,),
+        "first": (1,),
+        "work": (sizes.work[0], max(sizes.work[1], len(known.sensors))),
+    }
+    if sampled.has_model:
+        made: Kernel = (unit_kernels.miss_with_model, ("control", "instant", sizes, period))
+        arguments = "readings x p applied unsent before work counters blind limits"
+        memory |= {"unsent": (a,), "before": (a,)}
+        constants |= {"blind": np.zeros_like(sampled.gain)}
+    else:
+        made, arguments = (
+            (unit_kernels.miss_with_differences, ("skip", "instant", period)),
+            "x p applied work counters limits",
+        )
+    add_operation(operations, module, "miss", made, Operation(tuple(arguments.split()), MISS))
+    patience = max(1, math.ceil(watchdog * sampled.rate - 1e-9))
+    watch = Operation(("commands", "counters"), WATCH, returns_status=True)
+    add_operation(operations, module, "watch", (unit_kernels.watchdog, (a, patience)), watch)
+    sensors = [Channel(n, s.unit, f"measures {s.measures.text}") for n, s in known.plant.sensors.items()]
+    names = [*known.model.coordinates, *(f"{c}'" for c in known.model.coordinates), *known.model.declaration.states]
+    names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
+    return Unit(
+        identifier(name),
+        f"{known.plant.name}, masked as {sampled.controller.virtual.name}: sampled controller",
+        "controller",
+        module,
+        {"readings": tuple(sensors), "commands": tuple(Channel(n, known.unit(n)) for n in known.actuators)},
+        memory,
+        unit_kernels.COUNTERS,
+        constants | {"gain": sampled.gain, "limits": sampled.limits},
+        operations,
+        period,
+        (
+            f"The first step is sample {-sampled.before}; at sample 0 the rig is released.",
+            f"Commands are within the limits; the watchdog allows {patience} periods without a step.",
+        ),
+        tuple(Channel(n, "SI", "estimate") for n in names),
+    )
+
+
+def _begin(sampled: SampledController, module: Module, operations: dict[str, Operation]) -> dict[str, Array]:
+    """Add how a controller begins; return the constants of it."""
+    sizes, known = sampled.sizes, sampled.instruments
+    begun = sampled.begin(known.readings(np.zeros(sizes.coordinates)))
+    found = {"memory0": begun.x.copy(), "values": begun.p.copy()}
+    common = "readings x p first counters applied"
+    if sampled.rest:
+        made: Kernel = (unit_kernels.resting, ("clear", len(begun.x), len(begun.p), sizes.actuators))
+        found["holding"] = begun.holding
+        init = Operation((*common.split(), "memory0", "values", "holding"), INIT)
+    else:
+        n, is_held = sizes.coordinates, not sampled.homing and sampled.has_model
+        start = len(begun.p) - len(sampled.feed.tail()) - (2 * n + 1) if sampled.homing else -1
+        given = (sizes, len(begun.x), len(begun.p), start, 1.0 / sampled.rate, is_held)
+        made = (unit_kernels.beginning, ("clear", "measure", "still", "allocate", "wire", *given))
+        found["memory0"][:n] = found["memory0"][sizes.next][:n] = 0.0
+        sensing = known.sensing()[:, :n]
+        found |= {"inverse": np.ascontiguousarray(np.linalg.pinv(sensing)), "limits": sampled.limits}
+        init = Operation((*common.split(), "work", "memory0", "values", "inverse", "limits"), INIT)
+    add_operation(operations, module, "init", made, init)
+    return found
+
+
+def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
+    """Control law that is given the rig's states as a unit: it has no observer and no limits.
+
+    Args:
+        loop: controller and plant; only the controller is exported.
+        name: of the unit.
+        rate: samples per second, where the law runs at a rate.
+    """
+    loop.controller.virtual.check_no_delays("the export of a control law that is given the states")
+    module, controller = module_of(loop), loop.controller
+    model = loop.plant
+    names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *loop.internal]
+    values = controller.values()
+    operations: dict[str, Operation] = {}
+    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
+    made: Kernel = (unit_kernels.law_beginning, ("clear", len(values)))
+    init = Operation(("p", "first", "counters", "values"), "Begin.")
+    add_operation(operations, module, "init", made, init)
+    given = ("step", len(names), len(model.coordinates), len(model.inputs))
+    text = "Answer the rig's states at a time with its inputs; zero once it has stopped."
+    arguments = ("time", "readings", "commands", "p", "first", "counters")
+    step = Operation(arguments, text, returns_status=True)
+    add_operation(operations, module, "step", (unit_kernels.law_step, given), step)
+    inputs, notes = model.declaration.inputs, [STATES_READ]
+    if controller.virtual.states:
+        notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")
+    if controller.virtual.declaration.events:
+        notes.append("At the events of the virtual system, the caller makes them jump.")
+    return Unit(
+        identifier(name),
+        f"{model.name}, masked as {controller.virtual.name}: control law of the states",
+        "law",
+        module,
+        {
+            "readings": tuple(Channel(n, "SI", "state") for n in names),
+            "commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs),
+        },
+        {"p": values.shape, "first": (1,)},
+        unit_kernels.COUNTERS,
+        {"values": values},
+        operations,
+        None if rate is None else 1.0 / rate,
+        tuple(notes),
+    )

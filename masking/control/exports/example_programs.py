@@ -1,0 +1,47 @@
+"""Programs around an exported unit: on Linux, on a Cortex-M4F without an operating system, and as a sketch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from masking.control.exports.calls import Names, begin, read, step
+from masking.control.exports.unit import Unit
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def programs(unit: Unit, real: str) -> dict[str, str]:
+    """Texts of example programs by the names of their files.
+
+    Args:
+        unit: the unit.
+        real: `double` or `float`.
+    """
+    is_law = unit.kind == "law"  # which is given the time before the readings
+    names = Names("&unit", "in + 1" if is_law else "in", "out", "in[0]", "status")
+    ports = {"sensors": "readings", "actuators": "commands"}
+    channels = {kind: [channel.name for channel in unit.ports.get(port, ())] for kind, port in ports.items()}
+    marks = {
+        "NAME": unit.name,
+        "REAL": real,
+        "INPUTS": str(max(1, len(unit.inputs) + is_law)),
+        "OUTPUTS": str(len(unit.outputs)),
+        "RATE": f"{1.0 / unit.period:.12g}" if unit.period else "",
+        "PERIOD": repr(unit.period),
+        "SENSORS": str(len(channels["sensors"])),
+        "ACTUATORS": str(len(channels["actuators"])),
+        "CHANNELS": json.dumps(json.dumps(channels)),
+        "BEGIN": begin(unit, names),
+        "STEP": "\n        ".join(filter(None, (step(unit, names), read(unit, names)))),
+    }
+    found = {f"{unit.name}_{file}": file for file in ("linux.c", "cortex_m4.c")} | {"cortex_m4.ld": "cortex_m4.ld"}
+    if unit.kind in {"controller", "plant"}:
+        found |= {f"{unit.name}_arduino.ino": f"{unit.kind}.ino", "frames.h": "frames.h"}
+    return {name: _filled((TEMPLATES / file).read_text(encoding="utf-8"), marks) for name, file in found.items()}
+
+
+def _filled(text: str, marks: dict[str, str]) -> str:
+    for mark, value in marks.items():
+        text = text.replace(f"@{mark}@", value)
+    return text

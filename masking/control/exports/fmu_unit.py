@@ -1,0 +1,250 @@
+"""A unit as an FMU for co-simulation, of FMI 2.0 or 3.0: sources, and a binary for 64-bit Linux where gcc is.
+
+Source: Functional Mock-up Interface 2.0.4 and 3.0, https://fmi-standard.org.
+"""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from masking.compile.codegen.content_hashes import digest
+from masking.control.exports import calls
+from masking.control.exports.c_unit import CUnit
+from masking.control.exports.unit import Channel, Unit
+from masking.errors import ModelError
+
+TEMPLATES = Path(__file__).parent / "templates"
+VERSIONS = (2, 3)
+FOLDERS = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+CREATED = (1980, 1, 1, 0, 0, 0)  # of every file, so that the same unit gives the same bytes
+
+GLUE = """/* The unit of this FMU: its variables, how it begins, and its step. */
+
+#ifndef FMU_UNIT_H
+#define FMU_UNIT_H
+
+#include <math.h>
+#include <string.h>
+
+#include "{name}.h"
+
+#define TOKEN "{token}"
+#define INPUTS {inputs}
+#define OUTPUTS {outputs}
+#define STATES {states}
+#define PERIOD {period!r} /* 0: any length of a step */
+
+typedef struct {{
+    {name}_state unit;
+    double inputs[{inputs_size}];
+    double outputs[{outputs_size}];
+    double time;
+}} instance_t;
+
+static void begin(instance_t *i)
+{{
+    {begin}
+}}
+
+/* Step to the end of a communication step, with inputs that are held; return what is wrong, if anything. */
+static const char *advance(instance_t *i, double time, double length)
+{{
+    const double count = PERIOD > 0.0 ? floor(length / PERIOD + 0.5) : 1.0;
+    int status = 0;
+    if (PERIOD > 0.0 && (count < 1.0 || fabs(length - count * PERIOD) > 1e-6 * PERIOD)) {{
+        return "the length of a communication step must be a multiple of the period, " "{period!r}";
+    }}
+    i->time = time;
+    for (double k = 0.0; k < count; k++) {{
+        {advance}
+    }}
+    i->time = time + length;
+    return status == 0 ? NULL : "the unit has stopped: a matrix became singular, or a number is not finite";
+}}
+
+/* Value references: 0 the time, then inputs, outputs, states. */
+static const double *variable(const instance_t *i, unsigned int reference)
+{{
+    if (reference == 0) {{
+        return &i->time;
+    }}
+    if (reference <= INPUTS) {{
+        return &i->inputs[reference - 1];
+    }}
+    if (reference <= INPUTS + OUTPUTS) {{
+        return &i->outputs[reference - 1 - INPUTS];
+    }}
+    return reference <= INPUTS + OUTPUTS + STATES ? &i->unit.{memory}[reference - 1 - INPUTS - OUTPUTS] : NULL;
+}}
+
+#endif
+"""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of an FMU: `causality` is independent, input, output or local."""
+
+    reference: int
+    name: str
+    unit: str
+    meaning: str
+    causality: str
+
+
+def variables(unit: Unit) -> tuple[Variable, ...]:
+    """Variables of a unit: the time, inputs, outputs, and its state."""
+    order: list[tuple[str, Channel]] = [("input", channel) for channel in unit.inputs]
+    order += [("output", channel) for channel in unit.outputs]
+    order += [("local", Channel(f"state.{channel.name}", channel.unit, channel.meaning)) for channel in unit.states]
+    found = [Variable(i, c.name, c.unit, c.meaning, kind) for i, (kind, c) in enumerate(order, 1)]
+    return (Variable(0, "time", "", "", "independent"), *found)
+
+
+def write(unit: Unit, folder: Path) -> tuple[Path, ...]:
+    """Write a unit as an FMU of each version of FMI into a folder, and return the files."""
+    return tuple(_write(unit, folder / f"{unit.name}_fmi{version}.fmu", version) for version in VERSIONS)
+
+
+def has_binary() -> bool:
+    """Whether FMUs get a binary here."""
+    return platform.system() == "Linux" and platform.machine() == "x86_64" and shutil.which("gcc") is not None
+
+
+def _write(unit: Unit, path: Path, version: int) -> Path:
+    text = CUnit(unit, "double")
+    sources = {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()}
+    token = digest(unit.title, *sources.values())
+    token = "{" + "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:])) + "}"
+    sources["fmu_unit.h"] = _glue(unit, token)
+    sources[f"fmi{version}.c"] = (TEMPLATES / f"fmi{version}.c").read_text(encoding="utf-8")
+    files: dict[str, bytes] = {"modelDescription.xml": _xml(_description(unit, token, version, sources))}
+    if version == 3:
+        files["sources/buildDescription.xml"] = _xml(_build(unit, sources))
+    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    if has_binary():
+        files[f"{FOLDERS[version]}/{unit.name}.so"] = _binary(unit, sources)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, CREATED), content, zipfile.ZIP_DEFLATED)
+    return path
+
+
+def _binary(unit: Unit, sources: Mapping[str, str]) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        library = folder / f"{unit.name}.so"
+        given = [str(folder / file) for file in sources if file.endswith(".c")]
+        command = ["gcc", *FLAGS, *given, "-o", str(library), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+        if done.returncode:
+            raise ModelError(f"gcc could not compile {unit.name}: {done.stderr.strip().splitlines()[-1]}")
+        return library.read_bytes()
+
+
+def _glue(unit: Unit, token: str) -> str:
+    names = calls.Names("&i->unit", "i->inputs", "i->outputs", "i->time", "status")
+    begun = [calls.begin(unit, names), calls.read(unit, names)]
+    if unit.kind == "controller":
+        begun.append("memcpy(i->outputs, i->unit.applied, sizeof(i->unit.applied));")
+    elif unit.kind == "law":
+        begun += [f"const int {calls.step(unit, names)}", "(void)status;"]
+    return GLUE.format(
+        name=unit.name,
+        token=token,
+        inputs=len(unit.inputs),
+        outputs=len(unit.outputs),
+        states=len(unit.states),
+        inputs_size=max(1, len(unit.inputs)),
+        outputs_size=len(unit.outputs),
+        period=unit.period or 0.0,
+        begin="\n    ".join(filter(None, begun)),
+        advance="\n        ".join(filter(None, (calls.step(unit, names), calls.read(unit, names)))),
+        memory=next(iter(unit.memory)),
+    )
+
+
+def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str]) -> Element:
+    attributes = {"fmiVersion": f"{version}.0", "modelName": unit.name, "description": unit.title}
+    attributes["guid" if version == 2 else "instantiationToken"] = token
+    root = Element("fmiModelDescription", {**attributes, "generationTool": "masking"})
+    able = {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true"}
+    if version == 3:
+        able = {name.replace("state", "State"): value for name, value in able.items()}
+        able |= {"fixedInternalStepSize": repr(unit.period)} if unit.period else {}
+    is_free = "true" if unit.period is None else "false"
+    simulation = {"modelIdentifier": unit.name, "canHandleVariableCommunicationStepSize": is_free, **able}
+    element = SubElement(root, "CoSimulation", simulation)
+    if version == 2:
+        listed = SubElement(element, "SourceFiles")
+        for name in _compiled(sources):
+            SubElement(listed, "File", {"name": name})
+    found = variables(unit)
+    units = sorted({v.unit for v in found if v.unit})
+    if units:
+        defined = SubElement(root, "UnitDefinitions")
+        for name in units:
+            SubElement(defined, "Unit", {"name": name})
+    times = {"startTime": "0.0"} | ({"stepSize": repr(unit.period)} if unit.period else {})
+    SubElement(root, "DefaultExperiment", times)
+    listed = SubElement(root, "ModelVariables")
+    for variable in found:
+        _variable(listed, variable, version)
+    structure = SubElement(root, "ModelStructure")
+    _structure(structure, found, version)
+    return root
+
+
+def _variable(parent: Element, variable: Variable, version: int) -> None:
+    attributes = {"name": variable.name, "valueReference": str(variable.reference), "causality": variable.causality}
+    attributes["variability"] = "continuous" if variable.causality == "independent" else "discrete"
+    attributes |= {"initial": "calculated"} if variable.causality in {"output", "local"} else {}
+    attributes |= {"description": variable.meaning} if variable.meaning else {}
+    value = {"start": "0.0"} if variable.causality == "input" else {}
+    value |= {"unit": variable.unit} if variable.unit else {}
+    if version == 2:
+        SubElement(SubElement(parent, "ScalarVariable", attributes), "Real", value)
+    else:
+        SubElement(parent, "Float64", attributes | value)
+
+
+def _structure(parent: Element, found: tuple[Variable, ...], version: int) -> None:
+    """Write the structure: the outputs, which are also what is computed at the beginning."""
+    places = [(i, v.reference) for i, v in enumerate(found, 1) if v.causality == "output"]
+    for name in ("Output", "InitialUnknown"):
+        listed = SubElement(parent, f"{name}s") if version == 2 else parent
+        for place, reference in places:
+            if version == 2:
+                SubElement(listed, "Unknown", {"index": str(place)})
+            else:
+                SubElement(listed, name, {"valueReference": str(reference)})
+
+
+def _build(unit: Unit, sources: Mapping[str, str]) -> Element:
+    root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    build = SubElement(root, "BuildConfiguration", {"modelIdentifier": unit.name})
+    files = SubElement(build, "SourceFileSet", {"language": "C99"})
+    for name in _compiled(sources):
+        SubElement(files, "SourceFile", {"name": name})
+    SubElement(build, "Library", {"name": "m"})
+    return root
+
+
+def _compiled(sources: Mapping[str, str]) -> Iterator[str]:
+    return (name for name in sources if name.endswith(".c"))
+
+
+def _xml(root: Element) -> bytes:
+    indent(root)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"

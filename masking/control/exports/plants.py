@@ -1,0 +1,112 @@
+"""Rigs and models as units: they move by one period with each step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from masking.compile.codegen.compiled_functions import steps_between
+from masking.compile.codegen.source import Module
+from masking.compile.numerics import integrators
+from masking.control.exports import unit_kernels
+from masking.control.exports.unit import Channel, Kernel, Operation, Unit, add_operation, identifier
+from masking.control.rig.twin import Twin
+from masking.model.modelling import lowering
+from masking.model.modelling.model import Model
+
+
+def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
+    """Simulated rig as a unit, at rest and unpowered.
+
+    Args:
+        twin: the rig.
+        name: of the unit.
+        rate: samples per second.
+    """
+    module = Module(name, {})
+    twin.add_to(module)
+    state, values, late = twin.unpowered(), twin.values(), twin.late(rate)
+    a, rows, period = len(twin.actuators), 1 + math.ceil(late.max(initial=0.0)), 1.0 / rate
+    substeps = twin.substeps(rate)
+    operations: dict[str, Operation] = {}
+    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
+    module.add_factory("instant", unit_kernels.instant, period, exported=False)
+    made: Kernel = (unit_kernels.rig_beginning, ("clear", len(state), len(values), rows, a))
+    init = Operation(("y", "p", "queue", "acting", "counters", "state0", "values"), "Begin at rest, without power.")
+    add_operation(operations, module, "init", made, init)
+    text = "Read the sensors; noise holds samples of mean 0 and deviation 1."
+    read = Operation(("noise", "readings", "y", "p", "acting", "counters"), text)
+    add_operation(operations, module, "read", (unit_kernels.rig_reading, ("sense_under", "instant")), read)
+    made = (unit_kernels.rig_step, ("move", "instant", a, substeps, period))
+    arguments = ("commands", "y", "p", "queue", "acting", "work", "counters", "late")
+    add_operation(operations, module, "step", made, Operation(arguments, "Move by one period under commands."))
+    sensors, units = twin.declaration.sensors, twin.declaration.actuators or twin.base.inputs
+    return Unit(
+        identifier(name),
+        f"{twin.declaration.name}: simulated rig",
+        "plant",
+        module,
+        {
+            "commands": tuple(Channel(n, units[n].unit) for n in twin.actuators),
+            "noise": tuple(Channel(f"noise_{n}", "1", "sample of mean 0 and deviation 1") for n in sensors),
+            "readings": tuple(Channel(n, s.unit, f"measures {s.measures.text}") for n, s in sensors.items()),
+        },
+        {"y": state.shape, "p": values.shape, "queue": (rows, a), "acting": (a,), "work": (5, len(state))},
+        unit_kernels.COUNTERS,
+        {"state0": state, "values": values, "late": late},
+        operations,
+        period,
+        (f"A period has {substeps} steps of the classical Runge-Kutta method.",),
+        tuple(Channel(n, "SI") for n in twin.state_names),
+    )
+
+
+def model_unit(model: Model, name: str, rate: float) -> Unit:
+    """Model as a unit, in its initial state; coordinates without one begin at 0.
+
+    Args:
+        model: the model, in SI units, or in its scales.
+        name: of the unit.
+        rate: steps per second, or per unit of the model's time.
+    """
+    model.check_ordinary("an exported model")
+    module = lowering.module(model.equations)
+    d, n, values, period = model.declaration, len(model.coordinates), model.values(), 1.0 / rate
+    missing = {c: 0.0 for c, x in d.coordinates.items() if x.initial is None}
+    state = model.initial_state(missing)
+    size, u = len(state), np.zeros(len(model.inputs))
+    lengths = np.resize(model.lengths, size) if n else np.ones(size)
+    substeps = steps_between(lambda y, out: model.kernels.derivative(0.0, y, u, values, out), state, lengths, rate)
+    module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", size, exported=False)
+    operations: dict[str, Operation] = {}
+    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
+    module.add_factory("instant", unit_kernels.instant, period, exported=False)
+    made: Kernel = (unit_kernels.model_beginning, ("clear", size, len(values)))
+    init = Operation(("y", "p", "counters", "state0", "values"), "Begin in the initial state.")
+    add_operation(operations, module, "init", made, init)
+    names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *d.states]
+    if d.outputs:
+        made, arguments = (unit_kernels.model_outputs, ("outputs", "instant", n, size)), "inputs readings y p counters"
+    else:
+        made, arguments = (unit_kernels.model_states, (size,)), "readings y"
+    add_operation(operations, module, "read", made, Operation(tuple(arguments.split()), "Read the outputs now."))
+    made = (unit_kernels.model_step, ("advance", "instant", substeps, period))
+    step = Operation(("inputs", "y", "p", "work", "counters"), "Move by one period under inputs that are held.")
+    add_operation(operations, module, "step", made, step)
+    units = "scales" if model.is_dimensionless else "SI"
+    outputs = [Channel(o, units) for o in d.outputs] or [Channel(c, units) for c in names]
+    return Unit(
+        identifier(name),
+        f"{model.name}: model",
+        "model",
+        module,
+        {"inputs": tuple(Channel(i, x.unit) for i, x in d.inputs.items()), "readings": tuple(outputs)},
+        {"y": state.shape, "p": values.shape, "work": (5, size)},
+        unit_kernels.COUNTERS,
+        {"state0": state, "values": values},
+        operations,
+        period,
+        (f"A period has {substeps} step{'s' * (substeps != 1)} of the classical Runge-Kutta method.",),
+        tuple(Channel(c, units) for c in names) if d.outputs else (),
+    )

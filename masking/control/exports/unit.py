@@ -1,0 +1,116 @@
+"""Unit: what is exported, in no language yet: its ports, memory, constants, and the kernels that are called."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from masking.compile.codegen.source import Module
+from masking.compile.numerics.arrays import Array
+
+Kernel = tuple[Callable[..., Any], tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One number that goes in or comes out: its name, its unit, and what it is."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Operation:
+    """A function of a unit.
+
+    Args:
+        arguments: of its kernel, in order: ports, memory and constants by their names; `time` is a number.
+        text: what it does, in one sentence.
+        returns_status: whether it returns 0, or why the unit has stopped.
+    """
+
+    arguments: tuple[str, ...]
+    text: str
+    returns_status: bool = False
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A controller, a rig or a model that can be called by itself.
+
+    Args:
+        name: of its functions and files, an identifier of C.
+        title: what it is.
+        kind: `controller`, `law`, `plant` or `model`.
+        module: holds each operation's kernel as `unit_` and its name.
+        ports: channels by the name of the argument that they are.
+        memory: shape of each array that evolves.
+        counters: length of the array of whole numbers.
+        constants: arrays that stay.
+        operations: by name; `init` begins, `step` is called once a period.
+        period: seconds, or units of a model's time, between steps; None where the caller gives the time.
+        notes: further sentences on its use.
+        states: what the first numbers of the first array of its memory are; empty where no one wants them.
+    """
+
+    name: str
+    title: str
+    kind: str
+    module: Module
+    ports: Mapping[str, tuple[Channel, ...]]
+    memory: Mapping[str, tuple[int, ...]]
+    counters: int
+    constants: Mapping[str, Array]
+    operations: Mapping[str, Operation]
+    period: float | None
+    notes: tuple[str, ...] = ()
+    states: tuple[Channel, ...] = ()
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """Channels that a caller gives, of all ports."""
+        return tuple(c for port, channels in self.ports.items() if port != self._output for c in channels)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        """Channels that a unit writes."""
+        return self.ports[self._output]
+
+    @property
+    def _output(self) -> str:
+        return "commands" if self.kind in {"controller", "law"} else "readings"
+
+    def written(self, operation: str) -> tuple[str, ...]:
+        """Ports that an operation writes."""
+        is_written = self._output in self.operations[operation].arguments
+        return (self._output,) if is_written else ()
+
+
+def add_operation(
+    operations: dict[str, Operation],
+    module: Module,
+    name: str,
+    kernel: Kernel,
+    operation: Operation,
+) -> None:
+    """Add an operation to those of a unit, and its kernel to the module.
+
+    Args:
+        operations: by name.
+        module: of the unit.
+        name: of the operation.
+        kernel: the factory of its kernel, and what it is given.
+        operation: what is called.
+    """
+    factory, given = kernel
+    module.add_factory(f"unit_{name}", factory, *given, exported=False)
+    operations[name] = operation
+
+
+def identifier(text: str) -> str:
+    """Name as an identifier of C."""
+    found = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return found if not found[:1].isdigit() else f"_{found}"

@@ -1,0 +1,234 @@
+"""Instruments: what a controller knows of a rig's sensors, actuators and limits, and of how late its commands act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
+from masking.compile.numerics.equilibrium import equilibrium
+from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
+from masking.control.rig.allocation import allocation
+from masking.control.rig.twin import Twin
+from masking.errors import ActuationError, ModelError
+from masking.model.declaration import schema
+from masking.model.declaration.instrument_declaration import Sensor
+from masking.model.modelling.model import Model
+
+# Step of a difference quotient, relative to the size of what varies.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Sensors, actuators and limits of a rig, as its plant file declares them to the controller.
+
+    Args:
+        plant: the content of the plant file.
+        model: the controller's model of the rig, in SI units.
+        factors: size in SI units of each unit that the plant file uses.
+        noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
+        delay: samples between a reading and the first effect of the command that answers it.
+        driven: slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each.
+    """
+
+    plant: schema.PlantDeclaration
+    model: Model
+    factors: Mapping[str, float]
+    noise: Mapping[str, float]
+    delay: int
+    driven: Array | None = None
+
+    @classmethod
+    def of(cls, twin: Twin) -> Instruments:
+        """Return those of a twin, whose model the controller has."""
+        return cls(twin.declaration, twin.model, twin.kernels.meta["factors"], twin.noise(), twin.delay)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Channels that are commanded; the model's inputs where none are declared."""
+        return tuple(self.plant.actuators or self.model.inputs)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(self.plant.sensors)
+
+    @cached_property
+    def allocation(self) -> Array:
+        """Return what each input gets of each actuator (inputs, actuators)."""
+        return allocation(self.plant, self.model.declaration, self.model.parameter_values())
+
+    @cached_property
+    def allocation_inverse(self) -> Array:
+        """Commands of least norm for each input (actuators, inputs).
+
+        Raises:
+            ActuationError: the actuators cannot give each input independently of the others.
+        """
+        found = np.asarray(np.linalg.pinv(self.allocation), dtype=np.float64)
+        missed = np.abs(np.diag(self.allocation @ found) - 1.0) > 1e-8
+        if missed.any():
+            names = [name for name, is_missed in zip(self.model.inputs, missed, strict=True) if is_missed]
+            raise ActuationError(
+                f"{self.plant.name}: the actuators ({', '.join(self.actuators)}) cannot give {', '.join(names)} "
+                "independently of the other inputs; change the allocation, or add an actuator",
+                names,
+            )
+        return found
+
+    def gains(self) -> Array:
+        """Readings per SI unit of what each sensor measures (sensors,)."""
+        declared = self.plant.sensors.values()
+        return np.array([s.gain.value * self.factors[s.gain.unit] / self.factors[s.unit] for s in declared])
+
+    def limits(self) -> Array:
+        """Table of limits of the actuators (actuators, 4), as `masking.compile.numerics.sampled_loop` reads it.
+
+        Raises:
+            ModelError: an actuator has no largest command.
+        """
+        declared = self.plant.limits
+        missing = [name for name in self.actuators if name not in declared.inputs]
+        if missing:
+            raise ModelError(
+                f"{self.plant.name}: no largest command of {', '.join(missing)}: write it under limits.inputs, such as "
+                f"'{missing[0]}: {{max: 0.42, unit: V}}'"
+            )
+        table = np.zeros((len(self.actuators), 4))
+        for i, name in enumerate(self.actuators):
+            size = self.factors[self.unit(name)]
+            table[i, LARGEST] = declared.inputs[name].max * self.factors[declared.inputs[name].unit] / size
+            table[i, TIME] = 1.0
+            if declared.power is not None and declared.power.heating is not None:
+                power, heating = declared.power, declared.power.heating
+                table[i, POWER] = power.value * self.factors[power.unit]
+                table[i, HEATING] = heating.value * self.factors[heating.unit] * size**2
+                table[i, TIME] = power.time
+        return table
+
+    def unit(self, actuator: str) -> str:
+        """Unit of an actuator."""
+        known = self.plant.actuators or self.model.declaration.inputs
+        return known[actuator].unit
+
+    def plan(self, rate: float, noise: float | None) -> Plan:
+        """Return what an observer is designed for: the model linearised at rest, the sensors and their noise.
+
+        Args:
+            rate: samples per second.
+            noise: standard deviation of every reading; that of the plant file where it is None.
+
+        Raises:
+            ModelError: the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
+        """
+        n = len(self.model.coordinates)
+        dynamics, driven = self.linear()
+        check_rate(rate, dynamics)
+        sensing = self.sensing()
+        passive = () if self.driven is None else np.flatnonzero(~self.driven.any(axis=0))
+        hidden = tuple(i for i in unseen(sensing[:, :n]) if i in passive)
+        seen = [i for i in range(n) if i not in hidden]
+        check_sensing(sensing[:, seen], [self.model.coordinates[i] for i in seen], self.sensors)
+        check_followed(dynamics, hidden, self.model.coordinates)
+        weighed = [name for name, row in zip(self.sensors, sensing, strict=True) if row.any()]
+        unknown = [name for name in weighed if noise is None and name not in self.noise]
+        if unknown:
+            raise ModelError(
+                f"{self.plant.name}: the noise of {', '.join(unknown)} is not known: declare an effect noise there in "
+                "the plant file, or write controller.observer.noise, in the sensors' units"
+            )
+        levels = np.array([self.noise.get(name, 0.0) if noise is None else noise for name in self.sensors])
+        slope = np.eye(n) if self.driven is None else self.driven
+        command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
+        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
+
+    def linear(self) -> tuple[Array, Array]:
+        """D [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.
+
+        Damping is that of velocities at which the model passes rest in oscillations of a unit of length: the slope of
+        dry friction at rest is that of its smoothed sign, far beyond its mean over a motion.
+        """
+        model, n = self.model, len(self.model.coordinates)
+        p, kernels = model.values(), model.kernels
+        size, inputs = 2 * n + len(model.declaration.states), len(model.inputs)
+        lengths = model.lengths
+
+        def slope(y: Array, u: Array) -> Array:
+            out = np.empty(size)
+            kernels.derivative(0.0, y, u, p, out)
+            return out[: 2 * n]
+
+        dynamics, driven = np.empty((2 * n, 2 * n)), np.empty((n, inputs))
+        steps = [*(_STEP * lengths), *lengths]
+        for i in range(2 * n):
+            if i == n:
+                fastest = float(np.sqrt(np.abs(np.linalg.eigvals(dynamics[n:, :n])).max()))
+                steps[n:] = (fastest or 1.0) * lengths
+            step = np.zeros(size)
+            step[i] = steps[i]
+            dynamics[:, i] = (slope(step, np.zeros(inputs)) - slope(-step, np.zeros(inputs))) / (2.0 * step[i])
+        for i in range(inputs):
+            u = np.zeros(inputs)
+            u[i] = 1.0
+            driven[:, i] = 0.5 * (slope(np.zeros(size), u) - slope(np.zeros(size), -u))[n:]
+        return dynamics, driven
+
+    def sensing(self) -> Array:
+        """Readings per unit of [q, v] (sensors, 2 n) at rest."""
+        names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
+        steps = _STEP * np.tile(self.model.lengths, 2)
+        found = np.empty((len(self.sensors), len(names)))
+        values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
+        for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
+            for i, (name, step) in enumerate(zip(names, steps, strict=True)):
+                up, down = (self._measured(sensor, values | {name: by}) for by in (step, -step))
+                found[k, i] = gain * (up - down) / (2.0 * step)
+        return found
+
+    def positions(self, readings: Array) -> Array:
+        """Coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
+        inverse = np.linalg.pinv(self.sensing()[:, : len(self.model.coordinates)])
+        q = np.zeros(len(self.model.coordinates))
+        for _ in range(20):
+            q = q + inverse @ (readings - self.readings(q))
+        return q
+
+    def readings(self, q: Array) -> Array:
+        """Return what the sensors read (sensors,) of a rig at rest at coordinates (n,)."""
+        names = self.model.coordinates
+        at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
+        pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
+        return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
+
+    def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
+        """Return what a sensor measures of a rig at rest, in SI units; outputs are those without further forces."""
+        outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
+        return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
+
+    def rest(self) -> Array:
+        """Coordinates (n,) at which the model rests without inputs.
+
+        Raises:
+            ModelError: there is no such position near 0.
+        """
+        model, n = self.model, len(self.model.coordinates)
+        inputs, p = np.zeros(len(model.inputs)), model.values()
+        internal = [s.initial for s in model.declaration.states.values()]
+        out = np.empty(2 * n + len(internal))
+
+        def accelerations(q: Array) -> Array:
+            model.kernels.derivative(0.0, np.concatenate([q, np.zeros(n), internal]), inputs, p, out)
+            return out[n : 2 * n].copy()
+
+        found = equilibrium(accelerations, model.lengths)
+        if found is None:
+            raise ModelError(
+                f"{model.name} does not rest near its zero without inputs, where controller.rest measures the sensors' "
+                "offsets; leave rest out"
+            )
+        return found

@@ -1,0 +1,60 @@
+"""Allocation: what each input of a model gets of each actuator of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import DeclarationError, Problem, nearest
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.schema import ModelDeclaration, PlantDeclaration
+from masking.model.declaration.units import factor_of
+
+
+def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
+    """Return what each input of a model, in SI units, gets of each actuator, in its unit (inputs, actuators).
+
+    Args:
+        plant: the plant file; without `actuators`, each input is an actuator.
+        model: the model that the plant file names.
+        parameters: its parameters in SI units.
+
+    Raises:
+        DeclarationError: an input is not wired, or not linear in the actuators.
+    """
+    sizes = np.array([factor_of(channel.unit) for channel in (plant.actuators or model.inputs).values()])
+    if not plant.actuators:
+        return np.diag(sizes)
+    problems = []
+    rows = np.zeros((len(model.inputs), len(plant.actuators)))
+    for name in plant.allocation.keys() - model.inputs.keys():
+        message, mend = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
+        problems.append(Problem(plant.key_place(f"allocation.{name}"), f"allocation.{name}", message, mend))
+    for i, name in enumerate(model.inputs):
+        path = f"allocation.{name}"
+        if name not in plant.allocation:
+            message = f"nothing is allocated to the input {name}"
+            mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
+            problems.append(Problem(plant.key_place("allocation"), path, message, mend))
+            continue
+        expression = plant.allocation[name]
+        unknown = expression.check_symbols([*plant.actuators, *parameters])
+        if unknown:
+            problems += unknown
+            continue
+
+        def at(command: Array, expression: Expression = expression) -> float:
+            return expression.evaluate({**parameters, **dict(zip(plant.actuators, command, strict=True))})
+
+        rest = at(np.zeros(len(plant.actuators)))
+        rows[i] = [at(unit) - rest for unit in np.eye(len(plant.actuators))]
+        probe = np.random.default_rng(0).uniform(0.5, 1.5, len(plant.actuators))
+        if rest != 0.0 or not np.isclose(at(probe), rows[i] @ probe, rtol=1e-9):
+            message = "the allocation must be a sum of actuators times numbers"
+            problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
+    if problems:
+        raise DeclarationError(problems)
+    rows *= sizes
+    return rows

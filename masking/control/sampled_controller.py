@@ -1,0 +1,430 @@
+"""Sampled controller: from readings to commands at a fixed rate, and such a controller closed around a twin.
+
+One step, in order: observer, prediction to the instant at which the command acts, T, D, L, G, hold, allocation to the
+actuators, limits. It is compiled whole, alone to run against a rig, and together with a twin to run offline.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen import store
+from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.source import Module
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
+from masking.control.blocks import check_actuation
+from masking.control.known_instruments import Instruments
+from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
+from masking.control.observer import Differences, Observer
+from masking.control.rig.twin import Twin
+from masking.control.virtual_inputs import NOTHING, Feed
+from masking.errors import ModelError
+from masking.model.modelling.lowering import LoweredEquations
+
+if TYPE_CHECKING:
+    from masking.compile.numerics import integrators, sampled_loop, single_step
+else:
+    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
+    sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
+
+
+# An offset follows the readings with this many time constants over the rest.
+SETTLED = 5.0
+
+
+@dataclass(frozen=True)
+class SampledController:
+    """A controller at a fixed rate.
+
+    Args:
+        controller: the control law.
+        instruments: what it knows of the rig's sensors, actuators and limits.
+        observer: how it knows the rig's state.
+        rate: samples per second.
+        noise: standard deviation of every reading, in the sensors' units; that of the plant file where it is None.
+        homing: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
+        end: coordinates (n,) of the rig's initial state.
+        rest: seconds before homing in which the rig rests without commands and the sensors' offsets are measured.
+        feed: what the virtual system gets as inputs while it runs.
+        remembered: the virtual system's internal states at the release.
+    """
+
+    controller: Controller
+    instruments: Instruments
+    observer: Observer
+    rate: float
+    noise: float | None
+    homing: float
+    end: Array
+    rest: float = 0.0
+    feed: Feed = NOTHING
+    remembered: tuple[float, ...] = ()
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes that the compiled step is made for."""
+        model, instruments = self.controller.model, self.instruments
+        is_balanced = self.controller.energy_balance is not None
+        virtual = self.controller.virtual
+        n, remembered, lags = len(model.coordinates), len(virtual.states), len(self.lags)
+        known, moved = virtual.kernels.meta, 2 * n + len(model.states) - 2 * len(virtual.coordinates)
+        return Sizes(
+            n,
+            2 * n + len(model.states) + remembered + lags + is_balanced,
+            len(model.inputs),
+            len(instruments.actuators),
+            self.observer.order,
+            len(self.controller.virtual.coordinates) if is_balanced else 0,
+            len(instruments.sensors) if self.rest else 0,
+            remembered,
+            lags,
+            self._kept,
+            len(known["events"]),
+            tuple((event, state + moved) for event, state in known["targets"]),
+        )
+
+    @cached_property
+    def lags(self) -> Array:
+        """Delays of the virtual system's delayed expressions, in samples.
+
+        Raises:
+            ModelError: one is shorter than the time between samples.
+        """
+        found = self.controller.virtual.delays() * self.controller.time_scale * self.rate
+        if len(found) and found.min() < 1.0:
+            raise ModelError(
+                f"{self.controller.virtual.name}: a delay is {found.min() / self.rate:.3g} s on the rig, shorter than "
+                f"the {1.0 / self.rate:.3g} s between samples; raise controller.rate"
+            )
+        return found
+
+    @property
+    def _kept(self) -> int:
+        """Samples of delayed expressions that are kept, a power of two; 0 where there are none."""
+        return 1 << math.ceil(math.log2(self.lags.max() + self.delay + 8.0)) if len(self.lags) else 0
+
+    @property
+    def before(self) -> int:
+        """Samples before the release."""
+        return round((self.rest + self.homing) * self.rate) + self.delay
+
+    @property
+    def delay(self) -> int:
+        """Samples between a reading and the first effect of the command that answers it."""
+        return self.instruments.delay
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the observer follows a model."""
+        return not isinstance(self.observer, Differences)
+
+    @cached_property
+    def gain(self) -> Array:
+        """Observer's gain, C-contiguous.
+
+        Raises:
+            ModelError: the observer is faster than the sampling allows, or the noise or a limit is not known.
+        """
+        noise = self.noise if self.has_model else 1.0
+        plan = self.instruments.plan(self.rate, noise)
+        offset = self.sizes.states - 2 * self.sizes.coordinates
+        return np.ascontiguousarray(self.observer.gain(plan, offset))
+
+    @cached_property
+    def limits(self) -> Array:
+        """Table of limits (actuators, 4)."""
+        return self.instruments.limits()
+
+    def values(self, start: Array | None = None) -> Array:
+        """Parameter array; `start` are the coordinates (n,) from which homing begins."""
+        known = self.instruments
+        parts = [self.controller.values(), known.gains(), known.allocation_inverse.ravel(), known.allocation.ravel()]
+        if self.homing:
+            parts += [self.end if start is None else start, self.end, np.array([self.homing])]
+        return np.concatenate([*parts, self.feed.tail()])
+
+    def structure(self) -> dict[str, object]:
+        """All that the compiled step depends on, apart from values."""
+        sensors = self.instruments.plant.sensors.values()
+        return {
+            "controller": self.controller.structure(),
+            "sensors": [s.measures.text for s in sensors],
+            "actuators": list(self.instruments.actuators),
+            "has_model": self.has_model,
+            "order": self.observer.order,
+            "homing": bool(self.homing),
+            "rest": bool(self.rest),
+            **({"feed": self.feed.structure()} if self.feed else {}),
+            "kept": self._kept,
+        }
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Compiled controller; from the cache on disk where it has been made before.
+
+        Raises:
+            ActuationError: the inputs cannot accelerate every virtual coordinate.
+        """
+        return Kernels(store.load(store.key({"sampled": self.structure()}), self._build))
+
+    def _build(self) -> Module:
+        check_actuation(self.controller.model, self.controller.transform)
+        meta = {"kind": "controller", "coordinates": list(self.controller.model.coordinates)}
+        module = Module(f"{self.instruments.plant.name}, masked as {self.controller.virtual.name}", meta)
+        self.add_to(module)
+        module.add_factory("answer", single_step.sampled_step, "control", self.sizes, work=self.work)
+        return module
+
+    @property
+    def work(self) -> tuple[int, int]:
+        """Shape of the work space of a step."""
+        rows, width = self.sizes.work
+        return rows, max(width, len(self.instruments.sensors))
+
+    def add_to(self, module: Module) -> None:
+        """Add the parts of the controller and `control`, which is all of them, to a generated module."""
+        lowered = _Lowered(self)
+        for signature, results, returns in lowered.functions():
+            loads = lowered.loads if "q, v" not in signature else lowered.apart
+            module.add(self.feed.bare(signature), lowered.graph, results, loads, returns)
+        self.feed.add_laws(module)
+        sizes, work = self.sizes, self.work
+        step = {"exported": False} if self.feed.is_live else {"work": work}
+        name = "bare_control" if self.feed.is_live else "control"
+        parts: tuple[str, ...]
+        if self.has_model:
+            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember")
+            parts = (*parts, "lagged", "conditions")
+            module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
+        else:
+            parts = ("law", "allocate", "remember", "lagged", "conditions")
+            module.add_factory(name, sampled_loop.control_with_differences, *parts, sizes, **step)
+            module.add_factory("skip", sampled_loop.skip_with_differences, *parts[2:], sizes, work=work)
+        if self.feed.is_live:
+            self.feed.add_control(module, sizes, work)
+        module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
+
+    def begin(self, readings: Array) -> Beginning:
+        """How a controller begins on a rig at rest, which it holds where it is.
+
+        Args:
+            readings: what the sensors read first (sensors,).
+        """
+        sizes, n = self.sizes, self.sizes.coordinates
+        q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
+        internal = [state.initial for state in self.controller.model.declaration.states.values()]
+        internal += [*self.remembered, *[0.0] * sizes.lags, *[0.0] * (self.controller.energy_balance is not None)]
+        estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
+        p, inputs = self.values(q), np.empty(sizes.inputs)
+        self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
+        if self.homing or not self.has_model:  # before homing, the rig is where it is without power
+            inputs[:] = 0.0
+        largest = self.limits[:, LARGEST]
+        command = np.clip(self.instruments.allocation_inverse @ inputs, -largest, largest)
+        acting = self.instruments.allocation @ command
+        warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
+        power = warmed * self.limits[:, HEATING] * command**2
+        balance = np.zeros(sizes.balance.stop - sizes.balance.start)
+        kept = (balance, self._standing(q), self._past())
+        x = np.concatenate([estimate, power, estimate, *kept, np.tile(acting, self.delay)])
+        return Beginning(x, p, command)
+
+    def _past(self) -> Array:
+        """Return what the memory holds of delayed expressions before the release, as `Sizes.past` says."""
+        sizes, n = self.sizes, self.sizes.coordinates
+        if not sizes.lags:
+            return np.empty(0)
+        y, values = np.zeros(sizes.states), np.empty(sizes.lags)
+        y[: 2 * n], y[sizes.memory] = np.concatenate([self.end, np.zeros(n)]), self.remembered
+        self.kernels.lagged(0.0, y, self.values(), values)
+        return np.concatenate([[-1.0, 1.0 / self.rate], self.lags, np.tile(values, sizes.kept)])
+
+    def _standing(self, q: Array) -> Array:
+        """Return what the memory holds of a rest at coordinates (n,), as `Sizes.rest` says."""
+        if not self.rest:
+            return np.empty(0)
+        part = -np.expm1(-SETTLED / (self.rest * self.rate))
+        expected = self.instruments.readings(q)
+        return np.concatenate([np.zeros(len(expected)), expected, [-self.homing, part]])
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What a sampled controller knows when it begins.
+
+    Args:
+        x: its memory, as `masking.compile.numerics.controller_sizes.Sizes.power` says.
+        p: its parameter array.
+        holding: the commands (actuators,) that hold the rig where it was found.
+    """
+
+    x: Array
+    p: Array
+    holding: Array
+
+
+Results = list[tuple[str, Node]]
+
+
+class _Lowered:
+    """The symbolic parts of a sampled controller as nodes of one graph."""
+
+    def __init__(self, sampled: SampledController) -> None:
+        controller, instruments = sampled.controller, sampled.instruments
+        equations = controller.model.equations
+        self.graph, self.loads = Graph(), dict[str, str]()
+        n, channels, inputs = (
+            len(equations.coordinates),
+            len(instruments.actuators),
+            len(controller.model.inputs),
+        )
+        self._count, self.is_live = n, sampled.feed.is_live
+        time = self._read("t", "t", varying=True)
+        y = {name: self._array(name, "y", len(symbols), first, varying=True) for name, symbols, first in (
+            ("q", equations.symbols.q, 0), ("v", equations.symbols.v, n), ("s", equations.symbols.s, 2 * n)
+        )}  # fmt: skip
+        self.loads["since"] = "since"
+        disturbance = self._array("d", "d", n, varying=True)
+        u = self._array("u", "u", inputs, varying=True)
+        out = self._array("out", "out", channels, varying=True)
+
+        p = ControllerParameters.of(controller, self.graph)
+        self.loads |= p.loads(self.graph)
+        self._next = p.count
+        gains = self._parameters("gain", len(instruments.sensors))
+        allocation = [self._parameters(f"alloc_{i}", inputs) for i in range(channels)]
+        wires = [self._parameters(f"wire_{i}", channels) for i in range(inputs)]
+        homing = None
+        if sampled.homing:
+            since = self.graph.symbol("since", varying=True)
+            start, end = self._parameters("start", n), self._parameters("end", n)
+            homing = Homing(since, start, end, self._parameters("homing", 1)[0])
+
+        damping, slot = None, sampled.sizes.memory
+        remembered = sampled.sizes.remembered + sampled.sizes.lags
+        memory = self._array("z", "y", remembered, slot.start, varying=True)
+        if controller.energy_balance is not None:
+            damping = self._read("damping", f"y[{slot.start + remembered}]", varying=True)
+        rig = RigSymbols(time, y["q"], y["v"], y["s"], damping=damping, memory=memory)
+        self.law = ControlLaw.of(controller, self.graph, replace(rig, disturbance=disturbance), homing)
+        self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
+        s = equations.symbols
+        known = dict(
+            zip((s.t, *s.q, *s.v, *s.s, *s.u, *s.p), (time, *y["q"], *y["v"], *y["s"], *u, *p.model), strict=True)
+        )
+        model = LoweredEquations.of(equations, self.graph, known=known)
+        self.rates = [*y["v"], *model.accelerations, *model.rates, *[self.graph.number(0.0)] * len(memory)]
+        self.virtual, self.momentum = list[Node](), list[Node]()
+        if damping is not None:
+            self.rates.append(self.graph.number(0.0))
+            self._add_balance(controller, p, time)
+        self.forces = sampled.feed.forces(self.graph, controller, known, disturbance)
+        measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
+        self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
+        self.commands = [self._dot(row, u) for row in allocation]
+        self.inputs = [self._dot(row, out) for row in wires]
+
+    def _add_balance(self, controller: Controller, p: ControllerParameters, time: Node) -> None:
+        """Add what the energy balance calls."""
+        graph, k = self.graph, len(controller.virtual.coordinates)
+        wanted = [graph.div(d, p.time_scale) for d in self.law.desired]
+        taken, frequency = p.energy_balance
+        self.virtual = [*self.law.eta, *self.law.rate, *wanted, graph.div(frequency, p.time_scale), taken]
+        e = self._array("e", "e", 2 * k, varying=True)
+        self.momentum = controller.desired.momentum(graph, graph.div(time, p.time_scale), e[:k], e[k:], p.virtual)
+
+    def functions(self) -> list[tuple[str, Results, Node | None]]:
+        """Signature, results and returned node of each function."""
+        law = self.law
+
+        def into(target: str, nodes: Sequence[Node]) -> Results:
+            return [(f"{target}[{i}]", node) for i, node in enumerate(nodes)]
+
+        motion = into("u", law.inputs) + into("r", law.given) + into("g", law.driven)
+        return [
+            ("law(t: float, since: float, y, d, p, u, r, g)", motion, law.health),
+            ("rate(t: float, y, u, p, dy)", into("dy", self.rates), None),
+            ("measure(t: float, y, p, s)", into("s", self.readings), None),
+            ("allocate(u, p, out)", into("out", self.commands), None),
+            ("wire(out, p, u)", into("u", self.inputs), None),
+            ("virtual(t: float, y, p, out)", into("out", self.virtual), None),
+            ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
+            ("remember(t: float, y, p, dz)", into("dz", law.remembered), None),
+            ("lagged(t: float, y, p, w)", into("w", law.lagged), None),
+            ("conditions(t: float, y, p, w)", into("w", law.conditions), None),
+            ("transform(t: float, q, v, p, out)", into("out", [*law.eta, *law.rate]), None),
+            ("still(t: float, y, p, u)", into("u", self.still_law.cancel), None),
+            *([("push(t: float, y, d, p, out)", into("out", self.forces), None)] if self.is_live else []),
+        ]
+
+    @property
+    def apart(self) -> dict[str, str]:
+        """How symbols are read where coordinates and velocities are given apart."""
+        return self.loads | {f"{kind}_{i}": f"{kind}[{i}]" for kind in "qv" for i in range(self._count)}
+
+    def _read(self, name: str, text: str, *, varying: bool) -> Node:
+        self.loads[name] = text
+        return self.graph.symbol(name, varying=varying)
+
+    def _array(self, name: str, array: str, count: int, first: int = 0, *, varying: bool) -> list[Node]:
+        return [self._read(f"{name}_{i}", f"{array}[{first + i}]", varying=varying) for i in range(count)]
+
+    def _parameters(self, name: str, count: int) -> list[Node]:
+        nodes = self._array(f"k_{name}", "p", count, self._next, varying=False)
+        self._next += count
+        return nodes
+
+    def _dot(self, a: Sequence[Node], b: Sequence[Node]) -> Node:
+        return self.graph.total([self.graph.mul(x, y) for x, y in zip(a, b, strict=True)])
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """A sampled controller and the twin that it drives, compiled together."""
+
+    sampled: SampledController
+    twin: Twin
+
+    def __post_init__(self) -> None:
+        check_same_rig(self.sampled.controller.model, self.twin.model)
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Compiled loop; from the cache on disk where it has been made before."""
+        return Kernels(store.load(self._key, self._build))
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the loop is in the cache on disk."""
+        return store.exists(self._key)
+
+    @property
+    def _key(self) -> str:
+        return store.key({"sampled": self.sampled.structure(), "twin": self.twin.structure()})
+
+    @property
+    def width(self) -> int:
+        """Length of a row of the work space."""
+        return max(self.sampled.sizes.work[1], len(self.twin.sensors), len(self.twin.state_names))
+
+    def _build(self) -> Module:
+        controller = self.sampled.controller
+        check_actuation(controller.model, controller.transform)
+        meta = {"kind": "sampled loop", **self.twin.state_kinds}
+        module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
+        self.twin.add_to(module)
+        self.sampled.add_to(module)
+        size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
+        module.add_factory("move_rig", integrators.steps_under_way, "twin_derivative", size, exported=False)
+        module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)
+        return module

@@ -1,0 +1,133 @@
+"""Feed: what a sampled controller gives its virtual system as inputs that are not declared as expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.source import Module
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import Sizes
+from masking.model.modelling.input_series import Series
+
+if TYPE_CHECKING:
+    from masking.compile.numerics import virtual_input_kernels
+    from masking.control.law import Controller
+else:
+    virtual_input_kernels = lazy.load("masking.compile.numerics.virtual_input_kernels", suppress_warning=True)
+
+
+@dataclass(frozen=True)
+class FromSensor:
+    """An input that is what a sensor reads: its cell, the sensor's index, and virtual units per unit of reading."""
+
+    cell: int
+    sensor: int
+    factor: float
+
+
+@dataclass(frozen=True)
+class FromPush:
+    """An input that is an estimated force.
+
+    Args:
+        cell: of the input.
+        coordinate: index of the rig coordinate along which it acts.
+        factor: virtual units per SI unit.
+        above: rad/s; slower forces are errors of the model.
+    """
+
+    cell: int
+    coordinate: int
+    factor: float
+    above: float
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Inputs of the virtual system that a sampled controller reads as it runs.
+
+    Args:
+        scale: index of the seconds per unit of virtual time in the parameter array.
+        series: the cell of each input that is known point by point, and its points.
+        sensors: inputs that are read.
+        pushes: inputs that are estimated.
+    """
+
+    scale: int = 0
+    series: tuple[tuple[int, Series], ...] = ()
+    sensors: tuple[FromSensor, ...] = ()
+    pushes: tuple[FromPush, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.series or self.sensors or self.pushes)
+
+    def tail(self) -> Array:
+        """Values behind the parameters, as `numerics.virtual_input_kernels` reads them; empty without inputs."""
+        if not self:
+            return np.empty(0)
+        parts = [np.append(len(one.times), one.pieces.ravel()) for _, one in self.series]
+        parts += [np.array([one.factor]) for one in self.sensors]
+        parts += [np.array([one.factor, one.above, 0.0]) for one in self.pushes]
+        tail = np.concatenate([*parts, np.zeros(len(self.pushes))])
+        return np.append(tail, len(tail) + 1.0)
+
+    def lasting(self, p: Array) -> Array:
+        """Return what lasts of each push (1, pushes), SI units, where the parameters with their tail are p."""
+        count, last = len(self.pushes), len(p) - 1
+        return p[last - 4 * count : last - count].reshape(1, count, 3)[:, :, 2].copy() if count else np.empty((1, 0))
+
+    def structure(self) -> list[object]:
+        """All that the compiled step depends on."""
+        cells = [cell for cell, _ in self.series]
+        pushes = [[one.cell, one.coordinate] for one in self.pushes]
+        return [self.scale, cells, [[one.cell, one.sensor] for one in self.sensors], pushes] if self else []
+
+    def bare(self, signature: str) -> str:
+        """Signature of a function under the name that it has before it is fed."""
+        is_fed = bool(self.series) and signature.startswith(("law(", "virtual(", "remember("))
+        return f"bare_{signature}" if is_fed else signature
+
+    def add_laws(self, module: Module) -> None:
+        """Add the control law, what the energy balance calls and rates of internal states, with their series."""
+        if self.series:
+            cells = tuple(cell for cell, _ in self.series)
+            module.add_factory("law", virtual_input_kernels.law, "bare_law", cells, self.scale, exported=False)
+            for name in ("virtual", "remember"):
+                module.add_factory(
+                    name, virtual_input_kernels.virtual, f"bare_{name}", cells, self.scale, exported=False
+                )
+
+    def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
+        """Add the step with inputs that are read or estimated."""
+        sensors = tuple((one.cell, one.sensor) for one in self.sensors)
+        pushes = tuple(one.cell for one in self.pushes)
+        given = ("bare_control", "push", len(self.series), sensors, pushes, sizes)
+        module.add_factory("control", virtual_input_kernels.control, *given, work=work)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether an input is known in the run alone."""
+        return bool(self.sensors or self.pushes)
+
+    def forces(self, graph: Graph, controller: Controller, known: dict[object, Node], d: list[Node]) -> list[Node]:
+        """Nodes of the force along the coordinate of each push.
+
+        Args:
+            graph: the graph to add to.
+            controller: with the model of the rig.
+            known: nodes of its symbols.
+            d: accelerations that the model lacks (n,).
+        """
+        mass = controller.model.equations.mass.tolist()
+        return [
+            graph.total([graph.mul(graph.lower(m, known), a) for m, a in zip(mass[one.coordinate], d, strict=True)])
+            for one in self.pushes
+        ]
+
+
+NOTHING = Feed()

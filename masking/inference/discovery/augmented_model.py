@@ -1,0 +1,496 @@
+"""Augmented model: a twin with force ports, so that any effect can act at any place without compiling again.
+
+A force port at each place and an offset before each actuator are compiled in; effects are laws of their own, which
+drive these ports in the simulation, together with the derivatives by all parameters.
+Source: as `masking.compile.numerics.augmented_motion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen import column_step, store
+from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.codegen.source import Module
+from masking.compile.codegen.tangent import jacobian
+from masking.compile.numerics.arrays import Array, IntVector
+from masking.compile.numerics.effect_table import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
+from masking.compile.numerics.rig_sizes import PortSizes, whole_lanes
+from masking.control.rig.twin import LoweredTwin, Twin
+from masking.inference.discovery import compiled_laws as laws
+from masking.inference.discovery.places import Place, degrees, identifier, opened, taken
+from masking.inference.discovery.ports import Instances, followed, port, rates
+from masking.inference.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
+from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
+from masking.model.declaration.expression import Expression
+from masking.model.effects import EFFECTS, FORCE, OFFSET, Effect
+
+if TYPE_CHECKING:
+    from masking.compile.numerics import augmented_motion, kalman_kernels, known_motion
+else:
+    augmented_motion = lazy.load("masking.compile.numerics.augmented_motion", suppress_warning=True)
+    kalman_kernels = lazy.load("masking.compile.numerics.kalman_kernels", suppress_warning=True)
+    known_motion = lazy.load("masking.compile.numerics.known_motion", suppress_warning=True)
+
+NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
+MOST_STATES = 6  # of effects together
+OWN_STATES = 2  # of effects together, up to which the columns of derivatives have code of their own size
+MOST_COLUMNS = 96  # features that are spread at once
+PLACED = "placed(t: float, y, u, p, d, jy: Matrix)"
+KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
+
+
+@dataclass(frozen=True)
+class EffectInstance:
+    """An effect at a place with values of all its parameters, and which of them are estimated.
+
+    Args:
+        effect: its name in the dictionary, which may be `delay`.
+        at: name of the place, sensor or actuator; '' for a delay of all actuators.
+        values: of its parameters, in the order of the dictionary, in coherent units of the place; the last may be left
+            out, and are then as usual.
+        free: indices of those that are estimated.
+        known: its entry in the dictionary; by default that which comes with the package.
+    """
+
+    effect: str
+    at: str
+    values: tuple[float, ...]
+    free: tuple[int, ...]
+    known: Effect | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.effect != laws.DELAY:
+            left = list(self.entry.parameters.values())[len(self.values) :]
+            object.__setattr__(self, "values", (*self.values, *(parameter.value or 0.0 for parameter in left)))
+
+    @property
+    def entry(self) -> Effect:
+        """Effect's entry in the dictionary."""
+        return self.known or EFFECTS[self.effect]
+
+    @property
+    def where(self) -> str:
+        """Where the effect sits; a delay sits in the actuators."""
+        return "actuator" if self.effect == laws.DELAY else self.entry.where
+
+    @property
+    def estimated(self) -> tuple[float, ...]:
+        """Values of the estimated parameters (f,)."""
+        return tuple(self.values[i] for i in self.free)
+
+    def with_values(self, at: Sequence[int], values: Iterable[float]) -> EffectInstance:
+        """Instance with other values of some of its parameters."""
+        made = list(self.values)
+        for i, value in zip(at, values, strict=True):
+            made[i] = float(value)
+        return replace(self, values=tuple(made))
+
+    def with_free_times(self, factor: float) -> EffectInstance:
+        """Instance with its estimated parameters multiplied."""
+        return self.with_values(self.free, (self.values[i] * factor for i in self.free))
+
+    def with_factors_times(self, factor: float) -> EffectInstance:
+        """Instance with a part of the effect."""
+        at = [i for i, name in zip(self.free, self.names, strict=True) if name in self.entry.factors]
+        return self.with_values(at, (self.values[i] * factor for i in at))
+
+    def at_step(self, mobility: float, step: float) -> EffectInstance:
+        """Instance with the parameters that follow the step of integration, where it has such.
+
+        Args:
+            mobility: of its place, as `mobilities` has it.
+            step: of integration, s.
+        """
+        rules = self.entry.by_step
+        known = {"mobility": mobility, "step": step}
+        return self.with_values(
+            self.entry.indices(tuple(rules)), (Expression(text).evaluate(known) for text in rules.values())
+        )
+
+    @property
+    def creeping(self) -> EffectInstance:
+        """Instance with a smooth law, as a controller can follow it, in the place of one that sticks."""
+        at = self.entry.indices(tuple(self.entry.by_step) if self.entry.at_zero else ())
+        return self.with_values(at, np.zeros(len(at)))
+
+    @property
+    def sticks(self) -> bool:
+        """Whether parameters that follow the step of integration have been given to it."""
+        return any(self.values[i] for i in self.entry.indices(tuple(self.entry.by_step)))
+
+    @property
+    def begins(self) -> tuple[float, ...]:
+        """How far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
+        if self.effect == laws.DELAY:
+            return ()
+        values = dict(zip(self.entry.parameters, self.values, strict=True))
+        return tuple(Expression(state.size or "0").evaluate(values) for state in self.entry.states.values())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        every = (laws.DEAD_TIME,) if self.effect == laws.DELAY else tuple(self.entry.parameters)
+        return tuple(every[i] for i in self.free)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of a record: J^T W J (w, w), J^T W r (w,), squared residuals (sensors,), simulated readings.
+
+    Residuals are 0 where commands from before the record act, which are not known.
+    Columns: parameters of the rig, free parameters of the effects, where their states begin, then what each interval
+    may begin with, as `Twin.free` has it.
+    """
+
+    matrix: Array
+    gradient: Array
+    squares: Array
+    simulated: Array
+    residuals: Array
+
+
+@dataclass(frozen=True)
+class AugmentedModel:
+    """A twin with open places.
+
+    Args:
+        twin: the rig with its declared values.
+        names: its parameters that may be adjusted.
+        tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
+        at: coordinates at rest (n,), around which it is linearised; 0 if not given.
+        directed: whether directed places are open, too.
+        imperfections: effects with one parameter each, which are adjusted as those of the rig are.
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+    tried: tuple[Effect, ...] = ()
+    at: tuple[float, ...] = ()
+    directed: bool = False
+    imperfections: tuple[EffectInstance, ...] = ()
+
+    @cached_property
+    def _opened(self) -> tuple[Twin, tuple[Place, ...]]:
+        base, found = opened(self.twin.base, directed=self.directed)
+        ports = {f"port_{identifier(p.name)}": port(FORCE, p.name if p.declared else identifier(p.name)) for p in found}
+        commands = {f"port_{name}": port(OFFSET, name) for name in self.twin.actuators}
+        effects = {**commands, **ports, **self.twin.declaration.effects}
+        declaration = self.twin.declaration.model_copy(update={"effects": effects})
+        return Twin(declaration, base, self.twin.changes, self.twin.chosen), found
+
+    @cached_property
+    def laws(self) -> dict[str, Effect]:
+        """Effects that can be tried, in the order of their numbers."""
+        tried = {one.name: one for one in self.tried} or {**self.twin.dictionary, **laws.BASES}
+        return laws.known({one.effect: one.entry for one in self.imperfections} | tried)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Places where a force may sit."""
+        return self._opened[1]
+
+    @property
+    def affected(self) -> int:
+        """Number of entries of the parameter array that depend on parameters and ports."""
+        return len(self._sensitivity.affected)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Coordinates of the rig."""
+        return tuple(self.twin.model.coordinates)
+
+    @cached_property
+    def degrees(self) -> tuple[str, ...]:
+        """Return what forces move: coordinates, internal states, or outputs of a component."""
+        return degrees(self.twin.base)
+
+    @property
+    def begins(self) -> int:
+        """Number of states that a shooting interval may begin with at any value."""
+        return len(self.twin.free)
+
+    @property
+    def rest(self) -> Array:
+        """State (states,) at rest."""
+        return self.twin.rest(np.array(self.at or (0.0,) * len(self.coordinates)))
+
+    @cached_property
+    def _sensitivity(self) -> Sensitivity:
+        twin, found = self._opened
+        forces = [f"port_{identifier(p.name)}_{FORCE.factors[0]}" for p in found]
+        commands = [f"port_{name}_{OFFSET.factors[0]}" for name in self.twin.actuators]
+        series = [name for i in self._yielding for name in taken(found[i].name)]
+        return Sensitivity(twin, (*self.names, *forces, *series, *commands))
+
+    @cached_property
+    def _yielding(self) -> tuple[int, ...]:
+        return tuple(i for i, place in enumerate(self.places) if place.has_force)
+
+    @property
+    def _seats(self) -> list[Place]:
+        return [*self.places, *(self.places[i] for i in self._yielding for _ in range(2))]
+
+    @cached_property
+    def _all_taken(self) -> list[int]:
+        return [list(self.laws).index(name) for name in laws.ALL_TAKEN]
+
+    def parts(self, instance: EffectInstance) -> list[tuple[int, int]]:
+        """Laws of an effect in an element by their numbers, and the seats where they act."""
+        at, known = self.index(instance), list(self.laws)
+        beside, attaches = (known.index(instance.effect), at), instance.entry.attaches
+        if attaches == "beside":
+            return [beside]
+        first = len(self.places) + 2 * self._yielding.index(at)
+        if attaches == "in_series":
+            return [(beside[0], first), (known.index(laws.rate_of(instance.effect)), first + 1)]
+        return [*((known.index(name), first + i) for i, name in enumerate(laws.ALL_TAKEN)), beside]
+
+    @cached_property
+    def _forces(self) -> tuple[float, ...]:
+        """Return what a unit at each seat is as a force at its place, to first order at rest."""
+        _, by = self._slopes_at_rest
+        columns, many = self._ports[1], len(self.places)
+        found = [1.0] * many
+        for seat in range(many, len(columns)):
+            force = by[:, columns[self._yielding[(seat - many) // 2]]]
+            found.append(float(force @ by[:, columns[seat]]) / max(float(force @ force), 1e-300))
+        return tuple(found)
+
+    @property
+    def stiffnesses(self) -> dict[str, float]:
+        """Stiffness at rest of each element that declares a force of its own."""
+        many = len(self.places)
+        return {self.places[i].name: abs(self._forces[many + 2 * j]) for j, i in enumerate(self._yielding)}
+
+    @cached_property
+    def start(self) -> Array:
+        """Declared values of the parameters (k,), in declared units; those of imperfections come last."""
+        return np.append(self._sensitivity.start()[: len(self.names)], [one.estimated for one in self.imperfections])
+
+    def imperfect(self, theta: Array) -> list[EffectInstance]:
+        """Imperfections with their values among those of all parameters (k,)."""
+        values = theta[len(self.names) :]
+        return [one.with_values(one.free, (x,)) for one, x in zip(self.imperfections, values, strict=True)]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and the largest allowed value of each of its own parameters, in declared units."""
+        low, high = self._sensitivity.bounds()
+        return low[: len(self.names)], high[: len(self.names)]
+
+    @cached_property
+    def _basis(self) -> tuple[Array, Array]:
+        return self._sensitivity.basis(self._sensitivity.start())
+
+    def basis(self, theta: Array, more: int = 0) -> tuple[Array, Array]:
+        """Parameter array for values (k,), and how it depends on them (affected, k + more)."""
+        p, columns = self._basis
+        k, affected = len(self.names), list(self._sensitivity.affected)
+        made, more = p.copy(), more + len(self.imperfections)
+        made[affected] += columns[:, :k] @ (theta - self.start)[:k]
+        return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
+
+    @property
+    def columns(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """P-indices of the force ports, and columns of force ports and commands among the affected entries."""
+        (entries, forces, commands), many = self._ports, len(self.places)
+        return entries[:many], forces[:many], commands
+
+    @cached_property
+    def _ports(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """Same of all seats."""
+        sensitivity, k, many = self._sensitivity, len(self.names), len(self._seats)
+        _, basis = self._basis
+        at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
+        return tuple(sensitivity.affected[i] for i in at[:many]), tuple(at[:many]), tuple(at[many:])
+
+    @cached_property
+    def degree_places(self) -> tuple[int, ...]:
+        """For each degree the index of the place that it is."""
+        by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
+        return tuple(by[name] for name in self.degrees)
+
+    @property
+    def coordinate_places(self) -> tuple[int, ...]:
+        """For each coordinate the index of the place that it is."""
+        return self.degree_places[: len(self.coordinates)]
+
+    @cached_property
+    def equations(self) -> Kernels:
+        """Compiled equations, readings and places of the rig with ports, and their derivatives."""
+        made_from = {"augmented": self._opened[0].structure(), "affected": list(self._sensitivity.affected)}
+        return Kernels(store.load(store.key(made_from), self._build))
+
+    def _build(self) -> Module:
+        twin, _ = self._opened
+        module = Module(f"{twin.declaration.name}, augmented", {"kind": "augmented", **twin.state_kinds})
+        lowered = LoweredTwin(twin)
+        graph, loads = lowered.graph, lowered.loads
+        add_slopes(module, lowered, self._sensitivity.affected)
+        by_text = {text: name for name, text in loads.items()}
+        at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
+        y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
+        nodes = [*followed(lowered, self._seats), *rates(lowered, self._seats, by_text)]
+        results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
+        module.add(PLACED, graph, [*results, *jacobian(graph, "jy", nodes, y, at)], loads)
+        return module
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Compiled functions; from the cache on disk where they have been made before."""
+        most = len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES
+        width = whole_lanes(max(most, self.affected, 2 * len(self._seats), self.sizes.added_rows, MOST_COLUMNS))
+        links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
+        links |= column_step.link(self.sizes.states, self.sizes.coordinates, OWN_STATES)
+
+        def factories() -> dict[str, tuple[Any, ...]]:
+            return {
+                "run": (augmented_motion.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed", "carry"),
+                "respond": (known_motion.linear_responses, "slopes", "sensed"),
+                "follow": (kalman_kernels.fixed_gain_filter, "rates", "sensed"),
+                "smooth_backward": (kalman_kernels.backward_smoother,),
+                "motions": (known_motion.places_along, "rates", "placed"),
+                "along": (known_motion.law_along, laws.LAW),
+                "read": (known_motion.readings_along, "sensed"),
+            }
+
+        return linked("augmented models", factories, links, (self.sizes.work_rows, width))
+
+    @cached_property
+    def latent(self) -> IntVector:
+        """For each degree the index of its force in the parameter array."""
+        return np.array([self.columns[0][i] for i in self.degree_places], dtype=np.int64)
+
+    @cached_property
+    def sizes(self) -> PortSizes:
+        """Sizes of the rig with ports, as kernels read them."""
+        twin = self._opened[0]
+        return PortSizes(
+            len(twin.state_names), len(self.coordinates), len(twin.sensors), *self._ports, twin.is_fed, MOST_STATES
+        )
+
+    @cached_property
+    def mobilities(self) -> dict[str, float]:
+        """Return what a unit of force adds to the acceleration of each place at rest, or of a flow to its rate."""
+        moved, by = self._slopes_at_rest
+        pushed = np.split(moved @ by[:, list(self._ports[1])], 2)
+        return {place.name: abs(float(pushed[place.has_rate][i, i])) for i, place in enumerate(self.places)}
+
+    @cached_property
+    def _slopes_at_rest(self) -> tuple[Array, Array]:
+        """How seats and their rates depend on the state (2 seats, n), and its rate on affected entries."""
+        n, many, u = len(self._opened[0].state_names), len(self._seats), np.zeros(len(self.twin.actuators))
+        by_state, by_entry = np.zeros((2 * many, n)), np.zeros((n, self.affected))
+        p, _ = self.basis(self.start)
+        self.equations.placed(0.0, self.rest, u, p, np.zeros(2 * many), by_state)
+        self.equations.slopes(0.0, self.rest, u, p, np.zeros(n), np.zeros((n, n)), by_entry)
+        return by_state, by_entry
+
+    def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
+        """Instance that sticks with the parameters that follow a step of integration, in s."""
+        return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
+
+    def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
+
+        Args:
+            theta: parameters (k,).
+            state: of the rig (states,).
+            commands: of the actuators (actuators,); 0 where none are given.
+        """
+        read, by_state, _ = self._read(theta, state, commands)
+        return read, by_state
+
+    def direct(self, theta: Array) -> Array:
+        """How readings depend at once on the affected entries of the parameter array, at rest (sensors, a)."""
+        return self._read(theta, self.rest, None)[2]
+
+    def _read(self, theta: Array, state: Array, commands: Array | None) -> tuple[Array, Array, Array]:
+        sensors = len(self.twin.sensors)
+        given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
+        p, _ = self.basis(theta)
+        s, js, jps = np.zeros(sensors), np.zeros((sensors, len(state))), np.zeros((sensors, self.affected))
+        self.equations.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
+        return s, js, jps
+
+    def instances(self, instances: Sequence[EffectInstance], theta: Array) -> Instances:
+        """Tables of effect instances that kernels read.
+
+        Args:
+            instances: the effects.
+            theta: free parameters of imperfections and of these, one after the other (f,).
+        """
+        channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
+        late, late_columns = np.zeros(channels), np.full(channels, -1)
+        rows, columns, supports, values = [], [], [], list[float]()
+        for instance in (*self.imperfections, *instances):
+            first, estimated = len(values), [-1] * MOST_PARAMETERS
+            values += instance.values
+            for j in instance.free:
+                values[first + j] = float(theta[used - len(self.names)])
+                estimated[j] = used
+                used += 1
+            if instance.effect == laws.DELAY:
+                at = [self.twin.actuators.index(instance.at)] if instance.at else range(channels)
+                for channel in at:
+                    late[channel] += values[first]
+                    late_columns[channel] = estimated[0]
+                continue
+            kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
+            state = len(self.twin.state_names) + states if instance.entry.states else -1
+            states += len(instance.entry.states)
+            acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
+            for number, seat in acting:
+                of_effect = number not in self._all_taken
+                rows.append((number, kind, seat, first, state if of_effect else -1))
+                columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
+                supports.append(laws.support(instance.effect if of_effect else "", instance.values))
+        order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)  # these may read what the others do
+        # Laws read as many parameters as they have from where theirs begin.
+        read = np.array([*values, *np.zeros(MOST_PARAMETERS)])
+        table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
+        found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
+        support = np.array(supports).reshape(-1, 4)[order]
+        ports = {seat + seats * (kind == ACTUATOR) for _, kind, seat, *_ in rows if kind != SENSOR}
+        ports |= {seats + int(channel) for channel in np.flatnonzero(late_columns >= 0)}
+        used_ports = np.array(sorted(ports), dtype=np.int64)
+        return Instances(table, found, read, support, used_ports, late, late_columns, states)
+
+    def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
+        """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
+
+        Of one in series with an element or in its place, the force that it adds to the element's, to first order.
+
+        Args:
+            instance: the effect with its values.
+            x: displacement, command or reading that it acts on (m,).
+            rate: of it (m,).
+            dt: time between samples, s.
+            by: indices of these parameters.
+        """
+        values, span = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)]), (len(x), dt, laws.pieces(x, rate, dt))
+        parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
+        x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
+        parts = [(self._number(instance), 1.0)]
+        if instance.entry.attaches != "beside":
+            parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
+        total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
+        for number, factor in parts:
+            self.kernels.along(*span, number, bool(instance.entry.states), x, rate, parameters, values, features)
+            total += factor * features
+        return total
+
+    def index(self, instance: EffectInstance) -> int:
+        """Index of an instance's place among the places, sensors or actuators."""
+        names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
+        return list(names[instance.where]).index(instance.at)
+
+    def _number(self, instance: EffectInstance) -> int:
+        return list(self.laws).index(instance.effect)

@@ -1,0 +1,60 @@
+"""Thinning: samples over which motions and readings are averaged before a screen compares them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.smoothing import linearised
+from masking.lab.records.noise import bandwidth
+
+FEWEST = 200  # means of a record that are compared at least, however short it is
+BEYOND = 2.0  # times the frequency at which readings fall below their noise: means over many samples show more
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """Samples over which means are taken.
+
+    Args:
+        motion: of motions, a multiple of `stride`.
+        readings: of readings, a multiple of `motion`.
+        stride: of which a law in an element looks at the middle one; odd.
+    """
+
+    motion: int
+    readings: int
+    stride: int = 1
+
+    @classmethod
+    def of(cls, problem: EstimationProblem) -> Thinning:
+        """Thinning that keeps what a record shows."""
+        rig, record, rate = problem.rig, problem.record, problem.record.rate
+        own = np.abs(decompositions.eigenvalues(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
+        seen = min(problem.rules.screened_frequency, BEYOND * rate * bandwidth(record.readings))
+        highest = max(seen, 2.0 * float(own), 0.5 * FEWEST * rate / len(record))
+        motion = max(1, int(rate / (6.0 * highest)))
+        stride = max(1, (motion // 2 - 1) // 2 * 2 + 1)
+        motion -= motion % stride
+        return cls(motion, motion * max(1, int(rate / (2.0 * highest) / motion)), stride)
+
+
+def middles(samples: Array, stride: int) -> Array:
+    """Middle one of every `stride` samples (m,), which is odd."""
+    return np.ascontiguousarray(samples[: len(samples) // stride * stride][stride // 2 :: stride])
+
+
+def thinned(table: Array, thin: int) -> Array:
+    """Means over `thin` samples of a table (m, c)."""
+    if thin == 1:
+        return np.ascontiguousarray(table)
+    cut = table[: len(table) // thin * thin]
+    total = cut[0::thin].copy()
+    for i in range(1, thin):
+        total += cut[i::thin]
+    found: Array = np.ascontiguousarray(total / thin)
+    return found

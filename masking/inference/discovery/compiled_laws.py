@@ -1,0 +1,179 @@
+"""Laws: the effects of a dictionary as compiled functions with derivatives, distinguished by a number.
+
+Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
+an inertia, or the value of a sensor or actuator), its internal state and its parameters, and gives a row for the force
+or value, and one for the rate of the state: the value itself, then its derivatives by displacement, rate, state and
+parameters. They do not know any model, so that an effect is put anywhere in one without compiling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen import store
+from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.source import Module
+from masking.compile.codegen.tangent import derivatives
+from masking.compile.numerics.arrays import Array
+from masking.model import effects
+from masking.model.declaration.dictionary_checks import MOST_PARAMETERS, MOST_STATES
+from masking.model.declaration.expression import Expression
+from masking.model.effects import Effect
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
+FIRST_PARAMETER = 4
+LAW = "_law"
+SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
+SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
+_AT = effects.EffectParameter("D", "knot")
+_KNOTS = {f"t{i}": _AT for i in range(5)}
+_RATES = {name: effects.EffectParameter("D/s", "knot") for name in _KNOTS}
+_FACTOR = {"a": effects.EffectParameter("F", "factor")}
+_EVEN = {"x0": effects.EffectParameter("D", "middle"), "w": effects.EffectParameter("D", "width")}
+_ALONG = {"v0": effects.EffectParameter("D/s", "middle"), "wv": effects.EffectParameter("D/s", "width")}
+_TURN = {"vs": effects.EffectParameter("D/s", "rate at which a sign has 76 % of its size")}
+
+
+MOST_PIECES = 4  # of a sample, in which the state of a law is integrated along a motion
+FINE = 16.0  # pieces in the time in which a motion turns by one radian: its forces are then right to 1 %
+
+
+def pieces(x: Array, rate: Array, dt: float) -> int:
+    """Pieces of a sample in which the state of a law is integrated along a motion.
+
+    Args:
+        x: displacement (m,).
+        rate: of it (m,); 0 where none is known, as of a command.
+        dt: time between samples, s.
+    """
+    radians = dt * float(np.linalg.norm(rate)) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
+    return math.ceil(np.clip(FINE * radians, 1.0, MOST_PIECES)) if rate.any() else MOST_PIECES
+
+
+def _spline(x: str) -> str:
+    """Cubic B-spline on five knots, a divided difference of truncated cubes."""
+    parts = []
+    for i in range(5):
+        apart = "*".join(f"(t{i} - t{j})" for j in range(5) if j != i)
+        parts.append(f"max({x} - t{i}, 0)**3/({apart})")
+    return f"(t4 - t0)*({' + '.join(parts)})"
+
+
+def _even(x: str) -> str:
+    return f"(max(2 - abs({x}), 0)**3 - 4*max(1 - abs({x}), 0)**3)/6"
+
+
+def _basis(name: str, meaning: str, expression: str, parameters: Mapping[str, effects.EffectParameter]) -> Effect:
+    return Effect(name, meaning, expression, {**_FACTOR, **parameters}, is_searched=False)
+
+
+# Functions that a law without a name is made of, see `bases`.
+BASES: Mapping[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        _basis("free_spring", "A piece of a curve over the displacement.", f"a*{_spline('d')}", _KNOTS),
+        _basis("free_damping", "A piece of a curve over the rate.", f"a*{_spline('d_rate')}", _RATES),
+        _basis("free_friction", "The sign of the rate.", "a*tanh(d_rate/vs)", _TURN),
+        _basis("free_resistance", "The rate times a piece of a curve over the displacement.",
+               f"a*d_rate*{_spline('d')}", _KNOTS),
+        _basis("free_rub", "The sign of the rate times a piece of a curve over the displacement.",
+               f"a*tanh(d_rate/vs)*{_even('((d - x0)/w)')}", {**_EVEN, **_TURN}),
+        _basis("free_surface", "A piece of a surface over displacement and rate.",
+               f"a*{_even('((d - x0)/w)')}*{_even('((d_rate - v0)/wv)')}", {**_EVEN, **_ALONG}),
+    )
+}  # fmt: skip
+EVERYWHERE = (-np.inf, np.inf)
+
+
+def support(effect: str, values: Sequence[float]) -> tuple[float, float, float, float]:
+    """Displacements, then the rates, between which a law acts; beyond them a piece of a curve is 0."""
+    match effect, values:
+        case "free_spring" | "free_resistance", (_, first, _, _, _, last):
+            return first, last, *EVERYWHERE
+        case "free_damping", (_, first, _, _, _, last):
+            return *EVERYWHERE, first, last
+        case "free_rub", (_, x, w, _):
+            return x - 2.0 * w, x + 2.0 * w, *EVERYWHERE
+        case "free_surface", (_, x, w, v, wv):
+            return x - 2.0 * w, x + 2.0 * w, v - 2.0 * wv, v + 2.0 * wv
+    return *EVERYWHERE, *EVERYWHERE
+
+
+DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
+# What an effect takes from an element in whose place it stands: the whole displacement and the whole rate.
+ALL_TAKEN = {f"all_{x}": Effect(f"all_{x}", "", x, {}) for x in ("d", "d_rate")}
+DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole samples
+
+
+def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
+    """Effects that can be tried, in the order of their numbers: at most one state, and an expression."""
+    found = {
+        name: effect
+        for name, effect in dictionary.items()
+        if effect.expression
+        and effect.where in SUBJECTS
+        and len(effect.states) <= MOST_STATES
+        and len(effect.parameters) <= MOST_PARAMETERS
+    }
+    rates = {name: replace(e, expression=e.takes_rate) for name, e in found.items() if e.takes_rate}
+    return {**found, **{rate_of(name): effect for name, effect in rates.items()}, **ALL_TAKEN}
+
+
+def rate_of(name: str) -> str:
+    """Name of the law by which an effect in series takes up a rate."""
+    return f"{name}_rate"
+
+
+def library(kinds: Mapping[str, Effect]) -> NativeFunction:
+    """Laws as machine code of their own, to which the kernels of every rig are linked."""
+    made_from = {"laws": {name: effect.structure() for name, effect in kinds.items()}}
+    return store.load(store.key(made_from), lambda: printed(kinds)).function(LAW)
+
+
+def printed(kinds: Mapping[str, Effect]) -> Module:
+    """Laws as a module of one function, which chooses by their number."""
+    module = Module("laws of effects", {})
+    zeros = [f"rows[{i}, {j}]" for i in range(2) for j in range(WIDTH)]
+    module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
+    return module
+
+
+def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:
+    """Graph of a law, its rows, and what its symbols read."""
+    graph = Graph()
+    subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
+    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z")}
+    reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
+    nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}
+    nodes["xi"] = graph.number(0.0)
+    symbols = {symbol: sp.Symbol(symbol, real=True) for symbol in nodes}
+    by_symbol = {symbols[symbol]: node for symbol, node in nodes.items()}
+
+    def lower(expression: str) -> int:
+        return graph.lower(Expression(expression, path=name).to_sympy(symbols), by_symbol)
+
+    rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
+    wanted = {subject: 1, "d_rate": 2, **dict.fromkeys(effect.states, 3)}
+    fixed = {*effect.parameters} - {*_FACTOR} if name in BASES else set[str]()  # knots are not estimated
+    wanted |= {p: FIRST_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
+    columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])
+    results = [(f"rows[{i}, 0]", node) for i, node in enumerate(rows)]
+    results += [
+        (f"rows[{i}, {column}]", node)
+        for i, row in enumerate(columns)
+        for column, node in zip(wanted.values(), row, strict=True)
+        if not graph.is_number(node, 0.0)
+    ]
+    return graph, results, {f"s_{symbol}": read for symbol, read in reads.items()}

@@ -1,0 +1,290 @@
+"""Discovery: the verdict, its causes, the simulation errors before and after, and the probability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from masking.compile.numerics.arrays import Array
+from masking.display import fragments, symbols
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.held_out import Withheld
+from masking.inference.discovery.latent_force import Explained
+from masking.inference.discovery.localisation import Localisation, localise
+from masking.inference.discovery.next_experiment import NextExperiment
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.unit_check import UnitDoubt
+from masking.inference.discovery.unnamed_law import UnnamedLaw
+from masking.inference.discovery.verdict import at_noise_floor, is_closed
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.whiteness import Whiteness, whiteness
+from masking.model.effects import Effect
+
+
+@dataclass(frozen=True)
+class Named:
+    """A cause with its parameters as value and standard deviation, its probability, and what it may be instead."""
+
+    name: str
+    on: str
+    parameters: dict[str, tuple[float, float]]
+    probability: float
+    alternatives: tuple[tuple[str, str, float], ...] = ()
+
+    @property
+    def deviates(self) -> float:
+        """Standard deviations by which the surest of its parameters differs from 0."""
+        return max((abs(value) / std for value, std in self.parameters.values() if std > 0.0), default=0.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Cause as JSON can hold it."""
+        return {
+            "name": self.name,
+            "on": self.on,
+            "parameters": {n: {"value": value, "std": std} for n, (value, std) in self.parameters.items()},
+            "probability": self.probability,
+            "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
+        }
+
+
+@dataclass(frozen=True)
+class SimulationError:
+    """Relative error of each sensor, by name: before and after, in both records; and the noise floor.
+
+    `adjusted` is that of the model with its parameters adjusted alone, in the validation record; `alone` that of the
+    causes fitted to the estimation record alone, where they are fitted to both.
+    """
+
+    estimation: tuple[dict[str, float], dict[str, float]]
+    validation: tuple[dict[str, float], dict[str, float]]
+    noise_floor: dict[str, float]
+    validation_noise_floor: dict[str, float]
+    adjusted: dict[str, float]
+    alone: dict[str, float] | None = None
+
+    def is_noise(self, readings: int, rules: DecisionRules) -> bool:
+        """Whether each sensor is at the noise floor in the validation record, with its number of readings."""
+        return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Errors as JSON can hold it."""
+        return {
+            "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
+            "validation": {"before": self.validation[0], "after": self.validation[1]},
+            "fitted_alone": self.alone,
+            "noise_floor": self.noise_floor,
+            "validation_noise_floor": self.validation_noise_floor,
+        }
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Discovery(Explained):
+    """What was found.
+
+    Args:
+        effects: causes, in the order in which they were found.
+        simulation_error: before and after.
+        unexplained: fraction of the excess cost that is left in the estimation record.
+        rivals: the explanations that the one was chosen from, itself first.
+        tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
+        validation: the estimation problem of the validation record.
+        before, after: the model as declared and with the causes, on the validation record.
+        adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
+        next_experiment: that separates the two likeliest explanations, if the record does not.
+        exchanged: whether the record to validate by was searched, since it alone shows the effect.
+        first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
+            between samples; None unless that is far less than what was found leaves.
+        law: the law without a name, where no name explains the record.
+        none_of_these: probability that none of the names is right.
+        withheld: what is worse on unseen data than the model as declared, and was found before this.
+        unit: that of a channel which is probably another than declared; the record is converted then.
+    """
+
+    effects: tuple[Named, ...]
+    simulation_error: SimulationError
+    unexplained: float
+    rivals: tuple[Explanation, ...]
+    tempering: float
+    validation: EstimationProblem
+    before: Hypothesis
+    after: Hypothesis
+    adjusted: Hypothesis
+    next_experiment: NextExperiment | None = None
+    first_order_hold: dict[str, float] | None = None
+    exchanged: bool = False
+    law: UnnamedLaw | None = None
+    none_of_these: float = 0.0
+    withheld: Withheld | None = None
+    unit: UnitDoubt | None = None
+
+    def __repr__(self) -> str:
+        causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)
+        before, after = self.simulation_error.validation
+        if self.law is not None:
+            causes, after = f"a law without a name in {self.law.place}", self.law.error[1]
+        errors = ", ".join(f"{name} {before[name]:.2g} to {after[name]:.2g}" for name in after)
+        return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
+
+    def _repr_html_(self) -> str:
+        found = [*self.effects, *([self.unnamed] if self.unnamed else [])]
+        causes = [
+            (one.name.replace("_", " "), one.on, symbols.markup(name), *(f"{x:.4g}" for x in (*pair, one.probability)))
+            for one in found
+            for name, pair in one.parameters.items()
+        ]
+        three = (*self.simulation_error.validation, self.simulation_error.validation_noise_floor)
+        errors = [(name, *(f"{each[name]:.2g}" for each in three)) for name in three[1]]
+        head = ("cause", "in", "parameter", "value", "standard deviation", "probability")
+        parts = [
+            fragments.table(head, causes, numbers=(3, 4, 5)),
+            fragments.table(("error on unseen data", "before", "after", "noise floor"), errors, numbers=(1, 2, 3)),
+        ]
+        return fragments.card(f"Discovery in {self.twin.declaration.name}", f"verdict: {self.verdict}", *parts)
+
+    @property
+    def validation_record(self) -> Data:
+        """Validation record."""
+        return self.validation.record
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of the rig's parameters and of those of the effects (k + f,)."""
+        return self.explanation.deviations(self.tempering)
+
+    @property
+    def imperfections(self) -> list[Named]:
+        """Small errors of sensors and actuators that were adjusted with the parameters of the model."""
+        rig = self.written_rig
+        first, known = len(rig.names), rig.imperfect(self.written.hypothesis.theta)
+        stds = map(float, self.written_deviations[first:])
+        pairs = zip(known, stds, strict=False)
+        return [Named(one.effect, one.at, {one.names[0]: (one.estimated[0], std)}, 1.0) for one, std in pairs]
+
+    @property
+    def written(self) -> Explanation:
+        """Explanation that is written into the model: the law without a name where there is one."""
+        return self.explanation if self.law is None else self.law.explanation
+
+    @property
+    def unseen(self) -> Hypothesis:
+        """Return what is written on the validation record: the law without a name where there is one."""
+        return self.after if self.law is None else self.law.validated
+
+    @cached_property
+    def as_written(self) -> Discovery:
+        """Discovery with what is written as its explanation: the law without a name where there is one."""
+        law = self.law
+        if law is None:
+            return self
+        explanation = replace(law.explanation, hypothesis=law.simulated)
+        return replace(self, problem=law.known, explanation=explanation, validation=law.problem, after=law.validated)
+
+    @property
+    def written_rig(self) -> AugmentedModel:
+        """Rig that this is for: with a further place where the law without a name sits in one."""
+        return self.rig if self.law is None else self.law.rig
+
+    @property
+    def dictionary(self) -> Mapping[str, Effect]:
+        """Effects that are known here, the law without a name among them."""
+        known = self.twin.dictionary
+        return known if self.law is None else {**known, self.law.instance.effect: self.law.instance.entry}
+
+    @property
+    def written_deviations(self) -> Array:
+        """Standard deviations of the rig's parameters and of those of the effects that are written."""
+        if self.law is None:
+            return self.deviations
+        return self.written.deviations(self.problem.tempering(self.written.hypothesis.residuals))
+
+    @property
+    def unnamed(self) -> Named | None:
+        """Law without a name as a cause, with its parameters and their standard deviations."""
+        if self.law is None:
+            return None
+        one = self.law.instance
+        stds = self.written_deviations[len(self.written_deviations) - len(one.free) :]
+        values = zip(one.estimated, map(float, stds), strict=True)
+        return Named(one.effect, one.at, dict(zip(one.names, values, strict=True)), 1.0)
+
+    @cached_property
+    def whiteness(self) -> dict[str, Whiteness]:
+        """Whiteness of the validation residual of each sensor."""
+        return whiteness_of(self.validation, self.after.residuals)
+
+    @cached_property
+    def localisation(self) -> Localisation:
+        """Where the model error is: its coordinates, places, displacements, rates, times and sides."""
+        before = whiteness_of(self.validation, self.adjusted.residuals)
+        after = whiteness_of(self.validation, self.unseen.residuals)
+        has_finding = self.effects or self.law
+        pairs = {name: (before[name], after[name] if has_finding else None) for name in self.twin.sensors}
+        return localise(self.as_written, pairs, [place.name for place in self.rig.places])
+
+    @property
+    def is_at_noise_floor(self) -> bool:
+        """Whether the validation residual of each sensor is at the noise floor."""
+        return self.simulation_error.is_noise(len(self.validation_record), self.problem.rules)
+
+    @property
+    def shooting_interval(self) -> float | None:
+        """Shooting interval of the search in s; None where the whole record is one."""
+        return self.problem.interval / self.record.rate if self.problem.interval else None
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether something is missing that shows in the validation record alone."""
+        after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
+        is_seen = not at_noise_floor(after, floor, len(self.record), self.problem.rules)
+        return (
+            self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.is_at_noise_floor
+        )
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the explanation is complete: the validation residual at the noise floor, and white in both.
+
+        Where the motion begins so often anew that its initial states take much of the noise, its size alone counts.
+        """
+        fitted = self.explanation.hypothesis
+        seen = [*self.whiteness.values(), *whiteness_of(self.problem, fitted.residuals).values()]
+        states = max(fitted.start.size, self.after.start.size)
+        estimated, white = states / self.validation_record.readings.size, (one.white for one in seen)
+        return is_closed(at_noise=self.is_at_noise_floor, white=white, estimated=estimated, rules=self.problem.rules)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Discovery as JSON can hold it."""
+        return {
+            "verdict": self.verdict,
+            "closed": self.closed,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "imperfections": [
+                {"name": one.name, "on": one.on, "parameters": one.as_dict()["parameters"]}
+                for one in self.imperfections
+            ],
+            "simulation_error": self.simulation_error.as_dict(),
+            "unexplained_fraction": self.unexplained,
+            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
+            "first_order_hold": self.first_order_hold,
+            "exchanged": self.exchanged,
+            "law": self.law and self.law.as_dict(),
+            "none_of_these": self.none_of_these,
+            "unit": self.unit and self.unit.as_dict(),
+            "withheld": self.withheld and self.withheld.as_dict(),
+            "shooting_interval": self.shooting_interval,
+            "search_ended_early": self.problem.work.is_cut,
+        }
+
+
+def whiteness_of(problem: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:
+    """How white residuals (m, sensors) of a record are, by sensor."""
+    readings, rate = problem.record.readings, problem.record.rate
+    return {
+        name: whiteness(residuals[:, i], readings[:, i], float(problem.sigma[i]), rate)
+        for i, name in enumerate(problem.rig.twin.sensors)
+    }

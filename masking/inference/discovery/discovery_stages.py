@@ -1,0 +1,458 @@
+"""Discover: from a record and a model to the effect that the model is missing, and how sure that is.
+
+Source of the method: output-error identification with candidate terms, Ljung (1999), System Identification, chapters 7
+and 16; the terms are physical effects with parameters and states of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.errors import IntegrationError, MaskingError
+from masking.inference.discovery import (
+    directed_places,
+    fitting,
+    held_out,
+    instrument_errors,
+    shooting,
+    unit_check,
+    verdict,
+)
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.composites import are_composite
+from masking.inference.discovery.discovery_result import Discovery, Named, SimulationError
+from masking.inference.discovery.discovery_settings import DiscoverySettings
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.fitting import Hypothesis, by_instance
+from masking.inference.discovery.name_or_unnamed import beside_names
+from masking.inference.discovery.next_experiment import next_experiment
+from masking.inference.discovery.prior import prior_of, train_validation_split, uncertain
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.reading_noise import noise_of, steps_of
+from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.search import SearchResult, Tell
+from masking.inference.discovery.smoothing import centred
+from masking.inference.discovery.unit_check import UnitDoubt
+from masking.inference.discovery.verdict import Scored
+from masking.inference.discovery.work_budget import Work
+from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.model.effects import ROUNDING
+
+FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
+LISTED = 1e-4  # probability from which an alternative is listed: less is never chosen
+
+
+def discover(
+    twin: Twin,
+    record: Data,
+    validation: Data | None = None,
+    settings: DiscoverySettings | None = None,
+    *,
+    rig: AugmentedModel | None = None,
+    tell: Tell | None = None,
+) -> Discovery:
+    """Find out which physical effect the model of a rig lacks.
+
+    If the residual of a search over the whole record shows that the simulated motion loses phase with the recorded one,
+    the search is repeated with shooting intervals of a few oscillations.
+
+    Args:
+        twin: the rig as its model declares it.
+        record: commands and readings that the model does not reproduce.
+        validation: another record to validate by; if not given, the last part of the record is held out.
+        settings: parameters to re-fit, their tolerance, and the shooting interval; the files that it names are read
+            by the workflow, not here.
+        rig: the augmented model of the twin, if it has been made before.
+        tell: called with what is done, and the fraction done.
+
+    Raises:
+        RecordError: the record is too short or clipped, or a reading is constant.
+        IntegrationError: the rig cannot be simulated along the record.
+    """
+    settings = settings or DiscoverySettings()
+    rig = rig or AugmentedModel(twin, tuple(settings.parameters) or uncertain(twin))
+    say = tell or (lambda text, part: None)
+    say("preparing the rig; the first time, it is compiled", 0.0)
+    record.refuse_constant(twin)
+    train, unseen = record, validation
+    if unseen is None:
+        train, unseen = train_validation_split(record, settings.rules.held_out)
+    found = _discovered(rig, train, unseen, settings, say)
+    if not found.is_hidden:
+        return found
+    say("only unseen data show it: they are searched, and validated by the others", 0.0)
+    try:
+        again = _discovered(rig, unseen, train, settings, say)
+    except MaskingError:
+        return found
+    return found if again.explanation.kind == "none" else replace(again, exchanged=True)
+
+
+def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: DiscoverySettings, say: Tell) -> Discovery:
+    """Return what one record shows, validated by another."""
+    twin, rules = rig.twin, settings.rules
+    prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
+    work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
+    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work)
+    say("checking units", 0.0)
+    with threadpool_limits(1):
+        whole = centred(whole)
+        doubt = unit_check.doubted(whole)
+    found, substeps = _in_unit(doubt, whole, unseen, settings, say)
+    if doubt is None and (found.verdict == "unknown" or _far_off(found)):
+        with threadpool_limits(1):
+            other = unit_check.suspected(whole, found.explanation.hypothesis)
+        if other is not None:
+            say(f"once more, with another unit or sign of {' and '.join(other.names)}", 0.0)
+            again, steps = _in_unit(other, whole, unseen, settings, say)
+            if _explains_more(found, again):
+                found, substeps, doubt = again, steps, other
+    found = _with_directed(found, substeps, found.validation.record, found.validation.sigma, say)
+    found = _stated(replace(beside_names(found, substeps, say), unit=doubt))
+    return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+
+
+def _in_unit(
+    doubt: UnitDoubt | None, whole: EstimationProblem, unseen: Data, settings: DiscoverySettings, say: Tell
+) -> tuple[Discovery, int]:
+    """Return what explains a record, and the integration steps of the model alone.
+
+    Args:
+        doubt: the unit that the record is taken in; None for those that are declared.
+        whole: the problem of the record, simulated whole, as declared.
+        unseen: the validation record, as declared.
+        settings: of the discovery.
+        say: called with what is done.
+    """
+    twin = whole.rig.twin
+    if doubt is not None:
+        whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
+    problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
+    problem = replace(problem.apart(), substeps=shooting.substeps(problem))
+    noise = noise_of(twin, unseen)
+    found = _explained(problem, unseen, noise, say)
+    if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
+        problem = problem.apart()
+        for seconds in shooting.shorter(whole):
+            say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
+            again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)
+            if again.verdict != "unknown":
+                found = again
+                break
+    return found, problem.substeps
+
+
+def _far_off(found: Discovery) -> bool:
+    return bool(unit_check.far_off(found.problem, found.explanation.hypothesis))
+
+
+def _explains_more(found: Discovery, again: Discovery) -> bool:
+    """Whether a record is explained in another unit, and less well or in a less likely way as declared."""
+    before, after = (
+        max(error / max(one.simulation_error.validation_noise_floor[name], 1e-300) for name, error in errors.items())
+        for one in (found, again)
+        for errors in (one.simulation_error.validation[1],)
+    )
+    if _far_off(again) or not after <= unit_check.NO_WORSE * before:
+        return False
+    return _far_off(found) or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
+
+
+def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:
+    """Discovery that tries directed places, too, where the others leave more than noise.
+
+    One with a cause at such a place takes the place of one without it only if it leaves a small part of the excess.
+    """
+    rig = replace(found.problem.rig, directed=True)
+    every = len(rig.places) == len(found.problem.rig.places)
+    if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
+        return found
+    say("forces between coordinates, of commands elsewhere and under load", 0.0)
+    problem = replace(found.problem, rig=rig, substeps=substeps)
+    try:
+        with threadpool_limits(1):
+            is_worth = directed_places.are_worth_a_search(problem, found.search.base.hypothesis)
+        again = _explained(problem, unseen, noise, say) if is_worth else found
+    except IntegrationError:
+        return found
+    costs, size = (again.explanation.cost, found.explanation.cost), found.record.readings.size
+    is_directed = any(one.at in directed_places.places(problem) for one in again.explanation.hypothesis.instances)
+    return again if is_directed and verdict.leaves_little(*costs, size, problem.rules) else found
+
+
+def _stated(found: Discovery) -> Discovery:
+    """Discovery with the errors of its effects in finer steps of integration, as others simulate them."""
+    known, errors = found.explanation.hypothesis, found.simulation_error
+    if not known.instances:
+        return found
+    stated = list[dict[str, float]]()
+    for part, start in ((found.problem, known.start), (found.validation, found.after.start)):
+        fine = replace(part, substeps=FINER * part.substeps)
+        try:
+            with threadpool_limits(1):
+                made = fitting.fit(fine, known.instances, theta=known.theta, start=start, frozen=True)
+        except IntegrationError:
+            return found
+        stated.append(fine.errors(made.squares))
+    estimation, validation = (errors.estimation[0], stated[0]), (errors.validation[0], stated[1])
+    return replace(found, simulation_error=replace(errors, estimation=estimation, validation=validation))
+
+
+def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
+    """Errors with first-order hold of commands; None if they are no smaller."""
+    if found.record.hold != "zero-order" or not found.twin.actuators:
+        return None
+    problem, known = found.problem, found.explanation.hypothesis
+    problem = replace(problem, record=replace(found.record, hold="first-order", late=NOT_LATE))
+    with threadpool_limits(1), suppress(IntegrationError):
+        other = fitting.fit(problem)
+        size = found.record.readings.size
+        if other.cost - size < problem.rules.first_order_hold_fraction * (known.cost - size):
+            return problem.errors(other.squares)
+    return None
+
+
+def _loses_phase(found: Discovery) -> bool:
+    """Whether hardly anything is found by simulating the whole record in one, whose motion is not followed."""
+    left = found.problem.errors(found.search.base.hypothesis.squares)
+    return _near(found) is None and max(left.values()) > found.problem.rules.phase_loss
+
+
+def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
+    """Return what explains a record, simulated in steps that are fine enough for what is found."""
+    found = _found(problem, unseen, noise, say)
+    known = _near(found)
+    if known is None or problem.work.ends():
+        return found
+    with threadpool_limits(1):
+        steps = shooting.finer(found.problem, known, problem.substeps)
+    if steps == found.problem.substeps:
+        return found
+    say(f"again, with {steps} steps between samples", 0.0)
+    alone = problem.substeps if known.instances else steps
+    return _found(replace(found.problem, substeps=alone), unseen, noise, say, steps)
+
+
+def _near(found: Discovery) -> Hypothesis | None:
+    """Hypothesis whose law steps of integration are to resolve; None if none is near.
+
+    Of an unknown law, that is the first cause if it leaves hardly anything: the remainder may be errors of integration.
+    """
+    if found.verdict != "unknown":
+        return found.explanation.hypothesis
+    base, size = found.search.base, found.problem.record.readings.size
+    first = found.search.steps[0][0] if found.search.steps else base
+    is_near = verdict.leaves_little(first.cost, base.cost, size, found.problem.rules)
+    return first.hypothesis if is_near else None
+
+
+def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
+    """Explanation of a record, given the noise of the validation record (sensors,).
+
+    Args:
+        problem: the record and the rig, in the integration steps of the model alone.
+        unseen: the validation record.
+        noise: its standard deviation there (sensors,).
+        say: called with what is done.
+        substeps: integration steps between samples of models with effects; by default as many as those need.
+    """
+    rules, size = problem.rules, problem.record.readings.size
+    with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
+        found, problem = instrument_errors.searched(problem, say, substeps)
+        rig, plain = problem.rig, replace(problem, record=unseen, sigma=noise)
+        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
+        before, adjusted = (fitting.validated(plain, one) for one in (declared.hypothesis, found.base.hypothesis))
+        problem = found.problem or problem
+        validation = replace(plain, substeps=problem.substeps)
+        say("comparing explanations on data that were not used", 0.95)
+        found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
+        rivals = _needed(found, validation, adjusted)
+        tempering = problem.tempering(rivals[0].hypothesis.residuals)
+        is_demoted = verdict.is_demoted(_scored(rivals, problem, tempering), size, rules)
+        if is_demoted:
+            rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
+        given = held_out.no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
+        rivals, chosen, after = given.rivals, given.explanation, given.after
+        adjusted = after if rivals[0] is found.base else adjusted
+    tempering = problem.tempering(chosen.hypothesis.residuals)
+    excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
+    unexplained = left / excess if excess > 0.0 else 0.0
+    errors = SimulationError(
+        (problem.errors(declared.hypothesis.squares), problem.errors(chosen.hypothesis.squares)),
+        (validation.errors(before.squares), validation.errors(after.squares)),
+        problem.noise_floor,
+        validation.noise_floor,
+        validation.errors(adjusted.squares),
+        given.alone,
+    )
+    scored = _scored(rivals, problem, tempering)
+    decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
+    effects, rounded = (
+        _causes(rig, (chosen, *rivals[1:]), tempering, scored, rules),
+        _rounded(problem, chosen.hypothesis),
+    )
+    answer = verdict.revised(
+        decision,
+        demoted=is_demoted,
+        rounded=not effects and any(is_much for _, is_much in rounded),
+        at_noise=errors.is_noise(len(unseen), rules),
+    )
+    coming = None
+    if answer == "ambiguous":
+        say("looking for an experiment that separates them", 0.95)
+        first, second = rivals[:2]
+        names_of = (_name(first), _name(second))
+        with threadpool_limits(1):
+            coming = next_experiment(problem, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
+    causes = (*effects, *(cause for cause, _ in rounded))
+    return Discovery(
+        verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
+        simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
+        before=before, after=after, adjusted=adjusted, next_experiment=coming, withheld=given.withheld,
+    )  # fmt: skip
+
+
+def _name(explanation: Explanation) -> str:
+    name, at = explanation.names[-1]
+    return f"{name} at {at}" if at else name
+
+
+def _limits(twin: Twin) -> Array | None:
+    """Largest command of each actuator that the plant file declares (actuators,); None where it does not."""
+    declared = twin.declaration.limits.inputs
+    if any(name not in declared for name in twin.actuators):
+        return None
+    ports = twin.declaration.actuators or twin.base.inputs
+    return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
+
+
+def _cost(problem: EstimationProblem, hypothesis: Hypothesis) -> float:
+    try:
+        return float(fitting.validated(problem, hypothesis).squares @ problem.weights)
+    except IntegrationError:
+        return np.inf
+
+
+def _reordered(
+    rivals: tuple[Explanation, ...], problem: EstimationProblem, validation: EstimationProblem
+) -> tuple[Explanation, ...]:
+    """Explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
+    tempering, margin = problem.tempering(rivals[0].hypothesis.residuals), problem.rules.validation_margin
+    near = [rival for rival in rivals if rival.score(tempering) <= rivals[0].score(tempering) + margin]
+    if len(near) < 2 or any(rival.score(tempering) < rivals[0].score(tempering) for rival in near):
+        return rivals
+    both: list[Explanation] = []
+    for rival in near:
+        best = min((one.joint.cost for one in both if one.joint), default=np.inf)
+        with suppress(IntegrationError):
+            joint = fitting.together(rival.with_prior(problem), validation, rival.hypothesis, best)
+            both.append(replace(rival, joint=joint))
+    if not both:  # none moves on in the other record as it does in this one
+        return rivals
+    ordered = sorted(both, key=lambda rival: rival.score(tempering))
+    size, rules = problem.record.readings.size, problem.rules
+    follows_step = any(one.entry.by_step for one in ordered[0].hypothesis.instances[-1:])
+    if not follows_step or not verdict.reaches_noise(ordered[0].cost, size, rules):
+        return tuple(ordered)
+    # Of laws that differ by errors of integration alone, in both records, the nested one stays.
+    nested = {name: effect.nested for name, effect in problem.rig.twin.dictionary.items()}
+    error, whole = rules.law_error**2, size + validation.record.readings.size
+    found = verdict.simplest_first(ordered, ordered[0].cost, nested, size, rules, numerical=error * size)
+    kept, other = found[0].joint, ordered[0].joint
+    return tuple(found if kept and other and kept.cost - other.cost < error * whole else ordered)
+
+
+def _needed(found: SearchResult, validation: EstimationProblem, adjusted: Hypothesis) -> tuple[Explanation, ...]:
+    """Explanations of the last step that is needed, and that the validation record supports."""
+    size = found.base.hypothesis.residuals.size
+
+    def plain(explanation: Explanation, cost: float) -> Scored:
+        misfit = float(explanation.hypothesis.squares @ validation.weights)
+        return replace(_plain(explanation), misfit=misfit, validation_cost=cost)
+
+    steps = (plain(step[0], _cost(validation, step[0].hypothesis)) for step in found.steps)
+    base = plain(found.base, float(adjusted.squares @ validation.weights))
+    last = found.steps[-1][0].cost if found.steps else found.base.cost
+    count = verdict.steps_needed(base, steps, last, size, validation.rules)
+    return found.steps[count - 1] if count else (found.base,)
+
+
+def _plain(explanation: Explanation) -> Scored:
+    """Explanation as plain data, without what takes another record or a tempering factor."""
+    absorbed = tuple(bool(instance.entry.absorbed_by) for instance in explanation.hypothesis.instances)
+    return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.unique)
+
+
+def _scored(rivals: Sequence[Explanation], problem: EstimationProblem, tempering: float) -> list[Scored]:
+    """Explanations as plain data; those that the records cannot tell from the first have its score.
+
+    These have as many parameters and cost as much: only the units of their ranges would tell them apart, such as those
+    of a constant force and of an offset of its sensor.
+    """
+    found = [_one_scored(rival, problem, tempering) for rival in rivals]
+    first, *fits = [rival.joint or rival.hypothesis for rival in rivals]
+    for i, fit in enumerate(fits, 1):
+        is_same = abs(fit.cost - first.cost) < problem.rules.indifferent * tempering
+        if is_same and found[i].kind == found[0].kind and len(fit.added) == len(first.added):
+            found[i] = replace(found[i], score=found[0].score)
+    return found
+
+
+def _one_scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
+    """Explanation as plain data, with its score and the estimates of its last cause."""
+    rig, estimates = problem.rig, _estimates(problem.rig, explanation, tempering)
+    usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
+    last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
+    return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
+
+
+def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
+    """Rounding of each sensor that makes much of its noise, and whether it makes much of the residual, too.
+
+    It is seen in the readings themselves, and named if the rig does not declare it.
+    """
+    twin, least = problem.rig.twin, problem.rules.rounding_fraction
+    known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
+    left = hypothesis.squares / len(problem.record)
+    found = []
+    steps = steps_of(problem.record)
+    for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
+        variance = step**2 / 12.0
+        if name not in known and variance > least * problem.sigma[i] ** 2:
+            cause = Named(ROUNDING.name, name, {ROUNDING.quantum: (float(step), 0.0)}, 1.0)
+            found.append((cause, bool(variance > least * left[i])))
+    return found
+
+
+def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) -> list[dict[str, tuple[float, float]]]:
+    """Estimated parameters of each cause: values and standard deviations by name."""
+    hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
+    if explanation.kind == "parameter":
+        indices = {name: rig.names.index(name) for name, _ in explanation.names}
+        return [{name: (float(hypothesis.theta[i]), float(deviations[i]))} for name, i in indices.items()]
+    parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.start) :]), strict=True)
+    return [
+        {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
+        for one, stds in parts
+    ]
+
+
+def _causes(
+    rig: AugmentedModel, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored], rules: DecisionRules
+) -> tuple[Named, ...]:
+    """Causes of the chosen explanation; the last one with its probability and its alternatives."""
+    chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]
+    estimates = _estimates(rig, chosen, tempering)
+    if not estimates:
+        return ()
+    pairs = zip(rivals[1:], weights[1:], strict=True)
+    others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > LISTED)
+    causes = [Named(*name, values, 1.0) for name, values in zip(chosen.names, estimates, strict=True)]
+    return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))

@@ -1,0 +1,68 @@
+"""Exclusion: laws that a record rules out by itself, whatever the motion was, and those that belie their names.
+
+A sensor reads no more than its law can give: behind a limit nothing exceeds it, and what has no sign is never negative.
+Friction that falls with the rate is no such friction where it grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.problem import EstimationProblem
+from masking.model.declaration.expression import Expression
+
+OUTLIERS = 10  # readings that exclude nothing: a motion that passes a limit stays there longer
+REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is that over these values of what is sensed
+
+
+def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
+    """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called.
+
+    Args:
+        problem: the record and the rig.
+        instances: the effects of an explanation, with fitted values.
+    """
+    sensors = [one.at for one in instances if one.where == "sensor"]
+    alone = [one for one in instances if one.where == "sensor" and sensors.count(one.at) == 1 and not one.entry.states]
+    return any(_is_beyond(problem, one) for one in alone) or any(map(_belies_its_name, instances))
+
+
+def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
+    """Whether a law of a sensor reads the same for several values within the readings.
+
+    Args:
+        problem: the record and the rig.
+        instance: the law.
+    """
+    if instance.where != "sensor" or instance.entry.states:
+        return False
+    return bool((np.diff(given(problem, instance, 1.0)) < 0.0).any())
+
+
+def given(problem: EstimationProblem, instance: EffectInstance, reach: float) -> Array:
+    """Return what a law of a sensor reads over a range of values (v,).
+
+    Args:
+        problem: the record and the rig.
+        instance: the law, without a state.
+        reach: end of the range on both sides, in largest readings.
+    """
+    largest = float(np.abs(problem.record.readings[:, problem.rig.index(instance)]).max())
+    sensed = reach * largest * np.linspace(-1.0, 1.0, POINTS)
+    return np.asarray(problem.rig.along(instance, sensed, np.zeros(POINTS), problem.dt)[:, 0])
+
+
+def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
+    at, law = problem.rig.index(instance), given(problem, instance, REACH)
+    readings = problem.record.readings[:, at]
+    margin = problem.rules.excluded_deviations * float(problem.sigma[at])
+    return int(((readings > law.max() + margin) | (readings < law.min() - margin)).sum()) > OUTLIERS
+
+
+def _belies_its_name(instance: EffectInstance) -> bool:
+    text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
+    return bool(text) and not Expression(text).evaluate(known) > 0.0

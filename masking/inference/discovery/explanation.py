@@ -1,0 +1,152 @@
+"""Explanation: a hypothesis with a name, its cost, and the Occam factor of its parameters.
+
+Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
+from masking.inference.discovery import compiled_laws
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.verdict import Key, Kind
+from masking.inference.discovery.work_budget import Work
+
+AT_ONCE, FEWEST = 4, 2  # fits between which it is asked whether the work ends, and those that are made where it is over
+ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A hypothesis with what it is called and how it scores.
+
+    Args:
+        kind: `none`, `parameter` or `effects`.
+        names: (parameter, '') or (effect, place) of each cause.
+        hypothesis: fitted.
+        unique: unique fraction, the least part of an effect that parameters could not have.
+        joint: the hypothesis fitted to both records, if it has been validated on another.
+    """
+
+    kind: Kind
+    names: tuple[Key, ...]
+    hypothesis: Hypothesis
+    unique: float = 1.0
+    joint: Hypothesis | None = None
+
+    @property
+    def cost(self) -> float:
+        """Cost of the record to which it was fitted."""
+        return self.hypothesis.cost
+
+    def with_prior(self, problem: EstimationProblem) -> EstimationProblem:
+        """Problem with the parameters of this explanation free, if it is one of these."""
+        prior = problem.prior
+        for name, _ in self.names if self.kind == "parameter" else ():
+            prior = prior.freed(problem.rig.names.index(name), problem.rules.freed_factor)
+        return replace(problem, prior=prior)
+
+    def without(self, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
+        """Its names and effects without one of its causes."""
+        names, instances = self.names, self.hypothesis.instances
+        return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
+
+    def score(self, tempering: float) -> float:
+        """Its cost over a tempering factor, with the Occam factor of its parameters.
+
+        Of parameters of the model, each beyond the first has Schwarz's penalty.
+        """
+        fitted, further = self.joint or self.hypothesis, (len(self.names) - 1) * (self.kind == "parameter")
+        penalty = further * float(np.log(self.hypothesis.residuals.size))
+        return fitted.cost / tempering + occam(fitted, tempering) + penalty
+
+    def deviations(self, tempering: float) -> Array:
+        """Standard deviations of its parameters (k + f,), larger where more than white noise is left."""
+        return np.asarray(np.sqrt(tempering) * self.hypothesis.deviations)
+
+
+Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
+Fit = TypeVar("Fit")
+
+
+def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> list[Fit | None]:
+    """Return what fits give, two at once; None where the motion is not finite, or where the work ends before.
+
+    Args:
+        jobs: the fits, the likeliest first.
+        rival: cost of another hypothesis.
+        work: of the search; the first fits are made however much that is, of which there are fewer where it is over.
+    """
+
+    def found(job: Callable[[float], Fit]) -> Fit | None:
+        try:
+            return job(rival)
+        except IntegrationError:
+            return None
+
+    made: list[Fit | None] = []
+    with ThreadPoolExecutor(2) as pool:
+        while len(made) < len(jobs) and not (made and work.ends()):
+            many = FEWEST if work.is_over else AT_ONCE
+            made += pool.map(found, jobs[len(made) : len(made) + many])
+    return made + [None] * (len(jobs) - len(made))
+
+
+def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
+    """Occam factor of the effects: by how much the record narrows their parameters, as -2 log evidence.
+
+    Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
+    and each parameter of its shape twice as large or zero, or a plain number anywhere in its range. A direction that
+    the record does not tell costs nothing. It is infinite where the covariance has no inverse.
+    Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, section 28.1.
+    """
+    added = hypothesis.added
+    count = len(added)
+    if not count:
+        return 0.0
+    covariance = hypothesis.covariance[-count:, -count:]
+    if not np.isfinite(covariance).all():
+        return np.inf
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    try:
+        with np.errstate(over="ignore"):  # what is not finite has no inverse
+            information = decompositions.inverse(covariance / np.outer(size, size), ROUNDING, hermitian=True)
+    except IntegrationError:
+        return np.inf
+    strength = np.abs(added) / size * np.sqrt(np.maximum(np.diag(information), 0.0))  # each by itself, in deviations
+    widths, used = np.abs(added) / size, 0
+    for instance in hypothesis.instances:
+        own = [used + i for i, name in enumerate(instance.names) if name in instance.entry.factors]
+        for i, width in enumerate(_expected(instance)):
+            widths[used + i] = max(widths[used + i], width / size[used + i])
+        used += len(instance.free)
+        if own:
+            alone = np.sqrt(np.maximum(np.diag(information)[own], 1e-300))
+            widths[own] = np.maximum(widths[own], strength[own].max() / alone)
+    with np.errstate(over="ignore", invalid="ignore"):  # a factor that does nothing there has no evidence
+        weighed = information * np.outer(widths, widths)
+    if not np.isfinite(weighed).all():
+        return np.inf
+    try:
+        ratios = decompositions.symmetric(weighed)[0] / tempering
+    except IntegrationError:
+        return np.inf
+    return float(np.log1p(np.maximum(ratios, 0.0)).sum())
+
+
+def _expected(instance: EffectInstance) -> list[float]:
+    """Half the range in which each estimated parameter is expected, where it is a plain number; else 0."""
+    if instance.effect == compiled_laws.DELAY:
+        return [0.0]
+    declared = [instance.entry.parameters[name] for name in instance.names]
+    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]

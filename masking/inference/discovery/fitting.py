@@ -1,0 +1,500 @@
+"""Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
+
+The parameters of the rig have a normal prior around their declared values; the initial state of each shooting interval
+is estimated. Source: as `masking.inference.estimation.least_squares`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
+from masking.inference.discovery import compiled_laws, continuation, excluded_laws, initial_states
+from masking.inference.discovery.augmented_model import EffectInstance, Equations
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.estimation.least_squares import Box, Damping, Linearised, System, minimise
+from masking.inference.estimation.simulation import FIRST_READINGS, PARTS, STUCK
+from masking.model.declaration.expression import Expression
+
+MOST_ROUNDS = 40
+CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit leaves decides nothing
+IDLE = 50.0  # times what has converged: several steps that take less together are those of a law with corners
+STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
+BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
+REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
+DAMPING = Damping(1e-6, least=1e-13, most=1e8)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The rig with effects, fitted.
+
+    Args:
+        instances: the effects with fitted values.
+        theta: parameters of the rig (k,).
+        start: initial states of the shooting intervals (w, states).
+        cost: -2 log likelihood and prior, up to a constant: squared residuals over their variance.
+        squares: of each sensor (sensors,).
+        covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
+        residuals: of each sample (m, sensors).
+        rules: the thresholds that it was fitted by.
+    """
+
+    instances: tuple[EffectInstance, ...]
+    theta: Array
+    start: Array
+    cost: float
+    squares: Array
+    covariance: Array
+    residuals: Array
+    rules: DecisionRules = RULES
+
+    @property
+    def creeping(self) -> Hypothesis:
+        """Hypothesis with smooth laws in the place of those that stick."""
+        return replace(self, instances=tuple(instance.creeping for instance in self.instances))
+
+    @property
+    def added(self) -> Array:
+        """Free parameters of the effects (f,)."""
+        return estimated(self.instances)
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of rig's parameters and of those of the effects (k + f,)."""
+        found: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return found
+
+
+def estimated(instances: Sequence[EffectInstance]) -> Array:
+    """Values of the estimated parameters of effect instances, one after the other (f,)."""
+    return np.array([value for instance in instances for value in instance.estimated])
+
+
+def by_instance(instances: Sequence[EffectInstance], values: Array) -> list[Array]:
+    """Values of the estimated parameters of all effect instances (f,) as those of each."""
+    return np.split(values, np.cumsum([len(instance.free) for instance in instances], dtype=int))[:-1]
+
+
+def fit(
+    problem: EstimationProblem,
+    instances: Sequence[EffectInstance] = (),
+    *,
+    theta: Array | None = None,
+    start: Array | None = None,
+    rounds: int = MOST_ROUNDS,
+    frozen: bool = False,
+    rival: float = np.inf,
+    penalty: Array | None = None,
+) -> Hypothesis:
+    """Fit a rig with effects to a record; no fit costs more than the values that it begins from.
+
+    If the simulated motion loses phase with the record, the fit begins again from those in shorter intervals, which
+    grow, unless initial states are given and nothing else is estimated. Where none are given, those that suit the
+    values to begin from best count.
+
+    Args:
+        problem: the record and the rig.
+        instances: effects with values to begin from.
+        theta: parameters to begin from; the prior's means if none are given.
+        start: initial states to begin from (w, states); from the first readings if none are given.
+        rounds: most rounds.
+        frozen: whether only the initial state is estimated.
+        rival: cost of another hypothesis; a fit that no longer comes near it is abandoned.
+        penalty: a' penalty a is added to the cost for free parameters a of the effects (f, f); 0 if not given.
+
+    Raises:
+        IntegrationError: the motion is not finite from where it begins.
+    """
+    x = problem.prior.mean if theta is None else theta
+    begun = Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
+    shortest = cache(partial(_in_shortest, problem, begun))
+
+    def is_behind() -> bool:
+        return shortest(frozen)[1] > BEHIND * rival
+
+    ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty, is_behind=is_behind)
+    found, is_fresh = ended(begun, frozen=frozen), start is None and not frozen
+    if is_fresh:  # the initial states that suit the parameters to begin from best count
+        first = ended(begun, frozen=True)
+        if first is not None and _better(first, found) is first:
+            found = _better(ended(Begun.at(first)), first)
+    known = frozen and start is not None  # near the states that are given
+    for fixed in (False, True) if is_fresh else () if known else (frozen,):
+        if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
+            nearer = _continued(problem, shortest(fixed), frozen=fixed, most=BEHIND * rival)
+            found = _better(found, ended(nearer, frozen=frozen) if nearer else None)
+    if found is None:
+        raise IntegrationError("the simulated motion is no longer finite")
+    return found
+
+
+def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) -> bool:
+    """Whether a fit may have ended in a wrong minimum; if fresh, of a model that rings, by any error."""
+    left = float(found.squares @ problem.weights)
+    if left <= problem.rules.small_residual * found.residuals.size:
+        return False
+    rings = fresh and continuation.rings(problem)
+    return rings or continuation.loses_phase(problem, found.residuals)
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Values that a fit begins from: effects, parameters of the rig (k,) and initial states (w, states)."""
+
+    instances: tuple[EffectInstance, ...]
+    theta: Array
+    start: Array
+
+    @classmethod
+    def at(cls, known: Hypothesis) -> Begun:
+        """Return those of a hypothesis."""
+        return cls(known.instances, known.theta, known.start)
+
+
+def solved(
+    problem: EstimationProblem,
+    begun: Begun,
+    *,
+    rounds: int = MOST_ROUNDS,
+    frozen: bool = False,
+    rival: float = np.inf,
+    penalty: Array | None = None,
+    is_behind: Callable[[], bool] | None = None,
+) -> Hypothesis | None:
+    """Fit; None if the motion is not finite from where it begins.
+
+    Args as in `fit`, but for:
+        is_behind: whether no fit comes near the rival; asked once, where this one is far from it after many rounds.
+    """
+    whole = _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen, penalty=penalty)
+    try:
+        return whole.solve(begun.theta.copy(), rounds, rival, is_behind)
+    except IntegrationError:
+        return None
+
+
+def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
+    """Fit that costs less; the other one if one is none."""
+    if one is None or other is None:
+        return one or other
+    return other if other.cost < one.cost else one
+
+
+def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> tuple[Begun, float]:
+    """Fit to the first of a record in the shortest intervals, and what it costs; 0 if there are none."""
+    stage = next(continuation.stages(problem), problem)
+    return (begun, 0.0) if stage is problem else _in_part(next(continuation.parts(stage)), begun, frozen=frozen)
+
+
+def _in_part(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
+    """Fit to a part of a record in short intervals, whose initial states are guessed, and what it costs."""
+    samples = max(4, min(20, part.interval_samples // continuation.LINE))
+    return _at_stage(part, replace(begun, start=initial_states.first(part, begun.theta, samples)), frozen=frozen)
+
+
+def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
+    """Fit in short intervals and what it costs; where it begins, and 0, if the motion is not finite there."""
+    found = solved(part, begun, rounds=continuation.ROUNDS, frozen=frozen)
+    return (begun, 0.0) if found is None else (Begun.at(found), found.cost)
+
+
+def _continued(problem: EstimationProblem, first: tuple[Begun, float], *, frozen: bool, most: float) -> Begun | None:
+    """Where a fit in growing shooting intervals ends; None if the intervals cannot be shorter.
+
+    Args:
+        problem: the record and the rig.
+        first: the fit to the first of the record in the shortest intervals, and what it costs.
+        frozen: whether only initial states are estimated.
+        most: what it may cost: the least cost grows with the intervals, so that it ends, with None, at the first of
+            them in which it costs more.
+    """
+    stages, (begun, least) = [*continuation.stages(problem), problem], first
+    if len(stages) == 1 or least > most:
+        return None
+    others = itertools.islice(continuation.parts(stages[0]), 1, None)  # the parameters are those of the first
+    every = np.concatenate([begun.start, *(_in_part(part, begun, frozen=True)[0].start for part in others)])
+    for before, stage in itertools.pairwise(stages):
+        every = continuation.grown(every, before, stage)
+        if stage is not problem:
+            part = next(continuation.parts(stage))
+            begun, least = _at_stage(part, replace(begun, start=every[: part.intervals]), frozen=frozen)
+            if least > most:
+                return None
+            every[: part.intervals] = begun.start
+    return replace(begun, start=every)
+
+
+def together(
+    problem: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
+) -> Hypothesis:
+    """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
+
+    Args:
+        problem: of its own record.
+        other: of the other one, with its own initial states.
+        known: the hypothesis, fitted to its own record.
+        rival: as in `fit`.
+
+    Returns:
+        The hypothesis; its initial states are those of both, its residuals those of its own record.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    start = np.concatenate([known.start, validated(other, known).start])
+    return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
+
+
+def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
+    """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem.
+
+    Args:
+        problem: the record and the rig.
+        known: the hypothesis.
+        rival: as in `fit`.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
+    return fit(problem, begun, theta=known.theta, start=known.start, rounds=REPEATED, rival=rival)
+
+
+def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
+    """Hypothesis on a validation record: only its initial state is estimated, from growing parts if need be.
+
+    Args:
+        problem: of the record.
+        hypothesis: to validate.
+        rival: as in `fit`.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
+    found, record = fitted(problem), problem.record
+    if problem.interval or found.cost < STUCK * record.readings.size:
+        return found
+    folded = [problem.rig.index(one) for one in hypothesis.instances if excluded_laws.folds(problem, one)]
+    for sides in itertools.product((1.0, -1.0), repeat=len(folded)):
+        signs = np.ones(record.readings.shape[1])
+        signs[folded] = sides
+        turned = replace(problem, record=replace(record, readings=signs * record.readings))
+        start = initial_states.first(turned, hypothesis.theta)
+        with suppress(IntegrationError):
+            for part in PARTS:
+                if part * len(record) >= FIRST_READINGS:
+                    begin = replace(problem, record=record.first(part * len(record) / record.rate))
+                    start = fitted(begin, start=start).start
+            found = min(found, fitted(problem, start=start), key=lambda one: one.cost)
+        if found.cost < STUCK * record.readings.size:
+            break
+    return found
+
+
+def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:
+    """Cost of a hypothesis that is not fitted; infinite if its motion is not finite.
+
+    Args:
+        problem: the record and the rig.
+        instances: the effects with their values.
+        theta: parameters of the rig (k,).
+        start: initial states of the shooting intervals (w, states).
+    """
+    whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
+    try:
+        return whole.linearised(whole.unknowns(theta)).cost
+    except IntegrationError:
+        return np.inf
+
+
+@dataclass(frozen=True)
+class _LeastSquares:
+    """Least squares of records and prior.
+
+    The unknowns x (n,) are parameters of rig (k) and effects (f), initial states of effects (s), and of the motion.
+
+    Args:
+        problem: of the record whose residuals are kept.
+        instances: the effects.
+        start: initial states of each record in turn (w, states); those that are not free stay as they are.
+        others: other records.
+        frozen: whether only initial states are estimated.
+        penalty: on the free parameters of the effects (f, f); None for none.
+    """
+
+    problem: EstimationProblem
+    instances: tuple[EffectInstance, ...]
+    start: Array
+    others: tuple[EstimationProblem, ...] = ()
+    frozen: bool = False
+    penalty: Array | None = None
+
+    @property
+    def records(self) -> tuple[EstimationProblem, ...]:
+        """Problem of each record."""
+        return (self.problem, *self.others)
+
+    @cached_property
+    def begins(self) -> Array:
+        """How far from 0 the states of effects may begin, in one record after the other (s,)."""
+        return np.tile([size for instance in self.instances for size in instance.begins], len(self.records))
+
+    @property
+    def steepest(self) -> Array:
+        """Least values of the effects' parameters that the steps of integration bear (f,)."""
+        rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
+        found = list[float]()
+        for one in self.instances:
+            texts = {} if one.effect == compiled_laws.DELAY or one.sticks else one.entry.least
+            known = {"step": step, "mobility": rig.mobilities[one.at]} if texts else {}
+            known |= zip(one.entry.parameters, one.values, strict=True) if texts else {}
+            found += [Expression(texts[n]).evaluate(known) if n in texts else -np.inf for n in one.names]
+        return np.array(found)
+
+    @cached_property
+    def edges(self) -> tuple[int, int, int]:
+        """Where the unknowns of the rig, of the effects, and of the states of effects end."""
+        k, f = len(self.problem.prior.mean), len(estimated(self.instances))
+        return k, k + f, k + f + len(self.begins)
+
+    @property
+    def free(self) -> list[int]:
+        """States of the motion that are estimated."""
+        return [*self.problem.rig.twin.free]
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Sizes of initial states that are estimated (w * e,); 0 of unseen ones."""
+        return np.tile(initial_states.sizes(self.problem)[self.free], len(self.start))
+
+    def resistance(self, matrix: Array) -> Array:
+        """Return what steps add to the diagonal of the normal equations (n,).
+
+        A speed that friction takes at once hardly shows in the readings: a full step of it would go anywhere, and keep
+        the others from theirs.
+        """
+        found, squares = np.zeros(len(matrix)), self.sizes**2
+        known = float((squares * np.diag(matrix)[self.edges[2] :]).max(initial=0.0))
+        found[self.edges[2] :] = np.divide(STEADY * known, squares, out=np.zeros_like(squares), where=squares > 0.0)
+        return found
+
+    def unknowns(self, theta: Array) -> Array:
+        """Unknowns (n,) at values of the rig's parameters (k,)."""
+        return np.concatenate([theta, estimated(self.instances), 0.0 * self.begins, self.start[:, self.free].ravel()])
+
+    def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Parameters of rig and effects, and initial states of effects and motion (w, states)."""
+        theta, added, inner, moving = np.split(x, self.edges)
+        start = self.start.copy()
+        start[:, self.free] = moving.reshape(len(start), -1)
+        return theta, added, inner, start
+
+    def solve(self, theta: Array, rounds: int, rival: float, is_behind: Callable[[], bool] | None = None) -> Hypothesis:
+        """Fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`."""
+        rules, slow, enough, costs = self.problem.rules, 0, 0.0, list[float]()
+
+        def wanted(now: float) -> float:
+            return rules.hopeless_fraction * max(now - rival, 0.0)
+
+        def is_hopeless(now: float, tried: float) -> bool:
+            nonlocal slow
+            costs.append(now)
+            slow = slow + 1 if now - tried < wanted(now) else 0
+            is_idle = len(costs) > rules.hopeless_steps and costs[-1 - rules.hopeless_steps] - now < IDLE * enough
+            is_far = len(costs) == continuation.ROUNDS and now > BEHIND * rival
+            return slow == rules.hopeless_steps or is_idle or (is_far and is_behind is not None and is_behind())
+
+        def tolerance(at: Linearised[Equations]) -> float:
+            nonlocal enough
+            enough = CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
+            return enough
+
+        prior, effects = self.problem.prior, bounds(self.instances)
+        low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
+        high = np.concatenate([prior.high, effects.high])
+        box = Box(low, high, np.arange(len(low)) >= self.edges[0])
+        with np.errstate(over="ignore", invalid="ignore"):  # a step that runs away costs more, and is not taken
+            made = minimise(
+                self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
+                is_hopeless=is_hopeless, wanted=wanted,
+            )  # fmt: skip
+        theta, added, _, start = self.parts(made.x)
+        found, shared = made.at.found, self.edges[1]
+        parts = zip(self.instances, by_instance(self.instances, added), strict=True)
+        values = [instance.with_values(instance.free, part) for instance, part in parts]
+        return Hypothesis(
+            tuple(values), theta, start, made.at.cost, found.squares,
+            made.at.equations.covariance()[:shared, :shared], found.residuals, rules,
+        )  # fmt: skip
+
+    def linearised(self, x: Array) -> Linearised[Equations]:
+        """Problem at the unknowns (n,)."""
+        theta, added, inner, start = self.parts(x)
+        starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
+        pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
+        found = _joined(
+            [
+                one.equations(theta, begin, self.instances, added, inner=begun, frozen=self.frozen)
+                for one, begin, begun in pieces
+            ],
+            self.edges[1],
+            len(inner) // len(self.records),
+            [one.weights / self.problem.weights for one in self.records],
+        )
+        (k, first, last), prior, rough = self.edges, self.problem.prior, 0.0
+        if self.penalty is not None:
+            found.matrix[k:first, k:first] += self.penalty
+            found.gradient[k:first] -= self.penalty @ added
+            rough = max(float(added @ self.penalty @ added), 0.0)  # of factors that run away, rounding may be negative
+        off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
+        off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
+        known = self.begins == 0.0
+        off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
+        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
+        equations = System(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
+        if len(self.start) > 1 and self.free:
+            equations = replace(equations, shared=last, block=len(self.free))
+        return Linearised(cost, equations.with_prior(off, deviation), found)
+
+
+def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
+    """Equations of several records as those of one.
+
+    Args:
+        parts: of each record.
+        shared: columns that all have, the first.
+        inner: columns of states inside of effects, which come next; each record has its own.
+        weights: of squared residuals, beside those of the first record (sensors,).
+    """
+    if len(parts) == 1:
+        return parts[0]
+    sizes = [len(part.gradient) - shared - inner for part in parts]
+    ends = shared + inner * len(parts) + np.cumsum([0, *sizes])
+    matrix, gradient = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1])
+    for i, part in enumerate(parts):
+        first = shared + i * inner
+        own = np.concatenate([np.arange(shared), np.arange(first, first + inner), np.arange(ends[i], ends[i + 1])])
+        matrix[np.ix_(own, own)] += part.matrix
+        gradient[own] += part.gradient
+    squares = np.sum([part.squares * weight for part, weight in zip(parts, weights, strict=True)], axis=0)
+    return Equations(matrix, gradient, squares, parts[0].simulated, parts[0].residuals)
+
+
+def bounds(instances: Sequence[EffectInstance]) -> Box:
+    """Bounds of the free parameters of effects (f,); what is positive may at most double in a step."""
+    pairs: list[tuple[float | None, float | None]] = []
+    for instance in instances:
+        every = [] if instance.effect == compiled_laws.DELAY else [p.bounds for p in instance.entry.parameters.values()]
+        pairs += [(0.0, None)] if instance.effect == compiled_laws.DELAY else [every[i] for i in instance.free]
+    low = np.array([-np.inf if a is None else a for a, _ in pairs])
+    return Box(low, np.array([np.inf if b is None else b for _, b in pairs]), growing=True)

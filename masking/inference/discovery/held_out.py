@@ -1,0 +1,142 @@
+"""Held-out data: the explanation to give, by how it does on the validation record.
+
+An explanation that is worse there than the model as declared is withheld. One that explains the estimation record may
+still have a parameter that shows in the other one alone: a motion ends where friction holds it, a stop is touched late.
+If a fit to both explains both as well as the first explained the one, it is given.
+
+Source: Ljung (1999), System Identification, section 16.6, for validation by data that were not used; Gelman et al.
+(2013), Bayesian Data Analysis, section 6.3, for predictions that are as uncertain as the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
+from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.tempered_fits import tempered
+from masking.inference.discovery.verdict import Key
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given.
+
+    Args:
+        names: (parameter, '') or (effect, place) of each cause; none for adjusted parameters alone.
+        error: relative error of each sensor in the validation record, by name; None where the motion is not finite.
+    """
+
+    names: tuple[Key, ...]
+    error: dict[str, float] | None
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as JSON can hold it."""
+        return {"causes": [{"name": name, "on": on} for name, on in self.names], "validation_error": self.error}
+
+
+@dataclass(frozen=True)
+class Given:
+    """The explanation to give.
+
+    Args:
+        rivals: the explanations that it was chosen from, itself first.
+        explanation: the prior holds what the record hardly determines.
+        after: the explanation on the validation record.
+        withheld: what was worse on that, and came before.
+        alone: relative error of each sensor there of a fit to the estimation record alone, where it is fitted to both.
+    """
+
+    rivals: tuple[Explanation, ...]
+    explanation: Explanation
+    after: Hypothesis
+    withheld: Withheld | None = None
+    alone: dict[str, float] | None = None
+
+
+def no_worse(
+    offered: Sequence[tuple[Explanation, ...]],
+    problem: EstimationProblem,
+    validation: EstimationProblem,
+    before: Hypothesis,
+) -> Given:
+    """First explanation that is no worse on unseen data than the model as declared.
+
+    Args:
+        offered: rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself.
+        problem: of the estimation record.
+        validation: of the validation record.
+        before: the model as declared on that.
+    """
+    withheld, declared = None, float(before.squares @ validation.weights)
+    for rivals in offered[:-1]:
+        chosen, alone = _tempered(rivals[0], problem), None
+        try:
+            after = fitting.validated(validation, chosen.hypothesis)
+        except IntegrationError:
+            withheld = withheld or Withheld(chosen.names, None)
+            continue
+        made = None
+        with suppress(IntegrationError):
+            made = _pooled(chosen, after, problem, validation)
+        if made is not None:
+            alone = validation.errors(after.squares)
+            chosen, after = made
+        cost = float(after.squares @ validation.weights)
+        if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
+            return Given(rivals, chosen, after, withheld, alone)
+        withheld = withheld or Withheld(chosen.names, validation.errors(after.squares))
+    return Given(offered[-1], offered[-1][0], before, withheld)
+
+
+def _tempered(explanation: Explanation, problem: EstimationProblem) -> Explanation:
+    return replace(
+        explanation, hypothesis=tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
+    )
+
+
+def _pooled(
+    chosen: Explanation, after: Hypothesis, problem: EstimationProblem, validation: EstimationProblem
+) -> tuple[Explanation, Hypothesis] | None:
+    """Explanation fitted to both records, and it on the validation record.
+
+    None where it explains that as well as the estimation record already, a fit to both explains either less
+    well, or the residual is not small.
+
+    Args:
+        chosen: the explanation, fitted to the estimation record.
+        after: it on the validation record.
+        problem: of the estimation record.
+        validation: of the validation record.
+
+    Raises:
+        IntegrationError: the motion of a fit to both is not finite.
+    """
+    rules, free, fitted = problem.rules, chosen.with_prior(problem), chosen.hypothesis
+    least = verdict.noise_threshold(min(len(problem.record), len(validation.record)), rules)
+    most = np.maximum(least, rules.noise_floor * _over_noise(fitted, problem))
+    if fitted.cost > rules.small_residual * fitted.residuals.size or (_over_noise(after, validation) <= most).all():
+        return None
+    joint = fitting.together(free, validation, fitted)
+    starts = joint.start[: problem.intervals], joint.start[problem.intervals :]
+    seen, unseen = (
+        fitting.fit(part, joint.instances, theta=joint.theta, start=start, frozen=True)
+        for part, start in zip((free, validation), starts, strict=True)
+    )
+    if not all((_over_noise(*one) <= most).all() for one in ((seen, problem), (unseen, validation))):
+        return None
+    return replace(chosen, hypothesis=replace(seen, covariance=joint.covariance)), unseen
+
+
+def _over_noise(found: Hypothesis, problem: EstimationProblem) -> Array:
+    """Rms of the residual of each sensor over that of its noise (sensors,)."""
+    errors, floor = problem.errors(found.squares), problem.noise_floor
+    return np.array([errors[name] / floor[name] for name in floor])

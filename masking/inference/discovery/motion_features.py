@@ -1,0 +1,120 @@
+"""Motion features: what effects do along the motion that was measured, before it passes through the rig.
+
+Elements move smoothly: a law there looks at one of a few samples. Commands jump, and readings are rounded at each
+sample. What candidates do is kept for the next screen of the same motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery import compiled_laws
+from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.averaging import Thinning, middles, thinned
+from masking.inference.discovery.candidates import Candidate
+from masking.inference.discovery.smoothing import Motion
+from masking.inference.estimation.identification_data import Data
+
+KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
+
+Features = tuple[Array, Array]  # means (m, c), and the columns where they act (c,)
+
+
+@dataclass
+class Kept:
+    """What candidates do along a motion, by their factors and instances."""
+
+    features: dict[tuple[tuple[int, ...], EffectInstance], Features] = field(default_factory=dict)
+    numbers: int = 0
+
+    def add(self, factors: tuple[int, ...], instance: EffectInstance, features: Features) -> None:
+        """Keep what an instance does, if there is room."""
+        numbers = self.numbers + features[0].size
+        if numbers < KEPT:
+            self.features[factors, instance], self.numbers = features, numbers
+
+
+@dataclass(frozen=True)
+class MotionFeatures:
+    """What effects do along a motion.
+
+    Args:
+        rig: the rig.
+        record: commands and readings.
+        motion: the smoothed record.
+        simulated: readings as they are simulated (m, sensors).
+        thinning: samples over which means are taken.
+        kept: what is known of this motion already; it is added to.
+    """
+
+    rig: AugmentedModel
+    record: Data
+    motion: Motion
+    simulated: Array
+    thinning: Thinning
+    kept: Kept
+
+    def with_slopes(self, instance: EffectInstance) -> Features:
+        """Return what an instance adds where it acts, with slopes by its free parameters."""
+        if instance.effect == compiled_laws.DELAY:
+            half = 0.5 / self.record.rate
+            late, at = self._late(instance)
+            later, _ = self._late(instance.with_values((0,), (instance.values[0] + half,)))
+            return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
+        instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
+        return self._followed(instance, instance.free)
+
+    def by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
+        """Return what a candidate does, by its factors."""
+        known = self.kept.features.get((candidate.factors, instance))
+        if known is not None:
+            return known
+        found = self._by_factors(candidate, instance)
+        follows_fit = instance.where == "sensor"  # it acts on readings as they are simulated
+        if instance in candidate.instances and not follows_fit:
+            self.kept.add(candidate.factors, instance, found)
+        return found
+
+    def _by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
+        if candidate.effect == compiled_laws.DELAY:
+            return self._late(instance)
+        if not candidate.factors or instance.entry.scaled:
+            return self._followed(instance)
+        instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
+        features, at = self._followed(instance, candidate.factors)
+        return np.ascontiguousarray(features[:, 1:]), at[1:]
+
+    def _followed(self, instance: EffectInstance, free: tuple[int, ...] = ()) -> Features:
+        """Return what an instance adds where it acts, with slopes by some of its parameters."""
+        rig, record, motion, thin = self.rig, self.record, self.motion, self.thinning.motion
+        where, at, stride = instance.where, rig.index(instance), 1
+        nothing = np.zeros(len(record))
+        if where == "element":
+            x, rate = motion.acted_on(instance.entry, at)
+            column = rig.columns[1][at]
+            if not instance.entry.is_inertia:  # commands make an acceleration jump
+                stride = self.thinning.stride
+                x, rate = middles(x, stride), middles(rate, stride)
+        elif where == "actuator":
+            x, rate, column = record.acting[:, at], nothing, rig.columns[2][at]
+        else:
+            x, rate, column = self.simulated[:, at], nothing, at
+        made = rig.along(instance, x, rate, stride / record.rate, free)
+        if where != "element":
+            made[:, 0] -= x
+        return thinned(made, thin // stride), np.full(made.shape[1], float(column))
+
+    def _late(self, instance: EffectInstance) -> Features:
+        """Return what a delay changes of each command, and the columns where these act."""
+        acting, m = self.record.acting, len(self.record)
+        early = np.clip(np.arange(m) - instance.values[0] * self.record.rate, 0.0, None)
+        low = np.floor(early).astype(int)
+        share = (early - low)[:, None]
+        late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
+        actuators = self.rig.twin.actuators
+        at = [actuators.index(instance.at)] if instance.at else [*range(len(actuators))]
+        columns = np.array([self.rig.columns[2][i] for i in at], dtype=float)
+        return thinned((late - acting)[:, at], self.thinning.motion), columns

@@ -1,0 +1,139 @@
+"""Rival: the law without a name beside the names, and the probability that none of these is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from masking.errors import IntegrationError
+from masking.inference.discovery import fitting, none_of_these, verdict
+from masking.inference.discovery.composites import share_a_place
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.search import Tell
+from masking.inference.discovery.unnamed_law import UnnamedLaw, evidence, law_of
+
+OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
+
+
+def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
+    """Discovery with the probability that no name is right, and with the law without a name where it is not.
+
+    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
+    they leave a little more, two act at one place, the last takes what another left or one changes beyond the motion,
+    for a closed form may do as well with no more numbers.
+
+    Args:
+        found: the discovery.
+        substeps: integration steps between samples of the model alone.
+        say: called with what is done.
+    """
+    floor = found.simulation_error.validation_noise_floor
+    if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
+        is_open = found.verdict == "unknown"
+        law = law_of(found, found.validation, substeps, OPEN) if is_open and not found.is_hidden else None
+        none = 0.0 if not is_open else 1.0 if law is not None and law.reaches(floor) else none_of_these.REFUSED
+        return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
+    law, left, better = None, _left(found), -np.inf
+    size, rules = found.problem.record.readings.size, found.problem.rules
+    is_open = found.verdict == "unknown" or (none_of_these.matters(left) and not found.closed)
+    are_two = share_a_place(found.explanation.names, found.problem.rig)
+    leaves_more = max(found.explanation.cost / size, _errs(found) ** 2) > 1.0 + rules.screen_resolution
+    if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
+        say("fitting a law without a name", 0.97)
+        law = law_of(found, found.validation, substeps, OPEN if found.verdict == "unknown" else NAMED)
+    refused, above = found.verdict == "unknown", 0.0 if found.is_at_noise_floor else _errs(found)
+    explained = not above if law is None else law.reaches(floor)
+    matched = _in_intervals_of(law, found)
+    if law is not None:
+        alone = not matched.is_at_noise_floor and explained
+        better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
+        left = law.unexplained(found)
+    none = none_of_these.none_of_these(
+        left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
+    )
+    at = len(found.explanation.hypothesis.instances) - 1
+    last = found.effects[at]
+    others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
+    last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
+    effects = (*found.effects[:at], last, *found.effects[at + 1 :])
+    answer = "unknown" if none > none_of_these.LIKELIER else found.verdict
+    is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
+    of, kept = (matched, law) if is_written else (found, None)
+    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=effects)
+
+
+def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
+    """Discovery with its errors on unseen data in the shooting intervals in which a law follows these.
+
+    It is as it was where there is no law, or where the model does not move on from one interval to the next.
+    """
+    if law is None or law.problem.interval == found.validation.interval:
+        return found
+    validation = replace(found.validation, interval=law.problem.interval)
+    try:
+        made = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
+    except IntegrationError:
+        return found
+    before, after, adjusted = (validation.errors(one.squares) for one in made)
+    errors = replace(found.simulation_error, validation=(before, after), adjusted=adjusted)
+    return replace(
+        found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors
+    )
+
+
+def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
+    """Whether a law leaves more on unseen data than the names do, in intervals that are no shorter."""
+    left, length = float(law.validated.squares @ law.problem.weights), law.problem.interval_samples
+    fair = [one for one in found if one.validation.interval_samples >= length]
+    return any(left > one.after.squares @ one.validation.weights for one in fair)
+
+
+def _errs(found: Discovery) -> float:
+    """Largest error of a sensor on unseen data, over its noise."""
+    after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
+    return max(after[name] / floor[name] for name in floor)
+
+
+def changes_beyond(found: Discovery) -> bool:
+    """Whether a law has its edge, width or rate beyond the motion, which shows it in a limit that others share.
+
+    Such as dry friction that is proportional to each rate of the record.
+    """
+    places, motion = [place.name for place in found.problem.rig.places], found.search.motion
+    for one in found.explanation.hypothesis.instances:
+        if one.at in places:
+            at = places.index(one.at)
+            reached = {
+                "D": float(np.abs(motion.displacement[:, at]).max()),
+                "D/s": float(np.abs(motion.rate[:, at]).max()),
+            }
+            units = (one.entry.parameters[name].unit for name in one.names)
+            if any(abs(value) > reached.get(unit, np.inf) for unit, value in zip(units, one.estimated, strict=True)):
+                return True
+    return False
+
+
+def _takes_a_rest(found: Discovery) -> bool:
+    """Whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
+    if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
+        return False
+    size = found.problem.record.readings.size
+    before = found.search.steps[-2][0]
+    return verdict.leaves_little(before.cost, found.search.base.cost, size, found.problem.rules)
+
+
+def _left(found: Discovery) -> float:
+    """Return what the names leave in both records, beyond noise, as part of the rms of the model error."""
+    pairs = zip(
+        (found.search.base.hypothesis, found.adjusted),
+        (found.explanation.hypothesis, found.after),
+        (found.problem, found.validation),
+        strict=True,
+    )
+    excess = [
+        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
+        for base, named, part in pairs
+    ]
+    whole, left = np.sum(excess, axis=0)
+    return float(np.sqrt(left / whole)) if whole > left else 1.0

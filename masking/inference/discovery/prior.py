@@ -1,0 +1,79 @@
+"""Prior: normal distributions of the rig's parameters, with bounds, and the split of a record in two.
+
+Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28, for priors in model
+comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.estimation.identification_data import Data
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The distribution of the rig's k parameters before the record, in declared units.
+
+    Args:
+        mean: means (k,).
+        deviation: standard deviations (k,).
+        low, high: bounds (k,); infinite if there are none.
+    """
+
+    mean: Array
+    deviation: Array
+    low: Array
+    high: Array
+
+    def freed(self, index: int, factor: float) -> Prior:
+        """Prior with one parameter free: its standard deviation grows by a factor."""
+        deviation = self.deviation.copy()
+        deviation[index] *= factor
+        return replace(self, deviation=deviation)
+
+
+def uncertain(twin: Twin) -> tuple[str, ...]:
+    """Parameters of the equations that fits adjust by default: `std: 0` declares one as known."""
+    declared = twin.model.declaration.parameters
+    return tuple(n for n in twin.equation_parameters() if n not in declared or declared[n].std != 0.0)
+
+
+def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionRules = RULES) -> Prior:
+    """Prior of the rig's parameters: declared values, standard deviations and bounds.
+
+    Args:
+        twin: the rig as declared.
+        rig: its augmented model, whose k parameters may be re-fitted.
+        tolerance: relative standard deviation of a parameter that declares none.
+        rules: from how many standard deviations a parameter keeps its sign.
+    """
+    declared = twin.model.declaration.parameters
+    deviations = []
+    for name, value in zip(rig.names, rig.start, strict=True):
+        std = declared[name].std if name in declared else None
+        deviations.append(std or tolerance * (abs(float(value)) or 1.0))
+    mean, deviation, (low, high) = rig.start.copy(), np.array(deviations), rig.bounds
+    least = rules.sign_deviations * deviation
+    low = np.where((mean > 0.0) & (mean >= least), np.maximum(low, 0.0), low)
+    high = np.where((mean < 0.0) & (mean <= -least), np.minimum(high, 0.0), high)
+    return Prior(mean, deviation, low, high)
+
+
+def train_validation_split(record: Data, held_out: float) -> tuple[Data, Data]:
+    """Part of a record that is fitted, and its last part, a fraction of it, held out for validation.
+
+    Of one that comes to rest, so that this part would show nothing, they are those of the motion before.
+    """
+    for one in (record, record.until_rest()):
+        count = round((1.0 - held_out) * len(one))
+        train, unseen = one.part(0, count), one.part(count, len(one))
+        if unseen.moves:
+            break
+    return train, unseen

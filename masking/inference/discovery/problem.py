@@ -1,0 +1,156 @@
+"""Problem: a record, the augmented model of its rig, the prior of the parameters and the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
+from masking.errors import IntegrationError
+from masking.inference.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
+from masking.inference.discovery.prior import Prior
+from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.work_budget import Work
+from masking.inference.estimation.identification_data import Data, is_first_order
+from masking.inference.estimation.sensitivity import symmetric, terms
+from masking.inference.estimation.simulation import relative
+
+
+@dataclass(frozen=True)
+class EstimationProblem:
+    """A record and the rig that is fitted to it.
+
+    Args:
+        rig: the rig.
+        record: commands and readings.
+        prior: of the rig's parameters.
+        sigma: standard deviation of the noise of each reading (sensors,).
+        substeps: integration steps between samples.
+        interval: samples of a shooting interval; 0 for one interval that is the whole record.
+        rules: the thresholds of all decisions.
+        work: simulation that was done for it; problems that are made of it share that.
+    """
+
+    rig: AugmentedModel
+    record: Data
+    prior: Prior
+    sigma: Array
+    substeps: int
+    interval: int = 0
+    rules: DecisionRules = RULES
+    work: Work = field(default_factory=partial(Work, np.inf), compare=False)
+
+    def apart(self, part: float = 1.0) -> EstimationProblem:
+        """Problem with a count of work of its own, which may be a part of what this one may do."""
+        return replace(self, work=self.work.another(part))
+
+    def sharing(self, part: float) -> EstimationProblem:
+        """Problem with a count of work that is a part of this one's."""
+        return replace(self, work=self.work.share(part))
+
+    @property
+    def interval_samples(self) -> int:
+        """Samples of a shooting interval, which may be the whole record."""
+        return self.interval or len(self.record)
+
+    @property
+    def intervals(self) -> int:
+        """Number of shooting intervals."""
+        return -(-len(self.record) // self.interval_samples)
+
+    @property
+    def weights(self) -> Array:
+        """Weights of squared residuals (sensors,)."""
+        return np.asarray(self.sigma**-2.0)
+
+    @property
+    def noise_floor(self) -> dict[str, float]:
+        """Relative error of each sensor that the noise alone makes."""
+        return self.errors(len(self.record) * self.sigma**2)
+
+    def errors(self, squares: Array) -> dict[str, float]:
+        """Relative error of each sensor, by name, from squared residuals (sensors,)."""
+        return relative(self.rig.twin.sensors, [self.record], squares)
+
+    @property
+    def dt(self) -> float:
+        """Time between samples in s."""
+        return 1.0 / self.record.rate
+
+    def equations(
+        self,
+        theta: Array,
+        start: Array,
+        instances: Sequence[EffectInstance] = (),
+        added: Array | None = None,
+        *,
+        inner: Array | None = None,
+        frozen: bool = False,
+    ) -> Equations:
+        """Normal equations of the record at values of the parameters.
+
+        Args:
+            theta: parameters of the rig (k,), in declared units.
+            start: initial states of the shooting intervals (w, states).
+            instances: effects, one after the other.
+            added: their free parameters (f,).
+            inner: where their states begin (s,); at 0 where this is not given.
+            frozen: whether the parameters are known: their rows and columns are 0, which takes less time.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        rig, record = self.rig, self.record
+        added = np.empty(0) if added is None else added
+        given = rig.instances(instances, np.concatenate([theta[len(rig.names) :], added]))
+        states = given.states
+        p, basis = rig.basis(theta, len(added) + states)
+        every, moving, intervals = basis.shape[1], rig.begins, self.intervals
+        if frozen:
+            given, basis = given.known(), np.zeros((len(basis), states))
+        k = basis.shape[1]
+        n, width = len(rig.twin.state_names), k + moving
+        y = np.full(n + states, NEARLY_ZERO)
+        derivatives = np.zeros((COLUMN_ROWS * (n + states), whole_lanes(width)))
+        y[n:] += 0.0 if inner is None else inner
+        self.work.add(len(record) * self.substeps, len(y) + width)
+        derivatives[n : n + states, k - states : k] = np.eye(states)
+        matrices, gradients = np.zeros((intervals * width, whole_lanes(width))), np.zeros(intervals * width)
+        squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
+        late = given.late / self.dt
+        status = rig.kernels.run(
+            len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table, k,
+            np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p,
+            *terms(rig.equations, basis), given.table, given.estimated, given.values, given.support, given.acting,
+            record.late + late, given.late_columns, record.commands, record.counted(late), self.weights, matrices,
+            gradients, squares, simulated,
+        )  # fmt: skip
+        if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
+            raise IntegrationError("the simulated motion is no longer finite")
+        matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)
+        for i in range(intervals):
+            own = np.concatenate([np.arange(every - k, every), every + i * moving + np.arange(moving)])
+            matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width, :width]
+            gradient[own] += gradients[i * width : (i + 1) * width]
+        return Equations(symmetric(matrix), gradient, squares, simulated, record.residuals(simulated, late))
+
+    def tempering(self, residuals: Array) -> float:
+        """Tempering factor: residual variance over noise variance, of samples or block means; at least 1.
+
+        The inverse is the effective sample size per reading of a residual that changes slowly.
+
+        Args:
+            residuals: of the readings (m, sensors).
+        """
+        found, block = 1.0, self.rules.tempering_block
+        for column, sigma in zip(residuals.T, self.sigma, strict=True):
+            found = max(found, float((column**2).mean() / sigma**2))
+            for length in {min(block, len(column)), min(self.interval or block, len(column))}:
+                blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
+                slow = float((blocks**2).mean() * length / sigma**2)
+                found = max(found, slow if slow > self.rules.slow_excess else 1.0)
+        return found

@@ -1,0 +1,81 @@
+"""Noise: how much of it there is in each reading of a record, and whether readings are rounded.
+
+Source: Rousseeuw and Croux (1993), J. Am. Stat. Assoc. 88(424), 1273-1283, for the median of magnitudes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.errors import RecordError
+from masking.inference.estimation.identification_data import Data
+from masking.lab.records.noise import FEWEST, third_differences, white_noise
+
+EXACT = 1e-12  # of the largest reading: a smaller difference is rounding of double precision
+NEAR, MOST = 0.1, 0.95  # of a step, and of the gaps between values: as near to its multiples, and as many of them
+FEWER = 0.8  # of the mean noise: a median below is less than by chance, and some readings jump
+MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
+
+
+def noise_of(twin: Twin, record: Data) -> Array:
+    """Standard deviation of the noise of each reading (sensors,), from the record.
+
+    What a force changes at once may jump, as that of a friction does, or a rate where a command changes: there the
+    noise is that of most readings. That of measured inputs counts with what the readings have of these by linear
+    regression. Parameters of the model have no part in it. Rounding to steps q makes q / sqrt(12) at least.
+
+    Args:
+        twin: the rig.
+        record: commands and readings.
+
+    Raises:
+        RecordError: readings carry no noise, so that nothing can be said to be beyond it.
+    """
+    found, smooth = record.noise, _smooth(record.readings)
+    found = np.where(smooth < FEWER * found, smooth, found)
+    if twin.is_fed:
+        inputs = record.commands[:, [twin.actuators.index(name) for name in twin.measured_actuators]]
+        by = decompositions.least_squares(inputs - inputs.mean(axis=0), record.readings - record.readings.mean(axis=0))
+        found = np.hypot(smooth, np.linalg.norm(_smooth(inputs)[:, None] * by, axis=0))
+    size = np.sqrt((record.readings**2).mean(axis=0))
+    for name, value in zip(twin.sensors, size, strict=True):
+        if value == 0.0:
+            raise RecordError(
+                f"{record.name}: {name} reads 0 throughout; look at its cable, or leave it out of the plant"
+            )
+    floor: Array = np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)])
+    return floor
+
+
+def _smooth(table: Array) -> Array:
+    """Noise of columns (m, c) that are smooth but for jumps: what is usual of it, if less than its mean."""
+    columns = [_measured(column)[:, None] for column in table.T]
+    usual = [float(np.median(np.abs(third_differences(column)))) / MEDIAN for column in columns]
+    return np.array([min(one, float(white_noise(column)[0])) for one, column in zip(usual, columns, strict=True)])
+
+
+def _measured(column: Array) -> Array:
+    """Readings of a column (m,) that was interpolated between fewer; all of them if it was not."""
+    kinks = np.flatnonzero(np.abs(np.diff(column, n=2)) > EXACT * np.abs(column).max()) + 1
+    every = round(len(column) / max(len(kinks), 1))
+    return column if every < 2 or len(kinks) < FEWEST else column[kinks[0] :: every]
+
+
+def steps_of(record: Data) -> Array:
+    """Step to which readings of each sensor are rounded (sensors,); 0 where they are not.
+
+    It is what lies between neighbouring values, or a part of it.
+    """
+    return np.array([_step(column) for column in record.readings.T])
+
+
+def _step(column: Array) -> float:
+    gaps = np.diff(np.unique(column))
+    gaps = gaps[gaps > EXACT * np.abs(column).max()]  # values that differ by rounding of numbers are the same
+    if not len(gaps):
+        return 0.0
+    step = float(np.median(gaps[gaps <= 1.5 * gaps.min()]))
+    return step if (np.abs(gaps / step - np.round(gaps / step)) < NEAR).mean() > MOST else 0.0

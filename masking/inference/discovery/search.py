@@ -1,0 +1,482 @@
+"""Search: the best explanation of the residual: nothing, a wrong parameter, or effects, one after the other.
+
+Hypotheses are compared by their cost, -2 log likelihood with the priors of the rig's parameters, and the Occam factor
+of the added ones. If the best hypothesis leaves residuals above the noise floor, or coloured ones, costs are divided by
+a tempering factor: residual variance over noise variance, or the excess of block means.
+Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from masking.errors import IntegrationError
+from masking.inference.discovery import (
+    fitting,
+    shooting,
+    simpler_explanations,
+    sticking_laws,
+    verdict,
+    wrong_parameters,
+)
+from masking.inference.discovery.add_cause import Addition, in_steps, ready
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.candidates import candidates
+from masking.inference.discovery.composites import are_composite
+from masking.inference.discovery.excluded_laws import is_excluded
+from masking.inference.discovery.explanation import Explanation, Job, fitted
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.pairs_of_causes import pairs_first
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.screening import Score, Screen
+from masking.inference.discovery.signal_ranges import spans
+from masking.inference.discovery.smoothing import Motion, smooth
+from masking.inference.discovery.verdict import Key
+from masking.inference.discovery.views_of_record import Ground, views
+from masking.inference.discovery.work_budget import Work
+
+Tell = Callable[[str, float], None]
+Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of a parameter by -1 and less
+
+FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What a search found: the steps that were taken, and the explanations of the last, best first.
+
+    Args:
+        base: the model, its parameters fitted within their priors.
+        steps: the explanations that were compared in each step, the best first.
+        motion: smoothed record.
+        tried: what each candidate could take off at first, the best first.
+        problem: the record, in the integration steps that the laws need; by default those of the model.
+        passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
+    """
+
+    base: Explanation
+    steps: tuple[tuple[Explanation, ...], ...]
+    motion: Motion
+    tried: tuple[Score, ...] = ()
+    problem: EstimationProblem | None = None
+    passed_over: tuple[tuple[Explanation, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search in one record.
+
+    Args:
+        problem: the record and the rig.
+        tell: called with what is done, and the fraction done.
+        rough: the same in the integration steps of the model alone, where laws need smaller ones.
+        fits: of each round by the causes before it, in those steps.
+        ends: given the explanations of the first round, returns whether the search ends there.
+    """
+
+    problem: EstimationProblem
+    tell: Tell = lambda text, part: None
+    rough: EstimationProblem | None = None
+    fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
+    ends: Callable[[EstimationProblem, Sequence[Explanation]], bool] = lambda problem, found: False
+
+    @property
+    def rules(self) -> DecisionRules:
+        """Thresholds of all decisions."""
+        return self.problem.rules
+
+    @property
+    def size(self) -> int:
+        """Number of readings."""
+        return self.problem.record.readings.size
+
+    @cached_property
+    def nested(self) -> dict[str, tuple[str, ...]]:
+        """Simpler effects that are nested in each effect."""
+        return {name: effect.nested for name, effect in self.problem.rig.twin.dictionary.items()}
+
+    def _nested_in(self, key: Key) -> set[Key]:
+        """Effects that are nested in one at its place."""
+        effect, at = key
+        return {(name, at) for name in self.nested.get(effect, ())}
+
+    @property
+    def penalty(self) -> float:
+        """Complexity penalty of each added parameter."""
+        return float(np.log(self.size))
+
+    def run(self, substeps: int = 0) -> SearchResult:
+        """Search for causes, one after the other, until none is worth its complexity penalty.
+
+        Args:
+            substeps: integration steps between samples of models with effects; by default as many as those need.
+        """
+        self.tell("fitting the model as it is", 0.0)
+        plain = fitting.fit(self.problem)
+        base = Explanation("none", (), plain)
+        self.tell("smoothing the motion", 0.1)
+        motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
+        every = list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt))
+        ground = Ground(base, views(self.problem, plain, motion), every)
+        search = self.finer(substeps or self.problem.substeps)
+        found = search._searched(ground)
+        while found.problem and found.problem.substeps > search.problem.substeps:
+            search = self.finer(found.problem.substeps)
+            self.tell(f"with {search.problem.substeps} steps between samples", 0.3)
+            found = search._searched(ground)
+        if found.passed_over and self._is_composite(found.steps[-1][0]):
+            # A law in which simpler ones are nested may do what they do together.
+            again = search._searched(ground, found.passed_over)
+            found = replace(again, tried=found.tried, problem=search.problem)
+        return found
+
+    def finer(self, substeps: int) -> Search:
+        """Search in other integration steps, with the fits of this one."""
+        if substeps == self.problem.substeps:
+            return self
+        return replace(self, problem=replace(self.problem, substeps=substeps), rough=self.problem)
+
+    def _is_composite(self, explanation: Explanation) -> bool:
+        return are_composite(explanation.names, self.problem.rig, self.rules)
+
+    def _searched(self, ground: Ground, begun: Sequence[tuple[Explanation, ...]] = ()) -> SearchResult:
+        """Search in the steps of the problem, on from some causes; end where a law needs smaller ones, with these."""
+        base, motion, steps = ground.base, ground.motion, list(begun)
+        tried, passed_over = tuple[Score, ...](), tuple[tuple[Explanation, ...], ...]()
+        now = settled = steps[-1][0] if steps else base
+        number = len(steps)
+        while number < self.rules.most_effects and not (number > 1 and self.problem.work.ends()):
+            if self._is_composite(now):
+                # One more law would leave it composite; another one in the place of these may not.
+                if now is settled:
+                    break
+                now, before = self._settled(now, ground), now
+                settled = now
+                if now is not before:
+                    steps[-1] = (now,)
+                continue
+            if now.kind == "effects":
+                wider = self._widened(now, ground)
+                steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
+            scores, found, likeliest = self._with_another(now, ground, number)
+            tried = tried or tuple(scores)
+            if not found or self._is_too_little(base, now, found[0]):
+                break
+            # In steps that are too large, the right law leaves so much that one nested in it is taken in its place.
+            needed = self._steps_of(base, found[0])
+            needed = needed if likeliest is found[0] else max(needed, self._steps_of(base, likeliest))
+            if needed > self.problem.substeps or (not steps and self.ends(self.problem, found)):
+                return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
+            if len(now.hypothesis.instances) > 1 and now is not settled:
+                # The first effects may only resemble the true ones: they were compared while the others were missing.
+                now, before = self._settled(now, ground), now
+                settled = now
+                if now is not before:
+                    steps[-1] = (now,)
+                    continue
+            number += 1
+            is_kept = any(one is likeliest for one in found) or self._is_composite(likeliest)
+            passed_over = passed_over if is_kept else (*steps, (likeliest,))
+            now, before = self._reduced(found[0], ground), now
+            if now is not found[0] and set(now.names) == set(before.names):
+                steps[-1] = (now, *steps[-1][1:])  # the last adds nothing: the others had not settled
+                break
+            steps.append(tuple(found) if now is found[0] else (now,))
+            if now.kind == "parameter":
+                break
+        if len(now.hypothesis.instances) > 1 and now is steps[-1][0] and now is not settled:
+            settled = self._settled(now, ground)
+            steps[-1] = steps[-1] if settled is now else (settled,)
+        return SearchResult(base, tuple(steps), motion, tried, self.problem, passed_over)
+
+    def _with_another(
+        self, now: Explanation, ground: Ground, number: int
+    ) -> tuple[Sequence[Score], list[Explanation], Explanation]:
+        """Scores of candidates, explanations with one or two more causes, best first, and the likeliest.
+
+        There are none where the motion cannot be screened: what is found so far is the answer.
+        """
+        self.tell(f"screening {len(ground.every)} candidates", 0.2 + 0.25 * number)
+        try:
+            screen, scores = ground.screened(self.problem, now)
+        except IntegrationError:
+            return (), [], now
+        found, likeliest = self._round(now, scores, screen, ground, parameters=number == 0)
+        adding = Addition(self.problem, now, screen)
+        return scores, pairs_first(self.problem, now, found, screen, scores=scores, job=adding.job), likeliest
+
+    def _steps_of(self, base: Explanation, best: Explanation) -> int:
+        """Integration steps between samples that an explanation needs, if it leaves hardly anything."""
+        if best.kind != "effects" or not verdict.leaves_little(best.cost, base.cost, self.size, self.rules):
+            return self.problem.substeps
+        return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
+
+    def _known(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
+    ) -> Fits:
+        """Fits of a round in the steps of the model alone; none where the problem has these."""
+        if self.rough is None:
+            return {}
+        if now.hypothesis.instances:
+            rougher = shooting.corrected(self.rough, now.hypothesis)
+            if rougher is None:
+                return {}
+            problem, hypothesis = rougher
+            search = replace(self, problem=problem, rough=None)
+            search._round(replace(now, hypothesis=hypothesis), scores, screen, ground, parameters=parameters)
+        return self.fits.get(now.names, {})
+
+    def _round(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
+    ) -> tuple[list[Explanation], Explanation]:
+        """Explanations with one more cause, best first, and the likeliest, whatever is nested in it.
+
+        There are none where the best is no better than chance.
+        """
+        rules, gains = self.rules, wrong_parameters.scores(self.problem, now.hypothesis)
+        known = self._known(now, scores, screen, ground, parameters=parameters)
+        made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
+        made.clear()
+        far = FAR * min((one.cost for one in known.values()), default=np.inf)
+
+        def is_far(number: int) -> bool:
+            return number in known and known[number].cost > far
+
+        best = max([*gains, *(score.gain for score in scores)], default=0.0)
+        chosen, variants = self._worth_a_fit(now, scores, screen, screen.total - best)
+        repeated = [score for score in scores if id(score.candidate) in known and all(score is not p for p in chosen)]
+        chosen += repeated
+
+        adding = Addition(self.problem, now, screen)
+
+        def added(score: Score) -> tuple[int, Job]:
+            number = id(score.candidate)
+            return number, adding.job((score,), known.get(number))
+
+        jobs = [added(score) for score in chosen]
+        if parameters:
+            wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
+            jobs += [(-1 - i, partial(self._freed, now, i)) for i in wrong]
+        jobs = [(number, job) for number, job in jobs if not is_far(number)]
+        if jobs:
+            self.tell(f"fitting {len(jobs)} of them", 0.3)
+        found: list[Explanation] = []
+        for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
+            rival = min(e.hypothesis.cost for e in (now, *found))
+            found += self._noted(some, self.problem.work, rival, made)
+        first = min((now, *found), key=lambda e: e.hypothesis.cost)
+        rival = first.hypothesis.cost
+        if found and not verdict.reaches_noise(rival, self.size, rules):
+            # Screens expect too much of others: those that they put beside the best fit may be right.
+            is_more = ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best)
+            gain = next((one.gain for one in scores if one.candidate.key in first.names[-1:]), best)
+            others, variants = self._worth_a_fit(now, scores, screen, np.inf if is_more else screen.total - gain)
+            more = [added(p) for p in others if all(p is not one for one in chosen)]
+            found += self._noted([(n, job) for n, job in more if not is_far(n)], self.problem.work, rival, made)
+        if parameters and not known:
+            noted = partial(self._noted, rival=rival, made=made)
+            found += sticking_laws.fits(self.problem, now, found, ground, noted)
+            found += sticking_laws.nearest(self.problem, now, found, ground, noted)
+            found += wrong_parameters.several(self.problem, now, found)
+        if not found:
+            return [], now
+        # Other shapes of a nested model are fitted if one takes a part of what the best does.
+        rival = min(e.hypothesis.cost for e in found)
+        least = now.hypothesis.cost - (1.0 - rules.gain_fraction) * (now.hypothesis.cost - rival)
+        near = {e.names[-1] for e in found if e.hypothesis.cost < least}
+        again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in repeated)]
+        found += self._noted(again, self.problem.work, rival, made)
+        found += self._simpler(found)
+        found = [e for e in found if self._is_possible(e)]
+        return self._compared(now, found) if found else ([], now)
+
+    def _compared(self, now: Explanation, found: Sequence[Explanation]) -> tuple[list[Explanation], Explanation]:
+        """Return those of explanations that are distinct, the best first, and the likeliest; none if by chance."""
+        rules = self.rules
+        tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+        merged: dict[tuple[Key, ...], Explanation] = {}
+        for explanation in sorted(found, key=lambda e: e.score(tempering)):
+            merged.setdefault(tuple(sorted(explanation.names)), explanation)
+        every = merged.values()
+        redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, tempering=tempering)
+        distinct = [e for e in every if not redundant(e, nested=self._nested_in(e.names[-1]))]
+        # Of what is the same, a parameter of the rig comes first.
+        bonus = rules.parameter_preference * self.penalty
+        ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
+        if verdict.reaches_noise(now.cost, self.size, rules):  # nothing is left that several laws would imitate
+            ranked = [e for e in ranked if not are_composite(e.names, self.problem.rig, rules)]
+        if not ranked:
+            return [], now
+        least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
+        if now.score(tempering) - ranked[0].score(tempering) < least:
+            return [], now
+        # A law that follows the steps of integration errs by what these may.
+        last = ranked[0].hypothesis.instances[-1:]
+        numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
+        ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
+        return ordered, ranked[0]
+
+    def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
+        """Nested models of the best fit, fitted from its parameters if they begin better than they ended."""
+        best = min(found, key=lambda e: e.hypothesis.cost)
+        if best.kind != "effects":
+            return []
+        known, better = best.hypothesis, []
+        for nested in (one for one in found if one.names[-1] in self._nested_in(best.names[-1])):
+            instance = simpler_explanations.begun(nested.hypothesis.instances[-1], known.instances[-1])
+            instances = (*known.instances[:-1], instance)
+            if fitting.cost(self.problem, instances, known.theta, known.start) < nested.hypothesis.cost:
+                better.append(replace(nested, hypothesis=self._fit(instances, known, known.cost)))
+        return better
+
+    def _worth_a_fit(
+        self, now: Explanation, scores: Sequence[Score], screen: Screen, left: float
+    ) -> tuple[list[Score], list[Score]]:
+        """Scores whose candidates are fitted, and of other shapes of nested models; the best leaves `left`."""
+        rules, most = self.rules, self._worth(screen, left)
+        chosen: list[Score] = []
+        for score in scores:
+            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
+                continue
+            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
+                chosen.append(score)
+        excess = now.cost - self.size
+        if (
+            now.names
+            and verdict.reaches_noise(now.cost, self.size, rules)
+            and verdict.is_excess(now.cost, self.size, rules)
+        ):
+            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
+        keys = {p.candidate.key for p in chosen}
+        simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
+        inside = {name for names in self.nested.values() for name in names}
+        nested = simpler | {key for key in keys if key[0] in inside}
+        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
+        first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
+        chosen += [p for p in others if first[p.candidate.key] is p]
+        variants = [p for p in others if all(p is not one for one in chosen)]
+        return chosen, variants
+
+    def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
+        """Return what fits give where the motion is finite, and note them by their numbers.
+
+        A round in which some are noted already begins no more where the work is over.
+        """
+        if jobs and made and work.ends():
+            return []
+        every = zip(jobs, fitted([job for _, job in jobs], rival, work), strict=True)
+        found = {number: e for (number, _), e in every if e is not None}
+        made.update({number: e for number, e in found.items() if number not in made or e.cost < made[number].cost})
+        return [*found.values()]
+
+    def _worth(self, screen: Screen, left: float) -> float:
+        """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
+        rules, noise = self.rules, float(self.size // screen.every)
+        return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.slow_excess * noise
+
+    def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
+        return verdict.is_too_little(base.cost, now, then, self.size, self.rules)
+
+    def _settled(self, best: Explanation, ground: Ground) -> Explanation:
+        """Explanation in which no other effect would do better in the place of one, and none is idle."""
+        found = best if self.problem.work.ends() else self._swapped(best, ground)
+        return best if found is best else self._reduced(found, ground)
+
+    def _swapped(self, best: Explanation, ground: Ground) -> Explanation:
+        """Try other effects in the place of each but the last, which has just been chosen among all."""
+        for i in range(len(best.names) - 1):
+            self.tell(f"trying others than {best.names[i][0]}", 0.9)
+            try:
+                screen = ground.screen(self.problem, ground.base.hypothesis, best.without(i)[1])
+            except IntegrationError:
+                continue
+            most = self._worth(screen, best.hypothesis.cost / screen.every)
+            scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
+            chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
+            jobs = [partial(self._in_place, best, i, score) for score in chosen]
+            made = [e for e in fitted(jobs, best.hypothesis.cost, self.problem.work) if e and self._is_possible(e)]
+            others = [e for e in made if self._is_better(ground.base, e, best, i)]
+            if others:
+                tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+                best = min(others, key=lambda e: e.score(tempering))
+                return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
+        return best
+
+    def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
+        """Fit with an effect in the place of one."""
+        names, others = best.without(i)
+        found = self._fit((ready(self.problem, score), *others), best.hypothesis, rival)
+        return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
+
+    def _is_possible(self, explanation: Explanation) -> bool:
+        return not is_excluded(self.problem, explanation.hypothesis.instances)
+
+    def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
+        """Whether an explanation is better than the best with another effect in the place of one."""
+        richer = best.names[i][0] in self.nested[other.names[0][0]]
+        if richer and self._is_too_little(base, best, other):
+            return False
+        tempering = self.problem.tempering(other.hypothesis.residuals)
+        return other.score(tempering) < best.score(tempering) - self.rules.indifferent
+
+    def _widened(self, now: Explanation, ground: Ground) -> Explanation:
+        """Free further parameters of the shape of each effect, where another trial of it estimates them.
+
+        One that sticks may also creep, where a trial of it does.
+        """
+        rules = self.rules
+        if verdict.reaches_noise(now.cost, self.size, rules) and not verdict.is_excess(now.cost, self.size, rules):
+            return now
+        jobs = []
+        for i, instance in enumerate(now.hypothesis.instances):
+            for other in ground.every:
+                more = tuple(sorted({*other.free} - {*instance.free}))
+                one = instance if other.sticks == instance.sticks else instance.creeping
+                is_same = other.key == now.names[i] and other.sticks == one.sticks
+                if is_same and {*instance.free} < {*other.free} and not {*more} & {*other.factors}:
+                    starts = {tuple(each.values[j] for j in more): None for each in other.instances}
+                    wider = replace(one, free=other.free)
+                    jobs += [partial(self._with_shape, now, i, wider.with_values(more, start)) for start in starts]
+        found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
+        if not found:
+            return now
+        best = min(found, key=lambda e: e.hypothesis.cost)
+        tempering = self.problem.tempering(best.hypothesis.residuals)
+        return best if best.score(tempering) < now.score(tempering) - rules.effect_evidence else now
+
+    def _with_shape(self, now: Explanation, i: int, instance: EffectInstance, rival: float) -> Explanation:
+        """Fit with other parameters of one effect estimated."""
+        known = now.hypothesis.instances
+        return replace(now, hypothesis=self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival))
+
+    def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
+        """Simpler explanation that does as well as one of several causes, or that one where there is none."""
+        if len(best.hypothesis.instances) < 2:
+            return best
+        tempering = self.problem.tempering(best.hypothesis.residuals)
+        simpler = simpler_explanations.simpler(best, ground.every, partial(in_steps, self.problem))
+        jobs = [partial(self._refitted, best, names, instances) for names, instances in simpler]
+        for fewer in fitted(jobs, best.hypothesis.cost, self.problem.work):
+            if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
+                return self._reduced(fewer, ground)
+        return best
+
+    def _refitted(
+        self, best: Explanation, names: tuple[Key, ...], instances: tuple[EffectInstance, ...], rival: float
+    ) -> Explanation:
+        return Explanation("effects", names, self._fit(instances, best.hypothesis, rival), best.unique)
+
+    def _fit(self, instances: tuple[EffectInstance, ...], like: Hypothesis, rival: float) -> Hypothesis:
+        return fitting.fit(self.problem, instances, theta=like.theta, start=like.start, rival=rival)
+
+    def _freed(self, now: Explanation, index: int, rival: float) -> Explanation:
+        names = ((self.problem.rig.names[index], ""),)
+        free = Explanation("parameter", names, now.hypothesis).with_prior(self.problem)
+        found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
+        return Explanation("parameter", names, found)

@@ -1,0 +1,145 @@
+"""Shooting: the intervals of multiple shooting, and the integration steps between samples.
+
+A record is simulated in intervals, each from an initial state of its own that is estimated.
+Source: Bock (1983), Recent advances in parameter identification techniques for o.d.e., in Numerical Treatment of
+Inverse Problems in Differential and Integral Equations, Birkhaeuser, for multiple shooting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array, Complex
+from masking.errors import IntegrationError, RecordError
+from masking.inference.discovery import fitting, initial_states
+from masking.inference.discovery.averaging import Thinning
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.smoothing import linearised, smooth
+from masking.inference.estimation.simulation import refined
+from masking.model.declaration.couplings import driven_states
+
+SHORTEST = 3e-3  # of the travel: the shortest displacement with which a friction that builds up begins to be fitted
+
+
+def interval(problem: EstimationProblem, seconds: float | None) -> int:
+    """Samples of a shooting interval, in whole blocks of a screen: as asked, or as needed; 0 for none.
+
+    Raises:
+        RecordError: the interval that is asked for is too short.
+    """
+    rate, count, rules = problem.record.rate, len(problem.record), problem.rules
+    if seconds is None:
+        speeds = modes(problem) * count / rate
+        if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
+            return 0
+        seconds = max(count / rules.intervals, rules.fewest_samples) / rate  # shorter ones follow any motion
+    elif not seconds * rate >= rules.fewest_samples - 0.5:
+        few = rules.fewest_samples
+        raise RecordError(f"the shooting interval is {seconds:g} s; give {few / rate:g} s or more: {few} samples")
+    if seconds * rate >= count:
+        return 0
+    block = Thinning.of(problem).readings
+    samples = round(seconds * rate / block) * block
+    return samples if samples < count else 0
+
+
+def shorter(problem: EstimationProblem) -> Iterator[float]:
+    """Give shooting intervals in s, the longest first, for a motion that loses phase with its record."""
+    speeds = np.abs(modes(problem).imag)
+    slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
+    rules, rate = problem.rules, problem.record.rate
+    least, last = rules.fewest_samples / rate, len(problem.record) / rate
+    for seconds in (max(periods * 2.0 * np.pi / slowest, least) for periods in rules.interval_periods):
+        if seconds < 0.5 * last:
+            last = seconds
+            yield seconds
+
+
+def substeps(problem: EstimationProblem) -> int:
+    """How many integration steps between samples simulate the readings within their noise."""
+    least = problem.rules.stiff_steps if driven_states(problem.rig.twin.base) else 1
+    theta = problem.prior.mean
+    start = initial_states.first(problem, theta)
+
+    def simulated(number: int) -> Array:
+        return replace(problem, substeps=number).equations(theta, start).simulated
+
+    allowed = problem.rules.integration_error * problem.sigma
+    least = refined(simulated, least, max(least, problem.substeps), allowed, ahead=2)
+    return min(max(least, _moved(problem, start)), problem.rules.most_refinement * least)
+
+
+def _moved(problem: EstimationProblem, start: Array) -> int:
+    """Return in how many steps a bench moves no further than the shortest displacement over which friction builds up.
+
+    A component has no motion of its own that takes steps; with longer ones, the states of friction diverge.
+    """
+    if not problem.rig.twin.is_fed:
+        return 1
+    motion = smooth(problem, problem.prior.mean, start)
+    travel, rate = (np.abs(table).max(axis=0, initial=0.0) for table in (motion.displacement, motion.rate))
+    parts = rate * problem.dt / np.maximum(SHORTEST * travel, 1e-300)
+    return int(np.ceil(parts[travel > 0.0].max(initial=1.0)))
+
+
+def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
+    """How many steps simulate what was found: friction that turns round fast, a stop, a gap, a fast vibration.
+
+    Steps are enough where four times as many change the readings by no more than `law_error` of their noise, or of what
+    the law leaves where that is more: costs are compared in parts of it.
+
+    Args:
+        problem: the record and the rig, in the steps that are tried first.
+        found: the law, or the model alone, fitted in these.
+        least: steps of the model alone.
+    """
+
+    def begun(number: int) -> tuple[EstimationProblem, fitting.Begun]:
+        fine = replace(problem, substeps=number)
+        instances = tuple(problem.rig.at_step(one, fine.dt / number) for one in found.instances)
+        return fine, fitting.Begun(instances, found.theta, found.start)
+
+    def simulated(number: int) -> Array:
+        fine, one = begun(number)
+        added = fitting.estimated(one.instances)
+        return fine.equations(one.theta, one.start, one.instances, added, frozen=True).simulated
+
+    def residuals(number: int) -> Array:  # initial states that suit the steps may make up for them
+        fine, one = begun(number)
+        return fitting.fit(fine, one.instances, theta=one.theta, start=one.start, frozen=True).residuals
+
+    rules, left = problem.rules, np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
+    most, allowed = rules.most_refinement * least, rules.law_error * left
+    enough = refined(simulated, problem.substeps, most, allowed, ahead=4)
+    return enough if enough == problem.substeps else refined(residuals, problem.substeps, most, allowed, ahead=4)
+
+
+def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationProblem, Hypothesis] | None:
+    """Problem in larger steps in which a hypothesis leaves what it does in its own, and it in these steps.
+
+    What larger steps change of its motion is added to the readings, so that laws beside it are fitted in few steps.
+    None if the motion is not finite in them.
+
+    Args:
+        rough: the problem, in larger steps.
+        known: the hypothesis, fitted in smaller ones.
+
+    Source: Stetter (1978), Numer. Math. 29, 425-443: defect correction.
+    """
+    instances = tuple(rough.rig.at_step(one, rough.dt / rough.substeps) for one in known.instances)
+    try:
+        found = rough.equations(known.theta, known.start, instances, fitting.estimated(instances))
+    except IntegrationError:
+        return None
+    record = replace(rough.record, readings=found.simulated + known.residuals)
+    return replace(rough, record=record), replace(known, instances=instances)
+
+
+def modes(problem: EstimationProblem) -> Complex:
+    """Eigenvalues of the rig as it is declared, at rest, rad/s (n,)."""
+    return decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])

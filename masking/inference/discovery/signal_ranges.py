@@ -1,0 +1,131 @@
+"""Spans: the range of each place, sensor and actuator in a record, from which fits start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import signal
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.smoothing import Motion
+from masking.model.effects import Span
+
+REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law in its place begins
+SLOWEST, FASTEST = 0.05, 0.4  # tones: in Hz, one period in 20 s; of the sampling rate, as the smoother rolls off
+SAMPLED = 4.0  # samples in which the rms rate takes a place through the shortest pitch; bins of that
+MOST_PITCHES = 1000.0  # within the travel
+LINES = 4  # of a spectrum over displacement, for each pitch more within the travel
+WIDTH = 12  # lines on either side that are one tone: three of the record, just beyond the main lobe of the window
+OWN = 0.01  # of the strongest line of a motion: lines that are its own
+
+
+def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], Span]:
+    """Range of each place, sensor and actuator: of an element, sensor or actuator with a name.
+
+    Args:
+        problem: the record and the rig.
+        motion: the smoothed record.
+    """
+    rig, record = problem.rig, problem.record
+    found, tones, of_motion = dict[tuple[str, str], Span](), _tones(problem, motion), time(motion)
+    for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
+        moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
+        span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
+        stiffness = rig.stiffnesses.get(place.name, 0.0)
+        stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
+        found["element", place.name] = replace(
+            span, stiffnesses=stiffnesses, pitches=_pitches(problem, moved, rate, motion.forces)
+        )
+    for where, names, table in (
+        ("sensor", rig.twin.sensors, record.readings),
+        ("actuator", rig.twin.actuators, record.commands),
+    ):
+        for name, x in zip(names, table.T, strict=True):
+            found[where, name] = _span(x, of_motion)
+    return found
+
+
+def _moved(rate: Array, dt: float) -> Array:
+    """How far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
+    found: Array = signal.detrend(np.cumsum(rate) * dt)
+    return found
+
+
+def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
+    """Frequencies in Hz at which the latent forces are strongest.
+
+    In a free decay those are left out at which the motion itself is strong: a force there follows the motion.
+    """
+    rules, rate, many = problem.rules, problem.record.rate, 4 * len(motion.forces)
+    power = _spectrum(motion.forces)
+    if not problem.rig.twin.actuators and _decays(motion.displacement):
+        moved = _spectrum(motion.displacement - motion.displacement.mean(axis=0))
+        power = np.where(moved > OWN * moved.max(initial=0.0), 0.0, power)
+    if not power.any():
+        return ()
+    frequencies = np.fft.rfftfreq(many, 1.0 / rate)
+    power = np.where((frequencies > SLOWEST) & (frequencies < FASTEST * rate), power, 0.0)
+    found = list[float]()
+    while power.any() and len(found) < rules.tones:
+        i = int(np.argmax(power))
+        found.append(float(frequencies[i]))
+        power[max(0, i - WIDTH) : i + WIDTH + 1] = 0.0
+    return tuple(found)
+
+
+def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -> tuple[float, ...]:
+    """Displacements over which latent forces repeat (c,), beside what is linear in displacement and rate.
+
+    Args:
+        problem: the record and the rig.
+        x: displacement of a place (m,).
+        rate: of it (m,).
+        forces: latent (m, c).
+    """
+    travel, passed = float(np.ptp(x)), float(np.sqrt((rate**2).mean())) * problem.dt
+    if not (travel > 0.0 and passed > 0.0 and np.isfinite(forces).all()):
+        return ()
+    most = min(travel / (SAMPLED * passed), MOST_PITCHES)
+    known = np.column_stack([np.ones(len(x)), (x - x.mean()) / travel, rate * problem.dt / passed])
+    left = forces - known @ decompositions.least_squares(known, forces)
+    many = 2 ** int(np.ceil(np.log2(SAMPLED * most + 2.0)))
+    at = np.minimum((x - x.min()) / travel * many, many - 1).astype(np.int64)
+    power = np.zeros(LINES * many // 2 + 1)
+    for column in left.T[left.var(axis=0) > 0.0]:
+        summed = np.bincount(at, column, many)
+        power += np.abs(np.fft.rfft(summed, LINES * many)) ** 2 / column.var()
+    cycles = np.arange(len(power)) / LINES
+    power = np.where((cycles >= 1.0) & (cycles <= most), power, 0.0)
+    found = list[float]()
+    while power.any() and len(found) < problem.rules.tones:
+        i = int(np.argmax(power))
+        found.append(travel / float(cycles[i]))
+        power[max(0, i - LINES) : i + LINES + 1] = 0.0
+    return tuple(found)
+
+
+def _spectrum(table: Array) -> Array:
+    """Power of columns (m, c) together, each over its variance, in four lines for each of the record."""
+    window, found = np.hanning(len(table))[:, None], table[:, table.var(axis=0) > 0.0]
+    power: Array = (np.abs(np.fft.rfft(found * window, 4 * len(table), axis=0)) ** 2 / found.var(axis=0)).sum(axis=1)
+    return power
+
+
+def _decays(moved: Array) -> bool:
+    """Whether every place moves less than half as far in the last third of a record as in the first (m, c)."""
+    first, *_, last = np.array_split(moved - moved.mean(axis=0), 3)
+    return bool((last.std(axis=0) <= 0.5 * first.std(axis=0)).all())
+
+
+def _span(x: Array, seconds: float, rate: float = 0.0, tones: tuple[float, ...] = ()) -> Span:
+    return Span(float(x.min()), float(x.max()), float(np.abs(x).max()), rate, seconds, tones)
+
+
+def time(motion: Motion) -> float:
+    """Time of the motion of the rig in s, of a sine over 2 pi its period: the median of all places."""
+    moved, rates = motion.displacement.std(axis=0), np.sqrt((motion.rate**2).mean(axis=0))
+    moves = (moved > 0.0) & (rates > 0.0)
+    return float(np.median(moved[moves] / rates[moves])) if moves.any() else 1.0

@@ -1,0 +1,63 @@
+"""Nesting: simpler explanations, which begin from the values of a richer one that they are a special case of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.candidates import Candidate
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.verdict import Key
+from masking.model.effects import Effect
+
+Ready = Callable[[EffectInstance, Candidate], EffectInstance]
+
+
+def simpler(
+    best: Explanation, every: Sequence[Candidate], ready: Ready
+) -> Iterator[tuple[tuple[Key, ...], tuple[EffectInstance, ...]]]:
+    """Give simpler explanations: without each cause, or with a simpler one in its place.
+
+    A law beside an element, together with others that take the element's own force away, is that law instead of it.
+
+    Args:
+        best: an explanation of several causes.
+        every: candidates.
+        ready: returns the instance of a candidate as it is fitted.
+    """
+    for i in reversed(range(len(best.names))):
+        yield best.without(i)
+    for i, ((effect, at), instance) in enumerate(zip(best.names, best.hypothesis.instances, strict=True)):
+        first = {one.effect: one for one in reversed(every) if one.at == at and one.effect != effect}
+        names, others = best.without(i)
+        apart = [pair for pair in zip(names, others, strict=True) if pair[0][1] != at]
+        for name, candidate in sorted(first.items()):
+            one = ready(begun(candidate.instances[0], instance), candidate)
+            if name in instance.entry.nested and candidate.key not in names:
+                yield (candidate.key, *names), (one, *others)
+            elif _is_instead(candidate.entry, instance.entry) and len(apart) < len(names):
+                yield (candidate.key, *(key for key, _ in apart)), (one, *(other for _, other in apart))
+
+
+def _is_instead(effect: Effect, beside: Effect) -> bool:
+    """Whether an effect is the law of another one, instead of the element and not beside it."""
+    laws = [(one.expression, {name: state.rate for name, state in one.states.items()}) for one in (effect, beside)]
+    return (effect.attaches, beside.attaches) == ("instead", "beside") and laws[0] == laws[1]
+
+
+def begun(simple: EffectInstance, richer: EffectInstance) -> EffectInstance:
+    """Simple law with the fitted values of a richer one.
+
+    Factors without a namesake, as the one level of dry friction for the two of an asymmetric one, begin at the mean.
+
+    Args:
+        simple: the law, with values of its own for what the richer one does not have.
+        richer: the fitted law.
+    """
+    values = dict(zip(richer.names, richer.estimated, strict=True))
+    levels = [values[name] for name in richer.entry.factors if name in values]
+    starts = {name: float(np.mean(levels)) for name in simple.entry.factors if levels} | values
+    shared = [i for i, name in zip(simple.free, simple.names, strict=True) if name in starts]
+    return simple.with_values(shared, (starts[name] for name in simple.names if name in starts))

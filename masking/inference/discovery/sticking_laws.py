@@ -1,0 +1,172 @@
+"""Unscreened: laws that the smoothed motion does not show, fitted from the model as declared.
+
+Along a motion that sticks no law has the force that holds it, and where a sensor reads the same for several values,
+such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
+these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
+place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range,
+and at each state the bounds that hold it. Where all of these leave much, every other law is approached from what is
+declared, since along a wrong motion of what is not seen any law may look best; those that come nearest are fitted.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+
+import numpy as np
+
+from masking.errors import IntegrationError
+from masking.inference.discovery import excluded_laws, fitting, verdict
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.candidates import Candidate
+from masking.inference.discovery.explanation import Explanation, Job, fitted
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.tempered_fits import approached
+from masking.inference.discovery.verdict import Key
+from masking.inference.discovery.views_of_record import Ground
+from masking.inference.discovery.work_budget import Work
+
+# Levels of a law that has two, in parts of that of dry friction, which lies between them.
+LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
+FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place sticks, it slides faster than by its rms
+MUCH = 1e-3  # of what the model without a law leaves beyond noise
+WORSE = 10.0  # times what another law leaves: with two levels, friction may leave far less than with one
+SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
+PART = 0.5  # of what a search may simulate, for the first laws; the others have as much
+SHARE = 0.2  # of that, after which a law begins at no further start
+BEGUN = 12  # laws that are approached further, those that come nearest at once
+NEAREST = 3  # of these, laws that are fitted
+FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
+
+Noted = Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]]
+
+
+def fits(
+    problem: EstimationProblem,
+    now: Explanation,
+    found: Sequence[Explanation],
+    ground: Ground,
+    noted: Noted,
+) -> list[Explanation]:
+    """Fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
+
+    Args:
+        problem: the record and the rig.
+        now: the model without a law.
+        found: other fits.
+        ground: of the search.
+        noted: makes fits, with the numbers of their candidates.
+    """
+    if not _leaves_much(problem, now, found):
+        return []
+    problem = problem.apart(PART)
+    begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
+    bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
+    if ground.declared is None:
+        return noted(bounds, problem.work)
+    simple = [one for one in sticking if one.factors and not one.entry.nested]
+    scores = ground.screen(problem, begun, ()).scores(simple)
+    first = {score.candidate.at: score for score in reversed(scores)}.values()
+    jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
+    folding = [one for one in ground.every if any(excluded_laws.folds(problem, at) for at in one.instances)]
+    made = noted(
+        [*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding), *bounds], problem.work
+    )
+    best = min(made, key=lambda one: one.cost, default=now)
+    least = min(WORSE * min(one.cost for one in (now, *found)), (1.0 - SHOWN) * now.cost)
+    if not made or best.cost > least or not _leaves_much(problem, now, made):
+        return made
+    (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
+    others = [one for one in sticking if one.factors and one.at == at and one.effect != effect]
+    jobs = [(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others]
+    return made + noted(jobs, problem.work)
+
+
+def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> bool:
+    size = problem.record.readings.size
+    least = min(one.cost for one in (now, *found))
+    left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
+    return left > MUCH * excess and not verdict.reaches_noise(least, size, problem.rules)
+
+
+def nearest(
+    problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
+) -> list[Explanation]:
+    """Fits of the laws that come nearest when each is approached from the model as declared.
+
+    There are none where that is near to its fit, or where other fits leave little.
+
+    Args:
+        problem: the record and the rig.
+        now: the model without a law.
+        found: other fits.
+        ground: of the search.
+        noted: makes fits, with the numbers of their candidates.
+    """
+    begun = ground.declared
+    if begun is None or not _leaves_much(problem, now, found):
+        return []
+    problem, others = problem.apart(PART), [one for one in ground.every if one.factors and not one.sticks]
+    first = dict[Key, Candidate]()
+    for score in ground.screen(problem, begun, ()).scores(others):
+        first.setdefault(score.candidate.key, score.candidate)
+
+    def begin(candidate: Candidate, rival: float) -> Hypothesis:
+        return approached(problem, candidate.instances[:1], begun, once=True)
+
+    def near(known: Hypothesis, rival: float) -> Hypothesis:
+        return approached(problem, known.instances, known)
+
+    def fit(key: Key, known: Hypothesis, rival: float) -> Explanation:
+        made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
+        return Explanation("effects", (key,), made)
+
+    pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))[:BEGUN]
+    farther = fitted([partial(near, one) for _, one in pairs], np.inf, problem.work)
+    # One that is at the noise already, or that the work ends before, stays where it is.
+    pairs = _by_cost([key for key, _ in pairs], [made or one for made, (_, one) in zip(farther, pairs, strict=True)])
+    return noted([(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]], problem.work)
+
+
+def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tuple[Key, Hypothesis]]:
+    """Fits that were made, with the causes of each, that of least cost first."""
+    pairs = [(key, one) for key, one in zip(keys, made, strict=True) if one is not None]
+    return sorted(pairs, key=lambda pair: pair[1].cost)
+
+
+def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
+    """Give instances from which a fit may start, with levels like that of dry friction."""
+    others = [i for i in candidate.free if i not in candidate.factors]
+    for instance, faster in itertools.product(candidate.instances, FASTER if others else FASTER[:1]):
+        moved = instance.with_values(others, [faster * instance.values[i] for i in others])
+        for parts in LEVELS if len(candidate.factors) > 1 else ((1.0,),):
+            levels = (parts[min(i, len(parts) - 1)] * level for i in range(len(candidate.factors)))
+            yield moved.with_values(candidate.factors, levels)
+
+
+def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
+    """Best fit of a law from its best starts, from parameters and initial states of a hypothesis."""
+    step, ready, own = problem.dt / problem.substeps, starts, problem.sharing(SHARE)
+    if candidate.sticks:
+        ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
+
+    def cost(instance: EffectInstance) -> float:
+        return fitting.cost(own, (instance,), begun.theta, begun.start)
+
+    def made(rival: float) -> Explanation:
+        fits = list[Hypothesis]()
+        for one in sorted(ready, key=cost)[:FITTED]:
+            if fits and own.work.is_done:
+                break
+            least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
+            with suppress(IntegrationError):
+                near = approached(own, (one,), begun)
+                fits.append(fitting.fit(own, near.instances, theta=near.theta, start=near.start, rival=least))
+        if not fits:
+            raise IntegrationError("the simulated motion is no longer finite")
+        return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))
+
+    return made

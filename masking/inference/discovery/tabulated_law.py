@@ -1,0 +1,92 @@
+"""Tabulated: a free law as an effect whose expression holds its curves as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.free_law import FreeLaw
+from masking.inference.discovery.spline_bases import Curve, Term
+from masking.model.effects import Effect, EffectParameter
+
+DIGITS = 8  # of the numbers of a table
+LEAST = 1e-4  # of the strongest part of a surface: weaker ones are left out
+LAW = "unnamed_law"
+_UNITS = {"f": "F", "c": "F*s/D", "x": "D", "v": "D/s", "s": "D/s"}
+_MEANINGS = {
+    "f": "force at 1 in the table",
+    "c": "damping at 1 in the table",
+    "x": "displacement at 1 in the table",
+    "v": "rate at 1 in the table",
+    "s": "rate below which the sign of the rate is smooth",
+}
+
+
+def tabulated(law: FreeLaw) -> EffectInstance:
+    """Free law as one effect at its place, in tables of displacement and rate."""
+    parts, values = [], dict[str, float]()
+    factors = _centred(law.terms, np.split(law.factors, np.cumsum([term.size for term in law.terms])[:-1]))
+    for i, (term, of_term) in enumerate(zip(law.terms, factors, strict=True)):
+        parts += [*_written(term, of_term, "" if i == 0 else str(i + 1), values)]
+    parameters = {name: EffectParameter(_UNITS[name[0]], _MEANINGS[name[0]]) for name in values}
+    entry = Effect(
+        LAW, "A law without a name, as it was found in a record.", " + ".join(parts), parameters,
+        label="law without a name", is_searched=False,
+    )  # fmt: skip
+    return EffectInstance(LAW, law.place.name, tuple(values.values()), (), entry)
+
+
+def _centred(terms: Sequence[Term], factors: list[Array]) -> list[Array]:
+    """Factors of terms with a curve over the rate that is 0 at rest: what it is there goes to the other."""
+    kinds = [term.kind for term in terms]
+    if {"free_spring", "free_damping"} <= {*kinds}:
+        one, other = kinds.index("free_damping"), kinds.index("free_spring")
+        at_rest = float((terms[one].curves[0].values(np.zeros(1)) @ factors[one])[0])
+        factors[one], factors[other] = factors[one] - at_rest, factors[other] + at_rest  # B-splines add up to 1
+    return factors
+
+
+def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -> Iterator[str]:
+    """Give the parts of a term as text, and add their parameters with their values."""
+    f, x, v, s, c = (f"{letter}{label or 0}" for letter in "fxvsc")
+    match term.kind:
+        case "free_friction":
+            values |= {f: float(factors[0]), s: term.sharp}
+            yield f"{f}*tanh(d_rate/{s})"
+        case "free_surface":
+            along, across = term.curves
+            heights = _heights(along) @ factors.reshape(along.size, across.size) @ _heights(across).T
+            left, sizes, right = decompositions.svd(heights)
+            values |= {f: float(sizes[0]) or 1.0, x: _reach(along), v: _reach(across)}
+            for size, a, b in zip(sizes, left.T, right, strict=True):
+                if size > LEAST * sizes[0]:
+                    of_x, of_v = _table(along, f"d/{x}", a), _table(across, f"d_rate/{v}", b * size / values[f])
+                    yield f"{f}*{of_x}*{of_v}"
+        case kind:
+            (curve,) = term.curves
+            heights = _heights(curve) @ factors
+            by, at = (c, x) if kind == "free_resistance" else (f, v) if kind == "free_damping" else (f, x)
+            values |= {by: float(np.abs(heights).max()) or 1.0, at: _reach(curve)}
+            table = _table(curve, f"{'d_rate' if at == v else 'd'}/{at}", heights / values[by])
+            turned = {"free_resistance": "d_rate*", "free_rub": f"tanh(d_rate/{s})*"}.get(kind, "")
+            values |= {s: term.sharp} if kind == "free_rub" else {}
+            yield f"{by}*{turned}{table}"
+
+
+def _heights(curve: Curve) -> Array:
+    """B-splines at the points of a curve (p, p + 2)."""
+    return curve.values(curve.points)
+
+
+def _reach(curve: Curve) -> float:
+    return float(np.abs(curve.points).max())
+
+
+def _table(curve: Curve, of: str, heights: Array) -> str:
+    """Curve as the text of a table over its points, in parts of its reach."""
+    pairs = zip(curve.points / _reach(curve), heights, strict=True)
+    return f"interpolate({of}, {', '.join(f'{a:.{DIGITS}g}, {b:.{DIGITS}g}' for a, b in pairs)})"

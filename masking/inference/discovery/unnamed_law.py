@@ -1,0 +1,332 @@
+"""Unnamed: the law that a record shows where no name of the dictionary explains it, as a part of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
+from masking.inference.discovery import (
+    closed_form,
+    fitting,
+    free_law,
+    further_places,
+    latent_force,
+    none_of_these,
+    shooting,
+    signal_ranges,
+    verdict,
+)
+from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.closed_form import ClosedForm
+from masking.inference.discovery.coverage import Coverage
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.free_law import ALIKE, FEWEST, KINDS, PARTS, FreeLaw
+from masking.inference.discovery.grammar import evaluated
+from masking.inference.discovery.latent_force import Explained
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.tabulated_law import tabulated
+from masking.inference.estimation.simulation import STUCK
+
+MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
+LITTLE = 0.1  # of what the names leave beyond noise, which a form must take to be their rival
+
+
+@dataclass(frozen=True)
+class UnnamedLaw:
+    """A law without a name.
+
+    Args:
+        free: the law as curves, fitted.
+        explanation: the model with the law as it is written, and with effects elsewhere.
+        validated: the same on the validation record.
+        error: relative error of each sensor with it, in the estimation and in the validation record.
+        closed: whether it leaves no more than noise in the validation record.
+        form: its closed form; None where none was found.
+        is_formula: whether the closed form is what is written; else tables are.
+        problem: the validation record in the shooting intervals of `validated`.
+    """
+
+    free: FreeLaw
+    explanation: Explanation
+    validated: Hypothesis
+    error: tuple[dict[str, float], dict[str, float]]
+    closed: bool
+    problem: EstimationProblem
+    form: ClosedForm | None = None
+    is_formula: bool = False
+
+    @property
+    def instance(self) -> EffectInstance:
+        """Law as it is written into the model."""
+        return self.explanation.hypothesis.instances[-1]
+
+    @property
+    def fitted(self) -> Hypothesis:
+        """Model with the law, fitted to the record."""
+        return self.explanation.hypothesis
+
+    @property
+    def simulated(self) -> Hypothesis:
+        """Model with the law as a fit has it, a formula or curves, which equations can be made of."""
+        return self.fitted if self.is_formula else self.free.hypothesis
+
+    @property
+    def known(self) -> EstimationProblem:
+        """Record in the shooting intervals of the fit, and the rig that knows the law."""
+        known = self.free.problem
+        return closed_form.knowing(known, self.simulated.instances) if self.is_formula else known
+
+    def force(self, x: Array, rate: Array) -> Array:
+        """Force of the law as it is written at displacements and rates (m,)."""
+        if not self.is_formula:
+            return self.free.force(x, rate)
+        one = self.instance
+        values = dict(zip(one.entry.parameters, one.values, strict=True))
+        return np.broadcast_to(evaluated(one.entry.expression, {**values, "d": x, "d_rate": rate}), np.shape(x))
+
+    @cached_property
+    def curves(self) -> tuple[Array, Array]:
+        """Factors of the curves (f,) and their covariance (f, f), beside the parameters that are written.
+
+        The covariance is larger where more than white noise is left.
+        """
+        factors, covariance = self.free.given(self.fitted.theta)
+        return factors, self.free.problem.tempering(self.free.hypothesis.residuals) * covariance
+
+    def deviation(self, x: Array, rate: Array) -> Array:
+        """Standard deviation of the curves at displacements and rates (m,)."""
+        return _deviation(self.free.rows(x, rate), self.curves[1])
+
+    def band(self, x: Array, rate: Array, along: Array) -> tuple[Array, Array, Array]:
+        """Band of the curves along a motion: two standard deviations about their means over bins.
+
+        Args:
+            x: displacement (m,).
+            rate: of it (m,).
+            along: what is binned: one of them (m,).
+
+        Returns:
+            centres of the bins, and the ends of the band there (b,).
+        """
+        columns = [latent_force.binned(along, column) for column in self.free.rows(x, rate).T]
+        means, (factors, covariance) = np.column_stack([mean for _, mean, _ in columns]), self.curves
+        middle, half = means @ factors, 2.0 * _deviation(means, covariance)
+        return columns[0][0], middle - half, middle + half
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """Where the record moves the place of the law, and how well the law is known there."""
+        of_form = self.form.form.of if self.form is not None and self.is_formula else set[str]()
+        sides = of_form or self.free.follows  # a constant is of neither
+        x, rate = self.free.x, self.free.rate
+        return Coverage.of(x, rate, self.force(x, rate), self.deviation(x, rate), sides)
+
+    @property
+    def place(self) -> str:
+        """Name of the place whose force it is."""
+        return self.free.on
+
+    @property
+    def rig(self) -> AugmentedModel:
+        """Rig whose model it is written into: with a further place where it sits in one."""
+        return self.free.problem.rig
+
+    def unexplained(self, found: Explained) -> float:
+        """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
+        costs = np.zeros(3)
+        every = found.search.base.hypothesis, found.explanation.hypothesis
+        with threadpool_limits(1):
+            for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
+                noise = part.record.readings.size
+                costs[2] += max(float(law.squares @ part.weights) - noise, 0.0)
+                plain = found.problem
+                fine = replace(part, substeps=plain.substeps, rig=plain.rig, prior=plain.prior)
+                for i, known in enumerate(every):
+                    try:
+                        left = float(fitting.validated(fine, known).squares @ part.weights) - noise
+                    except IntegrationError:
+                        left = np.inf
+                    costs[i] += max(left, 0.0)
+        base, named, left = costs
+        if not np.isfinite(named) or named >= base:
+            return 1.0
+        return float(np.sqrt(max(named - left, 0.0) / base))
+
+    def reaches(self, floor: Mapping[str, float]) -> bool:
+        """Whether it leaves little more than the noise floor of each sensor on unseen data."""
+        return all(error <= none_of_these.EXPLAINED * floor[name] for name, error in self.error[1].items())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Law as JSON can hold it."""
+        known = dict(zip(self.instance.entry.parameters, self.instance.values, strict=True))
+        estimation, validation = self.error
+        return {
+            "on": self.place,
+            "follows": {"d": self.free.nouns["d"], "d_rate": self.free.nouns["v"]},
+            "expression": self.instance.entry.expression,
+            "parameters": known,
+            "closed_form": self.form and self.form.as_dict(self.is_formula),
+            "closed": self.closed,
+            "coverage": self.coverage.as_dict(),
+            "shooting_interval": self.problem.interval / self.problem.record.rate or None,
+            "simulation_error": {"estimation": estimation, "validation": validation},
+        }
+
+
+def _deviation(rows: Array, covariance: Array) -> Array:
+    """Standard deviations of sums with rows of factors (m, f)."""
+    if not np.isfinite(covariance).all():
+        return np.full(len(rows), np.inf)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
+
+
+def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
+    """Return by how much the closed form of a law has a better score than the names, each fitted to both records.
+
+    So a parameter that shows in the validation record alone is no evidence against either. The form is no rival, and
+    this is -inf, where it is known in other intervals, a motion of both fits is not finite, or it leaves nearly all of
+    what the names leave beyond noise: then both are the same law. With more numbers than the names, it may imitate what
+    else is missing: it is no rival either, unless it alone leaves no more than noise.
+
+    Args:
+        found: the record with its explanation.
+        validated: that explanation on the validation record, in the shooting intervals of the law.
+        law: the law without a name.
+        alone: whether this law leaves no more than noise on unseen data, and the names leave more.
+    """
+    named, form = found.explanation.hypothesis, law.form
+    if form is None or law.free.problem.interval != found.problem.interval:
+        return -np.inf
+    numbers = [len(one.theta) + len(fitting.estimated(one.instances)) for one in (named, form.hypothesis)]
+    if (numbers[1] > numbers[0] and not alone) or len(form.validated.start) != len(validated.start):
+        return -np.inf
+    penalty = float(np.log(named.residuals.size + validated.residuals.size))
+    known, unseen = found.explanation.with_prior(found.problem), law.problem
+    seen = replace(unseen, substeps=known.substeps, rig=known.rig, prior=known.prior)
+    fine, other = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
+    try:
+        with threadpool_limits(1):
+            pairs = (known, seen, named), (fine, other, form.hypothesis)
+            costs = [fitting.together(*both).cost for both in pairs]
+    except IntegrationError:
+        return -np.inf
+    noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
+    if costs[0] > noise and costs[1] - noise > (1.0 - LITTLE) * (costs[0] - noise):
+        return -np.inf
+    return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
+
+
+def law_of(found: Explained, validation: EstimationProblem, substeps: int, part: float) -> UnnamedLaw | None:
+    """Law of a record without a name; None where none makes the simulation of unseen data better.
+
+    Args:
+        found: the record with its explanation.
+        validation: the validation record.
+        substeps: integration steps between samples of the model alone.
+        part: of what a search may simulate, after which nothing more is fitted.
+    """
+    found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
+    steps = min(found.problem.substeps, MOST_FINER * substeps)
+    law, size = _law_of(found, validation, steps), found.problem.record.readings.size
+    if law is None or found.problem.work.ends():
+        return law
+    if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, found.problem.rules):
+        return law  # smaller steps would make nothing of it
+    with threadpool_limits(1):
+        needed = shooting.finer(law.free.problem, law.free.hypothesis, substeps)
+    if needed <= steps:
+        return law
+    again = _law_of(found, validation, needed)
+    return law if again is None else again
+
+
+def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> UnnamedLaw | None:
+    """Law in a number of integration steps between samples."""
+    problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
+    found = replace(found, problem=problem)
+    with threadpool_limits(1):
+        try:
+            law = free_law.fit(found)
+        except IntegrationError:  # no screen of its record
+            law = None
+        if law is None:
+            return None
+        if law.hypothesis.cost > ALIKE * problem.record.readings.size:
+            known = found.explanation.hypothesis.instances
+            others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
+            again = free_law.fit(found, others) if others else None
+            law = again if again is not None and again.score < law.score else law
+        if law.hypothesis.cost > ALIKE * problem.record.readings.size and not problem.work.ends():
+            further = further_places.of(problem.rig, law.place.name, signal_ranges.time(found.search.motion))
+            again = free_law.fit(found, [one for one in law.hypothesis.instances if one.effect not in KINDS], further)
+            law = again if again is not None and again.score < law.score else law
+        try:
+            validation, validated = _followed(law.of(validation), law)
+            base = found.search.base.hypothesis
+            declared = replace(base, theta=problem.prior.mean)
+            plain = replace(validation, rig=problem.rig, prior=problem.prior)
+            without = [fitting.validated(plain, one) for one in (base, declared)]
+            form = closed_form.fitted(law, law.problem, validation)
+            is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
+            if form is not None and is_formula:
+                form = form.tempered(law.problem, validation)
+                fitted, validated = form.hypothesis, form.validated
+                written = _explanation(fitted, fitted.instances)
+            else:
+                law = law.tempered()
+                fitted, validated = law.hypothesis, fitting.validated(validation, law.hypothesis)
+                written = _in_tables(law)
+        except IntegrationError:
+            return None
+    if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
+        return None
+    errors, floor = (problem.errors(fitted.squares), validation.errors(validated.squares)), validation.noise_floor
+    closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), problem.rules)
+    return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
+
+
+def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationProblem, Hypothesis]:
+    """Validation record in the longest shooting intervals in which a law follows the motion, and the law.
+
+    A chaotic motion is lost whatever the law, since any difference grows.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    size, kept, most = len(validation.record), law.problem.interval, STUCK * validation.record.readings.size
+    for samples in (kept, *(n for part in PARTS if (n := size // part) > FEWEST)):
+        part = replace(validation, interval=samples)
+        with suppress(IntegrationError):
+            found = fitting.validated(part, law.hypothesis, most)
+            if found.cost < most:
+                return part, found
+    part = replace(validation, interval=kept)
+    return part, fitting.validated(part, law.hypothesis)
+
+
+def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, validation: EstimationProblem) -> float:
+    """Cost of a free law in both records, with Schwarz's penalty for each factor."""
+    readings = problem.record.readings.size + validation.record.readings.size
+    return law.hypothesis.cost + float(validated.squares @ validation.weights) + law.size * float(np.log(readings))
+
+
+def _in_tables(law: FreeLaw) -> Explanation:
+    """Model with the law as one effect, and with effects elsewhere."""
+    fitted = law.hypothesis
+    others = tuple(one for one in fitted.instances if one.effect not in KINDS)
+    many = len(fitted.theta) + len(fitting.estimated(others))
+    return _explanation(replace(fitted, covariance=fitted.covariance[:many, :many]), (*others, tabulated(law)))
+
+
+def _explanation(fitted: Hypothesis, instances: Sequence[EffectInstance]) -> Explanation:
+    names = tuple((one.effect, one.at) for one in instances)
+    return Explanation("effects", names, replace(fitted, instances=tuple(instances)))

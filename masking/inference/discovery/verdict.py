@@ -1,0 +1,398 @@
+"""Verdict: what fitted hypotheses say of a record. Pure functions of plain data; nothing is fitted or simulated here.
+
+A search adds one cause after the other. `is_too_little` and `simplest_first` decide in each step, `steps_needed` how
+many steps the validation record supports, and `decide` what is said of the last one.
+Source: Kass and Raftery (1995), JASA 90(430), 773-795; see `rules` for each threshold.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeVar
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.rules import DecisionRules
+from masking.lab.records.noise import ALIKE
+
+Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
+Kind = Literal["none", "parameter", "effects"]
+Key = tuple[str, str]  # an effect and its place, or a parameter and ''
+
+
+class Fitted(Protocol):
+    """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
+
+    @property
+    def kind(self) -> Kind:
+        """Return what it adds to the model."""
+
+    @property
+    def names(self) -> tuple[Key, ...]:
+        """Name and the place of each cause."""
+
+    @property
+    def cost(self) -> float:
+        """-2 log posterior density, up to a constant."""
+
+
+AnyFitted = TypeVar("AnyFitted", bound=Fitted)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A fitted and scored hypothesis as plain data.
+
+    Args:
+        kind: 'none' for the model with its parameters adjusted, 'parameter' for one parameter that is off, or
+            'effects'.
+        names: (parameter, '') or (effect, place) of each cause, in the order in which they were found.
+        cost: -2 log posterior density up to a constant: squared residuals over noise variances, and priors.
+        score: the cost over the tempering factor, and the Occam factor of the effects.
+        misfit: of the cost, the part of the residuals, with the noise of the validation record.
+        validation_cost: squared residuals over noise variances in the validation record; infinite if the simulation
+            does not stay finite there.
+        estimates: of the last cause: each parameter's value less its reference (0 for an effect, the declared value
+            for a parameter), and its standard deviation.
+        absorbed: of each cause, whether free parameters of the model could have the form of its law.
+        unique: fraction of the response of the effects outside of the span of the parameters' responses.
+    """
+
+    kind: Kind
+    names: tuple[Key, ...] = ()
+    cost: float = 0.0
+    score: float = 0.0
+    misfit: float = 0.0
+    validation_cost: float = 0.0
+    estimates: tuple[tuple[float, float], ...] = ()
+    absorbed: tuple[bool, ...] = ()
+    unique: float = 1.0
+
+    def is_like_parameter(self, cause: int, rules: DecisionRules) -> bool:
+        """Whether a cause, by its number, is a parameter of the model or has the effect of one."""
+        return self.kind == "parameter" or (self.absorbed[cause] and self.unique < rules.unique_fraction)
+
+    def is_significant(self, rules: DecisionRules) -> bool:
+        """Whether a parameter of the last cause differs from its reference by more than its deviation allows."""
+        return any(not abs(off) < rules.significant_deviations * std for off, std in self.estimates)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A cause as part of an explanation.
+
+    Args:
+        is_linear: whether its law is linear.
+        seat: the element that it acts on, or the coordinate, sensor or actuator.
+        follows: what its force is a function of, such as 'd' or 'd and d_rate'; '' if that does not matter.
+        family: of its physics, such as 'friction'.
+    """
+
+    is_linear: bool
+    seat: str
+    follows: str
+    family: str = ""
+
+
+def noise_threshold(readings: int, rules: DecisionRules) -> float:
+    """Residual rms over noise rms up to which a residual is at the noise floor.
+
+        1.05 + 3 sqrt(2.63 / (2 m))
+
+    The second term is the sampling error of the noise, which is the mean of the lines of a spectrum of m readings; the
+    window of that correlates neighbouring lines, which makes the variance 2.63 times as large.
+
+    Args:
+        readings: m.
+        rules: the allowance, and the number of standard deviations.
+
+    Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7.
+    """
+    return rules.noise_floor + rules.chance_deviations * float(np.sqrt(ALIKE / (2.0 * readings)))
+
+
+def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: int, rules: DecisionRules) -> bool:
+    """Whether residuals are at the noise floor: each at most `noise_threshold` times its noise.
+
+    Args:
+        residual: rms of each residual, or of all together.
+        noise: standard deviation of the noise of each, in the same unit.
+        readings: of each.
+        rules: the thresholds.
+    """
+    threshold = noise_threshold(readings, rules)
+    return all(size <= threshold * floor for size, floor in zip(residual, noise, strict=True))
+
+
+def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
+    """Whether a fit leaves residuals at the noise floor, all readings together.
+
+    Args:
+        cost: of the fit.
+        readings: m.
+        rules: the thresholds.
+    """
+    return at_noise_floor([float(np.sqrt(cost / readings))], [1.0], readings, rules)
+
+
+def is_closed(*, at_noise: bool, white: Iterable[bool], estimated: float, rules: DecisionRules) -> bool:
+    """Whether an explanation is complete: validation residuals at the noise floor, and white in both records.
+
+    Args:
+        at_noise: whether the validation residual is at the noise floor.
+        white: whether the residual of each sensor is white, in either record.
+        estimated: initial states that were estimated, per reading; many of them colour a residual.
+        rules: the thresholds.
+    """
+    return at_noise and (estimated > rules.initial_state_share or all(white))
+
+
+def probabilities(scores: Sequence[float]) -> Array:
+    """Posterior probabilities of hypotheses with equal priors, from their scores (h,)."""
+    found = np.asarray(scores, dtype=float)
+    weights = np.exp(-0.5 * (found - found.min()))
+    return np.asarray(weights / weights.sum())
+
+
+def excess_cost(cost: float, readings: int) -> float:
+    """Part of a cost beyond that of noise, which is the number of readings."""
+    return max(cost - readings, 0.0)
+
+
+def leaves_little(cost: float, base: float, size: int, rules: DecisionRules) -> bool:
+    """Whether causes leave hardly anything of what the model alone does, however far above noise.
+
+    Args:
+        cost: with them.
+        base: of the model alone.
+        size: number of readings.
+        rules: the thresholds.
+    """
+    return excess_cost(cost, size) < rules.trace_fraction * excess_cost(base, size)
+
+
+def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
+    """Whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m).
+
+    Args:
+        cost: of a fit.
+        readings: m.
+        rules: the number of standard deviations.
+    """
+    return cost - readings > rules.chance_deviations * float(np.sqrt(2.0 * readings))
+
+
+def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) -> bool:
+    """Whether an answer is worse on unseen data than the model as declared.
+
+    Args:
+        cost: of the answer on the validation record.
+        declared: of the model as declared.
+        readings: of the validation record.
+        rules: the thresholds.
+    """
+    chance = rules.chance_deviations * float(np.sqrt(2.0 * readings))
+    return not cost <= declared + max(chance, rules.worse_fraction * declared)
+
+
+def is_composite(laws: Sequence[Law], rules: DecisionRules) -> bool:
+    """Whether laws together imitate one that is not in the dictionary.
+
+    Such are two laws at one seat that follow the same quantity, or are both friction; three laws at one seat; and
+    linear laws enough to make any linear system. Friction and damping are two causes, although both follow the rate.
+    """
+    own = [law for law in laws if law.follows]
+    many = [sum(law.is_linear for law in laws), *(sum(law.seat == one.seat for law in laws) for one in own)]
+    return max(many) >= rules.composite_laws or any(_are_alike(*two) for two in itertools.combinations(own, 2))
+
+
+def _are_alike(one: Law, other: Law) -> bool:
+    """Whether two laws follow the same quantity at one seat, or are both friction there."""
+    frictions = [one.family, other.family].count("friction")
+    is_apart = frictions == 1 and "d_rate" in one.follows
+    return one.seat == other.seat and (frictions > 1 or (one.follows == other.follows and not is_apart))
+
+
+def is_redundant(
+    richer: Fitted,
+    others: Iterable[Fitted],
+    nested: Collection[Key],
+    now: float,
+    rules: DecisionRules,
+    *,
+    tempering: float,
+) -> bool:
+    """Whether a nested model does all that a richer one does, which then is that nested model.
+
+    Args:
+        richer: the richer model.
+        others: all that were fitted.
+        nested: names of last causes that are nested in that of the richer model.
+        now: cost without the last cause.
+        rules: the thresholds.
+        tempering: tempering factor.
+    """
+    margin = max(rules.indifferent * tempering, rules.redundant_fraction * (now - richer.cost))
+    return any(other.names[-1] in nested and other.cost < richer.cost + margin for other in others)
+
+
+def simplest_first(
+    ranked: Sequence[AnyFitted],
+    now: float,
+    nested: Mapping[str, Collection[str]],
+    readings: int,
+    rules: DecisionRules,
+    *,
+    numerical: float = 0.0,
+) -> list[AnyFitted]:
+    """Ranked explanations with a nested model of the best first if it takes nearly as much of the cost.
+
+    The remainder may have another cause, which the richer law would imitate; all laws that contain the nested one at
+    its place are left out. If the best reaches the noise floor, or leaves hardly anything of what the nested one does,
+    it stays the best, but for differences that are numerical.
+
+    Args:
+        ranked: explanations with one more cause, the best first.
+        now: cost without it.
+        nested: the effects that are nested in each.
+        readings: of the record.
+        rules: the thresholds.
+        numerical: difference of costs that errors of integration make.
+    """
+    best = ranked[0]
+    if best.kind != "effects":
+        return [*ranked]
+    effect, at = best.names[-1]
+    simpler = [one for one in ranked if one.names[-1] in {(name, at) for name in nested.get(effect, ())}]
+    if reaches_noise(best.cost, readings, rules):
+        chosen = next((one for one in simpler if one.cost - best.cost < numerical), None)
+    else:
+        least = (1.0 - rules.gain_fraction) * (now - best.cost)
+        chosen = next((one for one in simpler if now - one.cost > least), None)
+        if chosen and _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
+            return [*ranked]
+    if chosen is None:
+        return [*ranked]
+    richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
+    return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
+
+
+def _excess_part(cost: float, other: float, readings: int) -> float:
+    return excess_cost(cost, readings) / max(excess_cost(other, readings), 1.0)
+
+
+def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:
+    """Whether one more cause takes too little of the excess cost, as one that only resembles the missing effect.
+
+    Args:
+        base: cost of the model with its parameters adjusted.
+        now: the explanation without the further cause.
+        then: the explanation with it.
+        readings: of the record.
+        rules: the thresholds.
+    """
+    if then.kind == "parameter":
+        return False
+    start, before, after = (excess_cost(cost, readings) for cost in (base, now.cost, then.cost))
+    is_first = now.kind == "none"
+    if reaches_noise(then.cost, readings, rules):
+        few = after > (1.0 - rules.gain_fraction) * before
+        return not is_first and few and is_excess(now.cost, readings, rules)
+    trace = rules.trace_fraction * start if after > rules.far_cost * readings else 0.0
+    is_late = not is_first and _is_explained(start, before, trace, readings, rules)
+    return after > (1.0 - (rules.late_gain_fraction if is_late else rules.gain_fraction)) * before
+
+
+def _is_explained(start: float, before: float, trace: float, readings: int, rules: DecisionRules) -> bool:
+    """Whether the excess before a further cause is small, both of that at the start and by itself."""
+    small = max((rules.small_residual - 1.0) * readings, trace)
+    return before <= min(rules.unexplained_fraction * start, small)
+
+
+def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: int, rules: DecisionRules) -> int:
+    """How many steps of a search are needed, and supported by the validation record.
+
+    A step is also supported if its error is in the causes that were fitted before, too: a parameter that is off, or
+    what several parameters could only have together.
+
+    Args:
+        base: the model with its parameters adjusted.
+        steps: the best explanation of each step; read only as far as needed.
+        last: cost of the last step; that of the base if there is none.
+        readings: of the estimation record.
+        rules: the thresholds.
+    """
+    chosen, count, start = base, 0, excess_cost(base.cost, readings)
+    trace = 0.0 if reaches_noise(last, readings, rules) else rules.trace_fraction * start
+    for best in steps:
+        if not best.names:  # parsimony prefers none of the causes
+            break
+        before, after = excess_cost(chosen.cost, readings), excess_cost(best.cost, readings)
+        is_late = chosen.kind != "none" and _is_explained(start, before, trace, readings, rules)
+        is_enough = after <= (1.0 - rules.late_gain_fraction) * before or reaches_noise(best.cost, readings, rules)
+        of_prior = chosen.misfit - best.misfit < rules.likelihood_fraction * (chosen.cost - best.cost)
+        is_tolerated = best.is_like_parameter(-1, rules) or of_prior
+        is_tolerated = is_tolerated and best.validation_cost < rules.validation_tolerance * chosen.validation_cost
+        if not (best.validation_cost < chosen.validation_cost or is_tolerated) or (is_late and not is_enough):
+            break
+        chosen, count = best, count + 1
+    return count
+
+
+def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) -> bool:
+    """Whether parsimony has put a far likelier explanation behind the first, and nothing came of the remainder.
+
+    Args:
+        rivals: explanations of the last step, the chosen one first.
+        readings: of the estimation record.
+        rules: the thresholds.
+    """
+    if rivals[0].kind != "effects" or reaches_noise(rivals[0].cost, readings, rules):
+        return False
+    return bool(probabilities([one.score for one in rivals])[0] < 1.0 - rules.named_probability)
+
+
+def decide(
+    rivals: Sequence[Scored], unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
+) -> Verdict:
+    """Return what is said of the explanations of the last step.
+
+    Args:
+        rivals: explanations, the chosen one first.
+        unexplained: part of the excess cost that the chosen one leaves.
+        readings: of the estimation record.
+        rules: the thresholds.
+        composite: whether the chosen one is a composite explanation, see `is_composite`.
+    """
+    chosen = rivals[0]
+    is_complete = reaches_noise(chosen.cost, readings, rules)
+    if chosen.kind == "none":
+        return "none" if is_complete else "unknown"
+    is_small = chosen.cost <= rules.small_residual * readings
+    most = rules.small_unexplained_fraction if is_small else rules.unexplained_fraction
+    if composite or (not is_complete and (unexplained > most or not chosen.is_significant(rules))):
+        return "unknown"
+    if all(chosen.is_like_parameter(i, rules) for i in range(len(chosen.names))):
+        return "parameter"
+    is_sure = probabilities([one.score for one in rivals])[0] >= rules.named_probability
+    return "named" if is_sure else "ambiguous"
+
+
+def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -> Verdict:
+    """Verdict in the light of what is known beside the hypotheses.
+
+    Args:
+        verdict: of the hypotheses.
+        demoted: whether a likelier explanation was put behind, see `is_demoted`; then no name is given.
+        rounded: whether nothing else is found, and the rounding of readings makes much of the residual.
+        at_noise: whether the validation residual is at the noise floor. If nothing is missing in the estimation record,
+            an effect that shows in the validation record alone is unknown.
+    """
+    if rounded:
+        verdict = "named"
+    if demoted and verdict not in {"none", "parameter"}:
+        return "unknown"
+    return "unknown" if verdict == "none" and not at_noise else verdict

@@ -1,0 +1,84 @@
+"""Work: how much a search simulates, and when it ends for that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from threading import Lock
+
+MOST_STEPS = 5e8  # times states and columns: about 60 s on one core
+FEWEST_RUNS = 500  # of a record, however long it is
+WHOLE = 1.5  # times what one search may do that all searches of an answer may do together
+
+
+@dataclass
+class Work:
+    """Simulation that a search has done, and how much it may do: steps of integration, times what each one moves.
+
+    That are states, and columns of sensitivities. Steps are counted and no seconds, so that a search ends in the same
+    place on any machine.
+
+    Args:
+        most: steps, so weighted, after which a search begins nothing more.
+        whole: work that this is a part of; None where there is none.
+        done: those that have been done.
+        is_cut: whether a search has ended for that.
+    """
+
+    most: float
+    whole: Work | None = None
+    done: float = 0.0
+    is_cut: bool = False
+    _lock: Lock = field(default_factory=Lock, repr=False)
+
+    @classmethod
+    def allowed(cls, samples: int, width: int) -> Work:
+        """Work that a search of a record may do, the first one of an answer.
+
+        Args:
+            samples: of the record.
+            width: states and columns of the rig alone.
+        """
+        most = max(MOST_STEPS, float(FEWEST_RUNS * samples * width))
+        return cls(most, cls(WHOLE * most))
+
+    def another(self, part: float = 1.0) -> Work:
+        """Work of another search of the answer, which may do a part of what this one may."""
+        return Work(part * self.most, self.whole)
+
+    def share(self, part: float) -> Work:
+        """Work of some of the fits of this search, which may do a part of what it may."""
+        return Work(part * self.most, self)
+
+    def kept(self, part: float) -> Work:
+        """Work that is kept for the end of an answer, whatever its searches have done: a part of one's."""
+        return Work(part * self.most)
+
+    def add(self, steps: int, width: int) -> None:
+        """Add a simulation, from any thread.
+
+        Args:
+            steps: of integration.
+            width: states and columns that each one moves.
+        """
+        with self._lock:
+            self.done += steps * width
+        if self.whole is not None:
+            self.whole.add(steps, width)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether this alone is done, whatever others do that run beside it."""
+        return self.done > self.most
+
+    @property
+    def is_over(self) -> bool:
+        """Whether this is done, or what it is a part of."""
+        return self.is_done or (self.whole is not None and self.whole.is_over)
+
+    def ends(self) -> bool:
+        """Whether a search is to begin nothing more; that it was so is noted.
+
+        It is asked where no other fit runs, so that the answer is the same each time.
+        """
+        self.is_cut = self.is_cut or self.is_done or (self.whole is not None and self.whole.ends())
+        return self.is_cut

@@ -1,0 +1,296 @@
+"""Least squares: the Levenberg-Marquardt method on normal equations, with a normal prior and bounds.
+
+A problem is linearised at values x of its unknowns; each step solves (J^T W J + damping diag(J^T W J)) s = J^T W r.
+Source: Nocedal and Wright, Numerical Optimization (2006), section 10.3; Marquardt, SIAM J. Appl. Math. 11 (1963),
+431-441, for the scaling; Bock (1981) for the condensing of the initial states of shooting intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.errors import DeclarationError, IntegrationError, ModelError
+
+SINGULAR = 1e-13  # of the largest singular value of the scaled matrix: what is smaller is rounding
+TOWARDS = 0.7  # of the way to a bound that a step may go: values stay inside
+HELD = 1e-9  # of a step: a bound that takes more of it determines it
+GROWTH = 2.0  # times its size that a positive value may take in a step
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations that a damped step can be found from.
+
+    Args:
+        matrix: J^T W J (n, n).
+        gradient: J^T W r (n,), of the residuals r.
+        fixed: unknowns that are not estimated (n,); none by default.
+        resistance: what a step adds to the diagonal of the matrix (n,); nothing by default.
+        shared: unknowns (s) that alone connect the others, which are in blocks and all estimated; all by default.
+        block: unknowns in each block.
+    """
+
+    matrix: Array
+    gradient: Array
+    fixed: NDArray[np.bool_] | None = None
+    resistance: Array | None = None
+    shared: int | None = None
+    block: int = 1
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are finite: those of a motion that runs away are not."""
+        return bool(np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
+
+    def with_prior(self, off: Array, deviation: Array) -> System:
+        """Equations with a normal prior.
+
+        Args:
+            off: mean less value (n,).
+            deviation: standard deviations (n,); infinite for unknowns without a prior.
+        """
+        weights = deviation**-2.0
+        return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
+
+    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
+        """Step of all unknowns (n,), and the reduction of the cost that it should give.
+
+        Args:
+            damping: relative to the diagonal.
+            given: steps of the first unknowns that bounds determine (b,); not a number where they do not.
+        """
+        step = np.full(len(self.gradient), np.nan)
+        if given is not None:
+            step[: len(given)] = given
+        if self.fixed is not None:
+            step[self.fixed] = 0.0
+        free = np.flatnonzero(np.isnan(step))
+        step[free] = 0.0
+        right = (self.gradient - self.matrix @ step)[free]
+        matrix = self.matrix if self.resistance is None else self.matrix + np.diag(self.resistance)
+        shared = None if self.shared is None else int((free < self.shared).sum())
+        step[free] = _scaled_solution(matrix[np.ix_(free, free)], right, damping, shared, self.block)
+        return step, float(self.gradient @ step)
+
+    def covariance(self) -> Array:
+        """Covariance of the shared unknowns (s, s), infinite where the equations cannot be inverted."""
+        scale = _scale(self.matrix)[: self.shared]
+        try:
+            scaled = self.information() / np.outer(scale, scale)
+            inverse = decompositions.inverse(scaled, SINGULAR, hermitian=True)
+        except IntegrationError:
+            return np.full((len(scale), len(scale)), np.inf)
+        with np.errstate(over="ignore"):  # of an unknown that changes nothing but the last bits
+            return np.asarray(inverse / scale[:, None] / scale)
+
+    def information(self) -> Array:
+        """Information on the shared unknowns (s, s) if the others are unknown: the Schur complement."""
+        if self.shared is None:
+            return self.matrix
+        scale = _scale(self.matrix)
+        scaled, right = self.matrix / np.outer(scale, scale), np.zeros(len(scale))
+        shared = scale[: self.shared]
+        return _condensed(scaled, right, self.shared, self.block)[0] * np.outer(shared, shared)
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Linearised(Generic[T]):
+    """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed.
+
+    Raises:
+        IntegrationError: the equations are not finite.
+    """
+
+    cost: float
+    equations: System
+    found: T
+
+    def __post_init__(self) -> None:
+        if not self.equations.is_finite:
+            raise IntegrationError("the derivatives of the motion by the parameters or initial states are not finite")
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds of the first unknowns; the others have none.
+
+    Args:
+        low, high: least and largest values (b,); infinite if there is none.
+        growing: whether a value that is positive by its bounds may at most double in a step (b,).
+    """
+
+    low: Array
+    high: Array
+    growing: NDArray[np.bool_] | bool = False
+
+    def after(self, x: Array, step: Array) -> Array:
+        """Values (n,) after a step that goes at most `TOWARDS` of the way to a bound, never away from it."""
+        farther, count = x + step, len(self.low)
+        x = x[:count]
+        least = np.where(np.isfinite(self.low), x - TOWARDS * np.maximum(x - self.low, 0.0), -np.inf)
+        most = np.where(np.isfinite(self.high), x + TOWARDS * np.maximum(self.high - x, 0.0), np.inf)
+        doubled = np.where(self.growing & (self.low >= 0.0) & (x > 0.0), GROWTH * x, np.inf)
+        farther[:count] = np.minimum(np.clip(farther[:count], least, most), doubled)
+        return farther
+
+    def given(self, step: Array, taken: Array) -> Array | None:
+        """Steps of the first unknowns that bounds determine (b,), not a number for others; None if none are.
+
+        Args:
+            step: without bounds (n,).
+            taken: within them (n,).
+        """
+        count = len(self.low)
+        is_held = np.abs(taken - step)[:count] > HELD * np.abs(step[:count])
+        return np.where(is_held, taken[:count], np.nan) if is_held.any() else None
+
+
+NO_BOUNDS = Box(np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Damping of a step, relative to the diagonal of the matrix, and how it goes on.
+
+    It falls tenfold after a success that follows a success. After steps in vain it rises 10, 100, 1000 ... times: a
+    step that is far too long is soon far shorter.
+
+    Args:
+        value: of the next step.
+        least: that it falls to.
+        most: beyond which no shorter step is tried.
+        vain: steps in vain in a row.
+    """
+
+    value: float
+    least: float
+    most: float
+    vain: int = 0
+
+    def after(self, *, success: bool) -> Damping:
+        """Damping of the next step."""
+        if not success:
+            return replace(self, value=self.value * 10.0 ** (self.vain + 1), vain=self.vain + 1)
+        return replace(self, value=self.value if self.vain else max(self.value / 10.0, self.least), vain=0)
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[T]):
+    """Where the method ended: values (n,), the problem there, rounds, and whether it stopped by itself."""
+
+    x: Array
+    at: Linearised[T]
+    rounds: int
+    converged: bool
+
+
+def minimise(
+    linearise: Callable[[Array], Linearised[T]],
+    x: Array,
+    box: Box,
+    damping: Damping,
+    *,
+    rounds: int,
+    tolerance: Callable[[Linearised[T]], float],
+    is_hopeless: Callable[[float, float], bool] | None = None,
+    wanted: Callable[[float], float] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Minimum[T]:
+    """Minimise a sum of squares by the Levenberg-Marquardt method.
+
+    Args:
+        linearise: what returns the problem at values of the unknowns; raises if it has none there.
+        x: values to begin from (n,).
+        box: bounds.
+        damping: to begin with.
+        rounds: most steps that are tried.
+        tolerance: reduction of the cost below which the method stops, at a linearised problem.
+        is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
+        wanted: least reduction of a cost that is expected of a step without damping; below it the method gives up.
+        progress: called with the part done.
+
+    Raises:
+        IntegrationError: the problem has no value at x.
+    """
+
+    def attempted(values: Array) -> Linearised[T]:
+        try:
+            return linearise(values)
+        except (IntegrationError, ModelError, DeclarationError):
+            return replace(at, cost=np.inf)
+
+    at, number, is_last = linearise(x), 0, False
+    for number in range(1, rounds + 1):
+        if progress is not None:
+            progress((number - 1) / rounds)
+        is_vain = wanted is not None and at.equations.step(damping.least)[1] < wanted(at.cost)
+        step, gain = at.equations.step(damping.value)
+        enough = tolerance(at)
+        if gain < enough and damping.value > damping.least and not is_last:
+            # A direction in which the cost hardly bends is damped, however far its minimum is.
+            damping, is_last = replace(damping, value=damping.least), True
+            step, gain = at.equations.step(damping.value)
+        if gain < enough or is_vain:
+            return Minimum(x, at, number, converged=True)
+        farther = box.after(x, step)
+        tried = attempted(farther)
+        given = None if tried.cost < at.cost else box.given(step, farther - x)
+        if given is not None:  # the others take the step that suits what bounds leave of these
+            step, gain = at.equations.step(damping.value, given)
+            if gain < enough:
+                return Minimum(x, at, number, converged=True)
+            farther = box.after(x, step)
+            tried = attempted(farther)
+        if is_hopeless is not None and is_hopeless(at.cost, tried.cost):
+            return Minimum(x, at, number, converged=True)
+        success = tried.cost < at.cost
+        damping = damping.after(success=success)
+        if success:
+            taken, x, at = at.cost - tried.cost, farther, tried
+            if taken < enough and (is_last or damping.value <= damping.least):
+                return Minimum(x, at, number, converged=True)
+        elif damping.value > damping.most:
+            return Minimum(x, at, number, converged=True)
+    return Minimum(x, at, number, converged=False)
+
+
+def _scale(matrix: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
+
+
+def _scaled_solution(matrix: Array, right: Array, damping: float, shared: int | None = None, block: int = 1) -> Array:
+    """Damped solution (n,) with a diagonal scaled to 1, of blocks after shared unknowns where there are."""
+    if not len(right):
+        return right
+    scale = _scale(matrix)
+    scaled, given = matrix / np.outer(scale, scale) + damping * np.eye(len(right)), right / scale
+    if shared is None:
+        return decompositions.least_squares(scaled, given, SINGULAR) / scale
+    condensed, left, others = _condensed(scaled, given, shared, block)
+    first = decompositions.least_squares(condensed, left, SINGULAR)
+    return np.concatenate([first, (others[..., -1] - others[..., :-1] @ first).ravel()]) / scale
+
+
+def _condensed(matrix: Array, right: Array, shared: int, block: int) -> tuple[Array, Array, Array]:
+    """Equations of the shared unknowns alone: their matrix (s, s) and right side (s,).
+
+    The last of what is returned (w, b, s + 1) are, of each block with unknowns x = d - C y for the shared ones y, C
+    and d. Source: Bock (1981).
+    """
+    count = (len(right) - shared) // block
+    each, cross = np.arange(count), matrix[shared:, :shared].reshape(count, block, shared)
+    squares = matrix[shared:, shared:].reshape(count, block, count, block)[each, :, each]
+    sides = np.concatenate([cross, right[shared:].reshape(count, block, 1)], axis=2)
+    others = decompositions.inverse(squares, SINGULAR, hermitian=True) @ sides
+    taken = np.tensordot(cross, others, axes=([0, 1], [0, 1]))
+    return matrix[:shared, :shared] - taken[:, :-1], right[:shared] - taken[:, -1], others

@@ -1,0 +1,352 @@
+"""Sensitivity: simulated readings of a twin under recorded commands, and their derivatives by its parameters.
+
+Sensors that round are simulated without rounding: rounded readings most likely lie near these values. Readings are
+simulated from an initial state, with their derivatives by chosen parameters and by that state. The chain rule gives the
+derivatives from the equations, and they are compiled together. The normal equations, which a least-squares fit needs,
+are accumulated sample by sample, so that derivatives take no memory; see `numerics.motion_sensitivities`.
+Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and Wanner (1993), section I.14.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.codegen import column_step, store
+from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.source import Module
+from masking.compile.codegen.tangent import derivatives, jacobian
+from masking.compile.numerics.arrays import Array, IntMatrix
+from masking.compile.numerics.rig_sizes import COLUMN_ROWS, RigSizes, whole_lanes
+from masking.control.rig.twin import LoweredTwin, Twin
+from masking.errors import IntegrationError, ModelError, nearest
+from masking.inference.estimation.identification_data import Data, is_first_order
+from masking.lab.records.input_hold import Hold
+
+if TYPE_CHECKING:
+    from masking.compile.numerics import motion_sensitivities
+else:
+    motion_sensitivities = lazy.load("masking.compile.numerics.motion_sensitivities", suppress_warning=True)
+
+# Functions of a twin: its equations and its readings, alone and with derivatives by state and parameter array.
+RATES, SLOPES = "rates(t: float, y, u, p, dy)", "slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)"
+READING = "reading(t: float, y, u, p, noise, s)"
+SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
+SIGNATURES = RATES, SLOPES, READING, SENSED
+
+_STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
+_LATER = (
+    0.01  # of a sample, by which commands are later in the differences that tell how readings depend on a dead time
+)
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Normal equations of a record for parameters and initial state, the columns in this order.
+
+    Args:
+        matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
+        gradient: J^T W r (k + states,) for the residuals r, measured less simulated.
+        squares: sum of squared residuals of each sensor (sensors,).
+        simulated: what the sensors would read (m, sensors).
+        end: the state at the end of the record (states,).
+    """
+
+    matrix: Array
+    gradient: Array
+    squares: Array
+    simulated: Array
+    end: Array
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """A twin with the parameters that may change.
+
+    Args:
+        twin: the rig.
+        names: parameters of its model, those of the effects in its elements included (`friction1_fc`), and of effects
+            in its sensors and actuators (`offset_s1_e0`).
+        shared: parameters that others of the same twin may change, whose derivatives are compiled too, so that all
+            have the same functions.
+    """
+
+    twin: Twin
+    names: tuple[str, ...]
+    shared: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise ModelError(f"parameters are named twice: {', '.join(twice)}")
+        for name in self._compiled:
+            if name not in self.twin.parameter_names:
+                mend = nearest(name, self.twin.parameter_names)
+                raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {mend}")
+
+    @property
+    def _compiled(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.names, *self.shared)))
+
+    def twin_at(self, theta: Array) -> Twin:
+        """Twin with values (k,) of the parameters, in the units in which they are declared."""
+        return self.twin.with_parameters(dict(zip(self.names, map(float, theta), strict=True)))
+
+    @cached_property
+    def _unrounded(self) -> Twin:
+        return self.twin.unrounded()
+
+    def start(self) -> Array:
+        """Values of the parameters (k,) that the twin declares, in declared units."""
+        return np.array([self.twin.parameter_value(name) for name in self.names])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and the largest allowed value of each parameter (k,), in declared units."""
+        pairs = [self.twin.parameter_bounds(name) for name in self.names]
+        low = np.array([-np.inf if a is None else a for a, _ in pairs])
+        return low, np.array([np.inf if b is None else b for _, b in pairs])
+
+    def parameters(self, theta: Array) -> Array:
+        """Twin's parameter array for values (k,) of the parameters, with sensors that do not round."""
+        return self._unrounded.with_parameters(dict(zip(self.names, map(float, theta), strict=True))).values()
+
+    @cached_property
+    def dead_times(self) -> dict[int, int]:
+        """Return of each parameter that is a dead time, by its number, the number of the actuator."""
+        found = {f"{e.label}_{e.entry.grows_with}": e.at for e in self.twin.dead_times}
+        return {i: self.twin.actuators.index(found[name]) for i, name in enumerate(self.names) if name in found}
+
+    def later(self, theta: Array, record: Data) -> Data:
+        """Record whose commands are as late as dead times (k,) say, in the place of the twin's own."""
+        late = record.late.copy()
+        for i, actuator in self.dead_times.items():
+            late[actuator] += record.rate * (theta[i] - self.twin.parameter_value(self.names[i]))
+        return replace(record, late=late) if self.dead_times else record
+
+    def basis(self, theta: Array) -> tuple[Array, Array]:
+        """Twin's parameter array, and how its entries depend on the parameters (affected, k)."""
+        p, bounds = self.parameters(theta), self.bounds()
+        columns = []
+        for i in range(len(theta)):
+            behind, ahead = _beside(theta, i, bounds)
+            apart = float(ahead[i] - behind[i]) or 1.0  # a parameter between bounds that are one changes nothing
+            columns.append((self.parameters(ahead) - self.parameters(behind)) / apart)
+        found = np.array(columns).T if columns else np.zeros((len(p), 0))
+        return p, np.ascontiguousarray(found[list(self.affected)])
+
+    @cached_property
+    def affected(self) -> tuple[int, ...]:
+        """Indices in the twin's parameter array of all that depend on the parameters and shared ones."""
+        if self.shared:
+            return Sensitivity(self.twin, self._compiled).affected
+        theta, touched, bounds = self.start(), set[int](), self.bounds()
+        before = self.parameters(theta)
+        for i in range(len(theta)):
+            for changed in _beside(theta, i, bounds):
+                touched |= set(np.flatnonzero(self.parameters(changed) != before).tolist())
+        return tuple(sorted(touched))
+
+    @property
+    def states(self) -> int:
+        """Length of the twin's state."""
+        return len(self.twin.state_names)
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Compiled functions; from the cache on disk where they have been made before."""
+        sizes, width = self.sizes, whole_lanes(max(self.states + len(self._compiled), *self.widths))
+
+        def factories() -> dict[str, tuple[Any, ...]]:
+            return {
+                "simulate": (motion_sensitivities.simulation, "reading", "rates"),
+                "normal": (motion_sensitivities.twin_normal_equations, "slopes", "sensed", "carry"),
+            }
+
+        links = {**self.equations.by_signature(*SIGNATURES), **self.carry}
+        return linked("sensitivities", factories, links, (sizes.work_rows, width))
+
+    @property
+    def carry(self) -> dict[str, NativeFunction]:
+        """Function that moves derivatives of the state over a step, as `linked` takes it."""
+        return column_step.link(self.states, self.sizes.coordinates)
+
+    @cached_property
+    def equations(self) -> Kernels:
+        """Compiled equations and readings of the twin, and their derivatives."""
+        return Kernels(
+            store.load(store.key({"sensitivity": [self.twin.structure(), list(self.affected)]}), self._build)
+        )
+
+    def _build(self) -> Module:
+        name = self.twin.declaration.name
+        module = Module(f"{name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds})
+        add_slopes(module, LoweredTwin(self.twin), self.affected)
+        return module
+
+    @property
+    def sizes(self) -> RigSizes:
+        """Sizes of the work space of kernels."""
+        return RigSizes(self.states, len(self.twin.model.coordinates), len(self.twin.sensors))
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Lengths of state, affected entries, readings that are added at once, and commands."""
+        return self.states, len(self.affected), self.sizes.added_rows, len(self.twin.actuators)
+
+    def simulate(
+        self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
+    ) -> Array:
+        """Return what the sensors would read (m, sensors) without noise.
+
+        Args:
+            theta: values of the parameters (k,), in declared units.
+            start: the twin's state (states,) at the first sample.
+            commands: of the actuators at each sample (m, actuators).
+            rate: samples per second.
+            substeps: integration steps between samples.
+            hold: of the commands between samples.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+            ModelError: `hold` is not known.
+        """
+        readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
+        given = np.ascontiguousarray(commands, dtype=float)
+        self.kernels.simulate(
+            len(given), 1.0 / rate, substeps, is_first_order(hold), y, self.parameters(theta), given, readings
+        )
+        if not np.isfinite(readings).all():
+            raise IntegrationError("the simulated motion is no longer finite")
+        return readings
+
+    def sensed(self, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+        """Return what the sensors read in a state (sensors,) of the twin, and its derivatives (sensors, states).
+
+        Args:
+            state: of the twin (states,).
+            commands: of the actuators (actuators,), which sensors may read at once; 0 where none are given.
+        """
+        sensors, affected = len(self.twin.sensors), len(self.affected)
+        given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
+        read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
+        self.equations.sensed(0.0, state, given, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
+        return read, jy
+
+    def normal_equations(
+        self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
+    ) -> NormalEquations:
+        """Normal equations at values of the parameters and of the initial state.
+
+        Args:
+            basis: what `basis` returns for values of the parameters.
+            start: the twin's state (states,) at the first sample.
+            record: commands, which are constant after the last sample, and readings.
+            weights: of squared residuals of each sensor (sensors,): 1 / variance.
+            substeps: integration steps between samples.
+
+        Raises:
+            IntegrationError: the motion is no longer finite.
+        """
+        found = self._accumulated(basis, start, record, weights, substeps)
+        matrix, gradient = found.matrix, found.gradient
+        residual, columns = record.residuals(found.simulated), dict[int, Array]()
+        for i, actuator in self.dead_times.items():
+            late = record.late.copy()
+            late[actuator] += _LATER
+            later = self._accumulated(basis, start, replace(record, late=late), weights, substeps).simulated
+            readings, each = np.where(np.isnan(record.readings), np.nan, later), record.rate / _LATER
+            turned = self._accumulated(basis, start, replace(record, readings=readings), weights, substeps)
+            matrix[i] = matrix[:, i] = each * turned.gradient
+            columns[i] = np.where(np.isnan(record.counted()), 0.0, each * (later - found.simulated))
+            gradient[i] = ((columns[i] * residual) @ weights).sum()
+            for k, other in columns.items():
+                matrix[i, k] = matrix[k, i] = ((columns[i] * other) @ weights).sum()
+        return found
+
+    def _accumulated(
+        self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
+    ) -> NormalEquations:
+        """Return what `normal_equations` does, with dead times that are known."""
+        (p, columns), count, states = basis, len(record), self.states
+        size = len(self.names) + states
+        matrix, gradient, squares = np.zeros((size, whole_lanes(size))), np.zeros(size), np.zeros(len(weights))
+        y, simulated, derivatives = (
+            np.empty(states),
+            np.empty((count, len(squares))),
+            np.zeros((COLUMN_ROWS * states, whole_lanes(size))),
+        )
+        status = self.kernels.normal(
+            count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, len(self.names),
+            np.arange(states), np.array([start], dtype=float), y, derivatives, p, *terms(self.equations, columns),
+            record.late, record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix,
+            gradient, squares, simulated,
+        )  # fmt: skip
+        if status:
+            raise IntegrationError("the simulated motion is no longer finite")
+        matrix = symmetric(matrix)
+        return NormalEquations(matrix, gradient, squares, simulated, y)
+
+
+def symmetric(lower: Array) -> Array:
+    """Symmetric matrix (n, n) of its lower triangle (n, n or more), as kernels write it."""
+    square = np.tril(lower[:, : len(lower)])
+    return np.asarray(square + np.tril(square, -1).T)
+
+
+def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix, Array]:
+    """Terms of (df/dp) B in rates and in readings, each with its values of B, as `variational` takes them.
+
+    Args:
+        equations: what `add_slopes` has added to.
+        basis: B (affected, k).
+    """
+    found = list[Any]()
+    for pairs in equations.meta["depends"]:
+        rows, entries = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        at, columns = np.nonzero(basis[entries])
+        found += [np.array([rows[at], entries[at], columns], dtype=np.int64), basis[entries[at], columns]]
+    moved, moved_by, read, read_by = found
+    return moved, moved_by, read, read_by
+
+
+def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> None:
+    """Add the equations of a twin and its readings as `rates` and `reading`, with derivatives as `slopes` and `sensed`.
+
+    Derivatives by entries that are 0 everywhere are not written. `depends` of the module's `meta` has the row and the
+    entry of the others, of rates and of readings.
+
+    Args:
+        module: gets the functions.
+        lowered: the twin.
+        affected: indices of the entries of the parameter array by which is differentiated.
+    """
+    graph, loads = lowered.graph, lowered.loads
+    by_text = {text: name for name, text in loads.items()}
+    at = [i for i in range(len(lowered.twin.state_names)) if f"y[{i}]" in by_text]
+    y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
+    p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
+    depends = module.meta.setdefault("depends", [])
+    for alone, signature, results in ((RATES, SLOPES, lowered.derivatives), (READING, SENSED, lowered.readings)):
+        module.add(alone, graph, results, loads)
+        nodes = [node for _, node in results]
+        by_entry = derivatives(graph, nodes, p)
+        found = [(i, m) for i, row in enumerate(by_entry) for m, x in enumerate(row) if not graph.is_number(x, 0.0)]
+        depends.append(found)
+        entries = [(f"jp[{i}, {m}]", by_entry[i][m]) for i, m in found]
+        module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *entries], loads)
+
+
+def _beside(theta: Array, i: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Values with one of them a little smaller and a little larger, neither beyond its bounds."""
+    step = _STEP * (abs(theta[i]) or 1.0)
+    low, high = bounds
+    behind, ahead = theta.copy(), theta.copy()
+    behind[i] = max(theta[i] - step, min(low[i], theta[i]))
+    ahead[i] = min(theta[i] + step, max(high[i], theta[i]))
+    return behind, ahead

@@ -1,0 +1,353 @@
+"""Simulation: a record beside what a twin makes of its commands, from the initial state that comes nearest to it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, partial
+
+import numpy as np
+
+from masking.compile.numerics import decompositions
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.initial_internal_states import reaches
+from masking.control.rig.twin import Twin
+from masking.errors import IntegrationError
+from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.inference.estimation.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
+from masking.inference.estimation.sensitivity import NormalEquations, Sensitivity
+
+# Parts of a record from which its initial state is estimated before the whole: friction has many minima.
+PARTS = (1 / 64, 1 / 8)
+DOUBLED = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # the same where these lead nowhere
+FIRST_READINGS = 20  # readings that the initial state is guessed from
+STUCK = 4.0  # cost per reading from which another initial state is sought
+CLEAN = 1.2  # the same where time is no matter
+SMALL = 1e-6  # part of a motion in which forces that grow faster than the displacement vanish
+BESIDE = 1e-9  # displacement from rest at which sensors that fold are linearised
+MOST_SIDES = 16  # combinations of sides of these that are tried
+ROUNDS = 25  # steps for the initial state, at most
+DAMPING = Damping(1e-9, least=1e-12, most=1e6)
+SETTLED = 1e-9  # fraction of the cost that a step must take off
+# Of the noise, or of what a model leaves where that is more: what smaller steps may change, and most refinement.
+STEP_ERROR = 0.05
+MOST_REFINEMENT = 16
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What sensors read, and what they would read.
+
+    Args:
+        record: commands and readings.
+        sensors: their names.
+        units: of the readings.
+        readings: simulated (m, sensors), from the best initial state.
+        shooting_interval: s of each simulation with its own initial state; None for one of the whole record.
+    """
+
+    record: Data
+    sensors: tuple[str, ...]
+    units: tuple[str, ...]
+    readings: Array
+    shooting_interval: float | None = None
+
+    @property
+    def times(self) -> Array:
+        """Times of the samples, s (m,)."""
+        return np.asarray(np.arange(len(self.record)) / self.record.rate)
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated (m, sensors), 0 where commands from before the record act."""
+        return self.record.residuals(self.readings)
+
+    @property
+    def chi(self) -> dict[str, float]:
+        """Relative error of each sensor, by name. Source: Rijlaarsdam (2008), (4.12)."""
+        return relative(self.sensors, [self.record], (self.residual**2).sum(axis=0))
+
+    @property
+    def floor(self) -> dict[str, float]:
+        """Relative error that the noise of the record alone makes, by name."""
+        return noise_alone(self.sensors, [self.record])
+
+
+def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:
+    """Relative error (4.12) of each sensor, by name.
+
+    Args:
+        sensors: their names.
+        records: whose readings are the reference.
+        squares: sums of squared errors over these records (sensors,).
+    """
+    whole = np.sum([np.sum(record.readings**2, axis=0) for record in records], axis=0)
+    return dict(zip(sensors, map(float, np.sqrt(squares / np.maximum(whole, 1e-300))), strict=True))
+
+
+def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, float]:
+    """Relative error that the noise of records alone makes, by name."""
+    return relative(sensors, records, np.sum([len(record) * record.noise**2 for record in records], axis=0))
+
+
+def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
+    """Relative error of each sensor over records that were not fitted, by name.
+
+    Args:
+        sensing: the twin, with the parameters that were fitted.
+        theta: their values (k,), in declared units.
+        unseen: the records; the initial state of each is estimated.
+        weights: of squared residuals of each sensor (sensors,).
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    squares = np.zeros(len(weights))
+    for record in unseen:
+        squares += nearest(sensing, theta, record, weights)[1].squares
+    return relative(sensing.twin.sensors, unseen, squares)
+
+
+def simulate(
+    twin: Twin,
+    record: Data,
+    shared: Sequence[str] = (),
+    initial: float | None = None,
+    noise: Array | None = None,
+) -> Simulated:
+    """Simulate a record from the initial state that reproduces it best.
+
+    Args:
+        twin: the plant, with the values to simulate with.
+        record: commands and readings.
+        shared: parameters that a fit had free: its compiled functions are then used again.
+        initial: s from the beginning whose readings the initial state is estimated from; by default all. Readings that
+            commands from before the record make count only where the others are too few: the first commands are then
+            taken for these.
+        noise: standard deviation of each reading (sensors,); by default that of the record.
+
+    Raises:
+        IntegrationError: the motion is not finite from any initial state that was tried.
+    """
+    sensing = Sensitivity(twin, (), tuple(shared))
+    size = np.maximum(np.abs(record.readings).max(axis=0), 1e-300)
+    noise = record.noise if noise is None else noise
+    weights = np.maximum(noise, 1e-12 * size) ** -2.0
+    beginning = record if initial is None else record.first(initial)
+    if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
+        beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
+    theta, basis, least = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
+
+    @cache
+    def reproduced(number: int) -> tuple[Array, NormalEquations]:
+        return nearest(sensing, theta, beginning, weights, steps=number, thorough=True)
+
+    # At rest, where steps are chosen, what is fast may stand still, such as the slider of a play.
+    most, any_change = MOST_REFINEMENT * least, np.full_like(size, np.inf)
+    steps = refined(lambda number: reproduced(number)[1].simulated, least, most, any_change, ahead=1)
+    state, found = reproduced(steps)
+
+    def simulated(first: Array, number: int) -> Array:
+        return sensing.normal_equations(basis, first, beginning, weights, number).simulated
+
+    allowed, enough = STEP_ERROR * np.maximum(noise, np.sqrt(found.squares / len(beginning))), steps
+    for begun in (state, first_start(sensing, beginning)):  # where larger steps have led, less may move
+        enough = refined(partial(simulated, begun), enough, most, allowed, ahead=4)
+    if enough > steps:
+        tried = list[tuple[Array, NormalEquations]]()
+        for first in (state, None):  # larger steps may have led to another minimum
+            with suppress(IntegrationError):
+                tried.append(nearest(sensing, theta, beginning, weights, first, steps=enough, thorough=True))
+        state, found = min(tried, key=lambda one: float(one[1].squares @ weights), default=(state, found))
+    if initial is not None:
+        try:
+            found = sensing.normal_equations(basis, state, record, weights, enough)
+        except IntegrationError:
+            raise IntegrationError(f"the simulated motion is no longer finite in {record.name}") from None
+    plant = twin.declaration.sensors
+    units = tuple("" if plant[name].unit == "1" else plant[name].unit for name in twin.sensors)
+    return Simulated(record, twin.sensors, units, found.simulated)
+
+
+def in_intervals(twin: Twin, record: Data, seconds: float) -> Simulated:
+    """Simulate a record in intervals of about a length in s, each from the initial state that reproduces it best.
+
+    Raises:
+        IntegrationError: the motion of an interval is not finite from any initial state that was tried.
+    """
+    pieces = record.windows(seconds)
+    every = [simulate(twin, piece, noise=record.noise) for piece in pieces]
+    readings = np.concatenate([one.readings for one in every])
+    return replace(every[0], record=record, readings=readings, shooting_interval=len(record) / record.rate / len(every))
+
+
+def nearest(
+    sensing: Sensitivity,
+    theta: Array,
+    record: Data,
+    weights: Array,
+    start: Array | None = None,
+    *,
+    steps: int | None = None,
+    thorough: bool = False,
+) -> tuple[Array, NormalEquations]:
+    """Initial state (states,) from which a record is reproduced best, and what is simulated from there.
+
+    Internal states begin about as far from where they are declared as their size says. In a short first part, what no
+    sensor reads may go anywhere: where much more than noise is left, it is sought from longer ones, too. Where the
+    motion is not finite from what the readings alone tell, it begins where a motion as small as linear equations have
+    would begin.
+
+    Args:
+        sensing: the twin.
+        theta: values of its parameters (k,), in declared units.
+        record: commands and readings.
+        weights: of squared residuals of each sensor (sensors,).
+        start: a state near it (states,); by default it is guessed, and found in longer and longer parts of the record.
+        steps: of integration between samples; by default as many as the twin needs.
+        thorough: whether to take more time: for a state from which little more than noise is left.
+
+    Raises:
+        IntegrationError: the motion is not finite.
+    """
+    found = list[tuple[Array, NormalEquations]]()
+    usable, doubled = (
+        [part for part in parts if start is None and part * len(record) >= FIRST_READINGS] for parts in (PARTS, DOUBLED)
+    )
+    ways = [usable[i:] for i in range(len(usable) + 1)]
+    starts = itertools.product(
+        _guesses(sensing, record) if start is None else [start], ways + [doubled] * bool(doubled)
+    )
+    nearer = ((first, doubled) for first in _small(sensing, theta, record, weights, usable) if not found)
+    for first, parts in itertools.chain(starts, nearer):
+        if parts is doubled and found and not thorough:
+            continue
+        near = first
+        for part in parts:
+            beginning = record.first(part * len(record) / record.rate)
+            with suppress(IntegrationError):
+                near, _ = _nearest(sensing, theta, beginning, weights, near, steps=steps)
+        with suppress(IntegrationError):
+            found.append(_nearest(sensing, theta, record, weights, near, steps=steps))
+            if float(found[-1][1].squares @ weights) < (CLEAN if thorough else STUCK) * record.readings.size:
+                break
+    if not found:
+        raise IntegrationError(f"the simulated motion is no longer finite in {record.name}")
+    return min(found, key=lambda one: float(one[1].squares @ weights))
+
+
+def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
+    """Integration steps between samples, doubled until smaller ones change readings by less than is allowed.
+
+    Args:
+        simulated: readings (m, sensors) in a number of steps.
+        least: steps that are tried first.
+        most: steps at most.
+        allowed: change of the readings, rms (sensors,).
+        ahead: factor of the smaller steps; 1 if the motion is to be finite only.
+    """
+
+    @cache
+    def made(number: int) -> Array:  # too large steps diverge, or hold a motion that runs away
+        try:
+            return simulated(number)
+        except IntegrationError:
+            return np.full_like(allowed, np.nan)
+
+    steps = least
+    while steps < most:
+        change = made(min(ahead * steps, ahead * most // 2)) - made(steps)
+        if bool((np.sqrt((change**2).mean(axis=0)) < allowed).all()):
+            break
+        steps = min(2 * steps, most)
+    return steps
+
+
+def _nearest(
+    sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
+) -> tuple[Array, NormalEquations]:
+    """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
+    twin, record = sensing.twin, sensing.later(theta, record)
+    sized, rest = reaches(twin), twin.rest(np.zeros(len(twin.model.coordinates)))
+    free = np.array(sorted({*twin.free, *sized}), dtype=int)
+    reach = np.array([sized.get(i, np.inf) for i in free])
+    first, basis = start.copy(), sensing.basis(theta)
+    substeps, at = steps or twin.substeps(record.rate), len(theta) + free
+
+    def linearised(x: Array) -> Linearised[NormalEquations]:
+        first[free] = x
+        made = sensing.normal_equations(basis, first, record, weights, substeps)
+        equations = System(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(rest[free] - x, reach)
+        off = (x - rest[free]) / reach
+        return Linearised(float(weights @ made.squares + off @ off), equations, made)
+
+    found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
+    first[free] = found.x
+    return first, found.at.found
+
+
+def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, parts: Sequence[float]) -> Iterator[Array]:
+    """Give states (states,) near those from which parts of a record are reproduced best if its motion is small."""
+    rest = sensing.twin.rest(np.zeros(len(sensing.twin.model.coordinates)))
+    read, _ = sensing.sensed(rest)
+    for part in parts:
+        first = record.first(part * len(record) / record.rate)
+        small = replace(first, commands=SMALL * first.commands, readings=read + SMALL * (first.readings - read))
+        with suppress(IntegrationError):
+            begun = first_start(sensing, small)
+            yield rest + (_nearest(sensing, theta, small, weights / SMALL**2, begun)[0] - rest) / SMALL
+
+
+def first_start(sensing: Sensitivity, record: Data) -> Array:
+    """Guess of the initial state of a record (states,), from a parabola through its first readings."""
+    return next(_guesses(sensing, record))
+
+
+def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
+    """Give guesses of the initial state of a record (states,), as `first_start`, on each side of sensors that fold.
+
+    Such a sensor reads alike on both sides of rest, where it may read nothing: it is linearised beside that.
+    """
+    n, count, given = len(sensing.twin.model.coordinates), min(FIRST_READINGS, len(record)), record.acting[0]
+    rest, beside, times = sensing.twin.rest(np.zeros(n)), np.zeros(sensing.states), np.arange(count) / record.rate
+    beside[:n] = BESIDE * np.arange(1, n + 1)  # not alike: a sensor may read a difference
+    read, jacobian = sensing.sensed(rest, given)
+    above, below = (sensing.sensed(rest + side * beside, given)[1] for side in (1.0, -1.0))
+    folded = np.flatnonzero((above * below).sum(axis=1) < 0.0)
+    for sides in itertools.islice(itertools.product((above, below), repeat=len(folded)), MOST_SIDES):
+        for sensor, slopes in zip(folded, sides, strict=True):
+            jacobian[sensor] = slopes[sensor]
+        yield guessed_state(rest, (read, jacobian), sensing.twin.free, times, record.readings[:count], n=n, degree=2)
+
+
+def guessed_state(
+    rest: Array,
+    at_rest: tuple[Array, Array],
+    free: Sequence[int],
+    times: Array,
+    readings: Array,
+    *,
+    n: int,
+    degree: int,
+) -> Array:
+    """Guess of a state (states,) from a polynomial through the readings around it.
+
+    Args:
+        rest: the state at rest (states,), in which the states that are not free stay.
+        at_rest: readings there (sensors,), and their derivatives by the state (sensors, states).
+        free: indices of the states that may begin anywhere.
+        times: of the readings, from the instant of the state, s (m,).
+        readings: (m, sensors).
+        n: number of coordinates, which are the first states; their velocities are the next.
+        degree: of the polynomial.
+    """
+    y, (read, jacobian) = rest.copy(), at_rest
+    value, *slope = np.polynomial.polynomial.polyfit(times, readings, min(degree, len(times) - 1))[:2]
+    seen = [i for i in free if not n <= i < 2 * n]
+    inverse = decompositions.inverse(jacobian[:, seen])
+    y[seen] += inverse @ (value - read)
+    if slope:
+        y[n : 2 * n] = inverse[:n] @ slope[0]
+    return y

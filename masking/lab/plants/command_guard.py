@@ -1,0 +1,84 @@
+"""Guard: what stands between a controller's commands and a plant that is served, whoever the controller is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import PlantMismatchError, nearest
+from masking.lab.plants.interface import Plant, Sample, Settings
+from masking.lab.plants.safety_chain import Chain, Rules
+
+
+class Guard(Protocol):
+    """Looks at each sample and at the command that is about to be written; nothing goes to the plant past it."""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Return what it did, by name, since `begin`."""
+        ...
+
+    def begin(self, plant: Plant, settings: Settings) -> None:
+        """Begin a session with a plant that is configured; a `PlantError` where it does not fit the plant."""
+
+    def check(self, sample: Sample, command: Array) -> str:
+        """Bring a command (actuators,) within the limits, in place.
+
+        Returns:
+            why the plant must stop, as a sentence; empty where it need not. The command is not written then.
+        """
+        ...
+
+
+@final
+class PlantLimits:
+    """Holds a plant to the limits of a plant file by a safety chain of its own.
+
+    Args:
+        rules: what the plant is held to, at a number of samples per second; of channels that it has, in any order.
+    """
+
+    def __init__(self, rules: Callable[[float], Rules]) -> None:
+        self._rules = rules
+        self._chain: Chain | None = None
+        self._last = -1
+        self._sensors, self._actuators = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """How many commands were `clamped`, if any."""
+        clamped = self._chain.clamped if self._chain is not None else 0
+        return {"clamped": clamped} if clamped else {}
+
+    def begin(self, plant: Plant, settings: Settings) -> None:
+        """Begin a chain for the plant's channels.
+
+        Raises:
+            PlantMismatchError: the plant does not have one of those that are limited.
+        """
+        rules = self._rules(settings.rate)
+        self._sensors = _places("sensor", rules.sensors, plant.sensors)
+        self._actuators = _places("actuator", rules.actuators, plant.actuators)
+        self._chain, self._last = Chain(rules), -1
+
+    def check(self, sample: Sample, command: Array) -> str:
+        """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped."""
+        chain, missed = self._chain, max(0, sample.index - self._last - 1) if self._last >= 0 else 0
+        assert chain is not None  # noqa: S101  # a session begins before its commands are checked
+        self._last = sample.index
+        if chain.watch(sample.index, sample.values[self._sensors], missed) is None:
+            command[self._actuators] = chain.guard(sample.index, command[self._actuators])
+        return str(chain.trip) if chain.trip is not None else ""
+
+
+def _places(kind: str, wanted: tuple[str, ...], there: tuple[str, ...]) -> NDArray[np.intp]:
+    """Where channels are among those of a plant."""
+    for name in wanted:
+        if name not in there:
+            message = f"the limits are those of a plant with the {kind} {name}, which this one does not have"
+            raise PlantMismatchError(f"{message}; {nearest(name, there)}")
+    return np.array([there.index(name) for name in wanted], dtype=np.intp)

@@ -1,0 +1,334 @@
+"""Safety chain of a rig: what stands between a controller and every write, whoever runs the plant.
+
+In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
+answered: is the command finite, clamped, not too warm. The first cause that is found trips the chain: from then on
+every command is zero, until a new chain is made for the next run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, final
+
+import lazy_loader as lazy
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.numerics import safety_tables
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import LARGEST, TIME
+from masking.errors import PlantMismatchError
+
+if TYPE_CHECKING:
+    from masking.compile.numerics import safety_kernels
+else:
+    safety_kernels = lazy.load("masking.compile.numerics.safety_kernels", suppress_warning=True)
+
+OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
+BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
+_LATE_IN_A_ROW: Final = 5
+_HELD: Final = 0.045  # s that a reading may stay the same while it would change
+_CUT: Final = 0.25  # s of commands that are cut for their mean power
+_LOST: Final = 4  # samples of silence that are borne
+
+
+class Cause(IntEnum):
+    """Why a chain trips; the numbers stay as they are, so that records can be compared."""
+
+    SENSOR_NONFINITE = 1
+    SENSOR_STUCK = 2
+    SENSOR_JUMP = 3
+    SENSOR_RANGE = 4
+    POSITION_LIMIT = 5
+    VELOCITY_LIMIT = 6
+    THERMAL = 7
+    CONTROLLER_NONFINITE = 8
+    NO_RESPONSE = 9
+    WRONG_SIGN = 10
+    CONTROLLER_EXCEPTION = 11
+    OVERRUN = 12
+    COMM_LOST = 13
+    PLANT_LOST = 14
+    PLANT_ERROR = 15
+    ESTOP = 16
+    COMMANDS_NOT_TAKEN = 17
+    UNATTENDED = 18
+
+
+_SAID: Final = {
+    Cause.SENSOR_NONFINITE: "the reading of {channel} is {value}; look at its cable and at what converts it",
+    Cause.SENSOR_STUCK: (
+        "the reading of {channel} stays {value:.6g} to the last bit although the rig moves; "
+        "look at the sensor and at what samples it"
+    ),
+    Cause.SENSOR_JUMP: (
+        "the reading of {channel} changed by {value:.4g} in a sample, where {limit:.4g} is possible; "
+        "look at its cable, or give the sensor a larger jump in the plant file"
+    ),
+    Cause.SENSOR_RANGE: (
+        "the reading of {channel} is {value:.6g}, at or beyond the end of its range, {limit:.6g}; "
+        "look at its cable and its supply"
+    ),
+    Cause.POSITION_LIMIT: (
+        "{channel} is {value:.4g}, beyond its limit of {limit:.4g}; "
+        "'masking check EXPERIMENT' says what the ideal motion needs"
+    ),
+    Cause.VELOCITY_LIMIT: (
+        "the rate of {channel} is {value:.4g}, beyond its limit of {limit:.4g}; make the motion slower or smaller"
+    ),
+    Cause.THERMAL: (
+        "the commands of {channel} ask for more than {limit:.4g} of mean power; "
+        "let it cool, and make the motion slower or smaller"
+    ),
+    Cause.CONTROLLER_NONFINITE: (
+        "the controller's command for {channel} is {value}; look at its state and at the sensors of that tick"
+    ),
+    Cause.NO_RESPONSE: (
+        "the rig does not answer {channel}: {value:.2f} of what the model says; "
+        "look at its amplifier, its cable and its supply"
+    ),
+    Cause.WRONG_SIGN: (
+        "the rig answers {channel} with the wrong sign: {value:.2f} of what the model says; "
+        "look at its polarity and at that of the sensors"
+    ),
+    Cause.CONTROLLER_EXCEPTION: "the controller raised an error; its traceback is in the record",
+    Cause.OVERRUN: (
+        "{value:.4g} ticks were late or missed, where {limit:.4g} are borne; "
+        "lower the rate, or take load off the machine"
+    ),
+    Cause.COMM_LOST: (
+        "no sample came for {value:.0f} periods, where {limit:.0f} are borne; look at the line to the plant"
+    ),
+    Cause.PLANT_LOST: "the plant is lost; look at its power, its cable and its own record",
+    Cause.PLANT_ERROR: "the plant failed; its error is in the record",
+    Cause.ESTOP: "the emergency stop was pressed {channel}; release it once the rig is safe",
+    Cause.COMMANDS_NOT_TAKEN: (
+        "the plant puts out nothing on {channel} although {value:.4g} is commanded; "
+        "look at what passes commands on to it"
+    ),
+    Cause.UNATTENDED: (
+        "the operator's page was not heard of for {value:.1f} s, where {limit:.0f} s are borne; "
+        "keep it open and visible, or run without --attended"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Why a chain tripped.
+
+    Args:
+        cause: why.
+        channel: the sensor, actuator or limited expression, or how an emergency stop was pressed; empty for none.
+        tick: of the plant's clock.
+        value: that was found, in the channel's unit.
+        limit: that it passed, likewise.
+        detail: what there is besides, such as a traceback.
+    """
+
+    cause: Cause
+    channel: str
+    tick: int
+    value: float = 0.0
+    limit: float = 0.0
+    detail: str = ""
+
+    def __str__(self) -> str:
+        said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit).replace(" ;", ";")
+        return f"tick {self.tick}: {self.cause.name}: {said}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it; a value that is not finite as text."""
+        value: float | str = self.value if np.isfinite(self.value) else str(self.value)
+        entry = {"cause": self.cause.name, "number": int(self.cause), "channel": self.channel, "tick": self.tick}
+        return entry | {"value": value, "limit": self.limit, "sentence": str(self), "detail": self.detail}
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What a chain holds a rig to, at one rate, in the units of the channels.
+
+    Args:
+        rate: samples per second.
+        sensors: their names.
+        actuators: their names.
+        commands: table of limits of the actuators (actuators, 4), as `numerics.controller_sizes` has its columns.
+        readings: table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns.
+        motion: second derivative of each reading by readings and commands (sensors, sensors + actuators).
+        limited: what is limited, in words, a rate as that of the expression.
+        limits: table of what is limited (limits, 4), as `masking.compile.numerics.safety_tables` has its columns.
+        weights: of the readings in each (limits, sensors).
+        estimated: of the states of the controller's estimate in each (limits, states).
+        half: samples of half the window in which a response is compared; 0 where none is.
+        delay: samples between a reading and the first effect of the command that answers it.
+        missed: largest share of the samples of a second that may be late or missed.
+        notes: what is not watched, a sentence each.
+    """
+
+    rate: float
+    sensors: tuple[str, ...]
+    actuators: tuple[str, ...]
+    commands: Array
+    readings: Array
+    motion: Array
+    limited: tuple[str, ...] = ()
+    limits: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    weights: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    estimated: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    half: int = 0
+    delay: int = 0
+    missed: float = 1.0
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of_commands(cls, largest: Array, sensors: Sequence[str], actuators: Sequence[str], rate: float) -> Rules:
+        """Rules of a rig of which only the largest commands (actuators,) are known.
+
+        Raises:
+            PlantMismatchError: there is not one positive number for each actuator.
+        """
+        largest = np.array(largest, dtype=np.float64)
+        if largest.shape != (len(actuators),) or not np.all(largest > 0.0) or not np.all(np.isfinite(largest)):
+            names = ", ".join(actuators)
+            raise PlantMismatchError(f"limits are {largest.tolist()}; give one positive number for each of {names}")
+        commands = np.zeros((len(actuators), 4))
+        commands[:, LARGEST], commands[:, TIME] = largest, 1.0
+        motion = np.zeros((len(sensors), len(sensors) + len(actuators)))
+        return cls(rate, tuple(sensors), tuple(actuators), commands, unknown(len(sensors)), motion)
+
+
+def unknown(sensors: int) -> Array:
+    """Table (sensors, 8) of sensors of which nothing is known: any finite reading is plausible."""
+    table = np.zeros((sensors, safety_tables.SENSOR_COLUMNS))
+    table[:, safety_tables.LEAST], table[:, [safety_tables.MOST, safety_tables.STEP]] = -np.inf, np.inf
+    return table
+
+
+@cache
+def kernels() -> Kernels:
+    """`watch` and `guard`, compiled once for all rigs; from the cache on disk where they are."""
+    return linked("safety", lambda: {"watch": (safety_kernels.watch,), "guard": (safety_kernels.guard,)}, {}, (2, 64))
+
+
+@final
+class Chain:
+    """The chain of one run: `watch` the readings of a tick, let the controller answer, and write what `guard` returns.
+
+    Attributes:
+        trip: why it tripped; None while it has not.
+
+    Args:
+        rules: what the rig is held to.
+        estimate: what the controller knows of the rig's states, which it changes in place; where rules need it.
+    """
+
+    def __init__(self, rules: Rules, estimate: Array | None = None) -> None:
+        self.rules = rules
+        self.trip: Trip | None = None
+        sensed, channels, rate = len(rules.sensors), len(rules.actuators), rules.rate
+        if max(sensed, channels) > 64:
+            raise PlantMismatchError(f"{max(sensed, channels)} channels are more than the safety chain's 64")
+        self._values, self._demanded, self.applied = np.zeros(sensed), np.zeros(channels), np.zeros(channels)
+        self._missed, self._found = np.zeros(1, dtype=np.int64), np.zeros(3)
+        self._counts = np.zeros(safety_tables.COUNTS, dtype=np.int64)
+        self._late = self._late_in_a_row = 0
+        self._late_since, self._late_at = -math.inf, -math.inf
+        h, settings = np.array([1.0 / rate]), self._settings()
+        spans = max([2 * rules.half, *rules.readings[:, safety_tables.SPAN], *rules.limits[:, safety_tables.OVER]])
+        past = np.zeros((int(spans) + rules.delay + 4, sensed))
+        sent, seen = np.zeros((len(past), channels)), np.zeros((sensed, safety_tables.SEEN_COLUMNS))
+        seen[:, safety_tables.FINEST] = np.inf
+        known = np.zeros(rules.estimated.shape[1]) if estimate is None else estimate
+        self._watch = kernels().watch.bind(
+            self._missed, h, self._values, known, _whole(rules.readings), seen, _whole(rules.motion), past, sent,
+            _whole(rules.limits), _whole(rules.weights), _whole(rules.estimated), np.zeros((channels, 2)), self._counts,
+            settings, self._found,
+        )  # fmt: skip
+        self._guard = kernels().guard.bind(
+            h, self._demanded, self.applied, _whole(rules.commands), np.zeros((channels, BUCKETS + 1)), sent,
+            self._counts, settings, self._found,
+        )  # fmt: skip
+
+    def _settings(self) -> NDArray[np.int64]:
+        rules, rate = self.rules, self.rules.rate
+        settings = np.zeros(safety_tables.SETTINGS, dtype=np.int64)
+        settings[[safety_tables.HALF, safety_tables.DELAY]] = rules.half, rules.delay
+        settings[safety_tables.HELD], settings[safety_tables.SECOND_OF] = max(3, int(_HELD * rate)), max(1, round(rate))
+        settings[safety_tables.CUTS] = max(1, round(_CUT * rate))
+        settings[safety_tables.PER_BUCKET] = max(1, round(rules.commands[:, TIME].max(initial=1.0) * rate / BUCKETS))
+        return settings
+
+    @property
+    def clamped(self) -> int:
+        """How many commands were made smaller."""
+        return int(self._counts[safety_tables.CLAMPED])
+
+    def watch(self, tick: int, values: Array, missed: int = 0) -> Trip | None:
+        """Look at the readings (sensors,) of a tick, before which a number of samples were missed."""
+        if self.trip is None:
+            self._values[:] = values
+            self._missed[0] = missed
+            self._watch.call()
+            if found := self._watch.results[0]:
+                self._found_by(int(found), tick)
+        return self.trip
+
+    def guard(self, tick: int, demanded: Array) -> Array:
+        """Return what may be written for a command (actuators,): the same array each time, zero once it tripped."""
+        if self.trip is None:
+            self._demanded[:] = demanded
+            self._guard.call()
+            if found := self._guard.results[0]:
+                self._found_by(int(found), tick)
+        return self.applied
+
+    def stop(self, cause: Cause, tick: int, channel: str = "", *, value: float = 0.0, limit: float = 0.0,
+             detail: str = "") -> Trip:  # fmt: skip
+        """Trip for a cause that another one found; the first cause stays."""
+        self.applied[:] = 0.0
+        self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail)
+        return made
+
+    def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
+        """Look at the time of a tick that is late, or before which samples were missed; others need no look.
+
+        Trips where five ticks in a row are late, where too many of a second are, and where the plant was silent.
+
+        Args:
+            tick: of the plant's clock.
+            is_late: whether it is late.
+            silence: periods waited for it.
+            missed: samples before it that were missed.
+            lost: those of them that never came.
+        """
+        if silence > _LOST + 1.5 and lost > _LOST:
+            self.stop(Cause.COMM_LOST, tick, value=silence, limit=_LOST)
+        if is_late:
+            self._late_in_a_row = self._late_in_a_row + 1 if tick - missed - 1 == self._late_at else 1
+            self._late_at = tick
+        if self._late_in_a_row >= _LATE_IN_A_ROW:
+            self.stop(Cause.OVERRUN, tick, value=self._late_in_a_row, limit=_LATE_IN_A_ROW - 1)
+        if tick - self._late_since >= self.rules.rate:
+            self._late, self._late_since = 0, tick
+        self._late += max(missed, int(is_late))
+        most = self.rules.missed * self.rules.rate
+        if self._late > most:
+            self.stop(Cause.OVERRUN, tick, value=self._late, limit=most)
+
+    def _found_by(self, number: int, tick: int) -> None:
+        cause, at = Cause(number), int(self._found[0])
+        names = self.rules.actuators
+        if cause <= Cause.SENSOR_RANGE:
+            names = self.rules.sensors
+        elif cause in {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT}:
+            names = self.rules.limited
+        self.stop(cause, tick, names[at], value=float(self._found[1]), limit=float(self._found[2]))
+
+
+def _whole(table: Array) -> Array:
+    return np.ascontiguousarray(table, dtype=np.float64)

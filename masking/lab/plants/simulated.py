@@ -1,0 +1,97 @@
+"""The twin of a rig behind the interface of a plant: it moves by one sample with each command that it is given."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.errors import ModelError
+from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
+
+
+@final
+class SimulatedPlant:
+    """A twin that starts at rest and unpowered, and moves for one sample under each command.
+
+    A command acts after the delay that the twin declares; `masking.lab.runs.offline.run_twin` computes the same.
+
+    Args:
+        twin: the rig.
+        seed: of the sensors' noise.
+
+    Raises:
+        ModelError: a sensor reads at once what is commanded, as the force of a component: nothing can answer it.
+    """
+
+    owns_clock = False
+
+    def __init__(self, twin: Twin, seed: int = 0) -> None:
+        if "sense" not in twin.kernels.meta["functions"]:
+            raise ModelError(
+                f"{twin.declaration.name}: its sensors read at once what is commanded, which no controller can answer; "
+                "what its model is missing is found by 'masking discover', from a record"
+            )
+        self.twin, self.seed = twin, seed
+        self.sensors, self.actuators = twin.sensors, twin.actuators
+        self._life = LifeCycle()
+        self._y = twin.unpowered()
+        self._queue, self._acting = np.zeros((1, len(twin.actuators))), np.zeros(len(twin.actuators))
+        self._tick, self._is_moved = 0, True
+
+    def configure(self, settings: Settings) -> None:
+        """Go back to rest, for a number of samples per second."""
+        self._life.configure()
+        twin = self.twin
+        self._rate, self._substeps, self._p = settings.rate, twin.substeps(settings.rate), twin.values()
+        self._generator = np.random.default_rng(self.seed)
+        self._y = twin.unpowered()
+        self._late = twin.late(settings.rate)
+        self._queue = np.zeros((1 + math.ceil(self._late.max(initial=0.0)), len(twin.actuators)))
+        self._acting[:] = 0.0
+        self._tick, self._is_moved = -1, False
+        self._readings = np.zeros(len(twin.sensors))
+        twin.kernels.sense.prepare()
+        twin.kernels.move.prepare()
+
+    def activate(self) -> None:
+        """Enable the outputs, at zero."""
+        self._life.activate()
+
+    def read(self) -> Sample:
+        """Sample after the last command, or the same again where no command came."""
+        self._life.need_active("read")
+        if self._tick < 0 or self._is_moved:
+            self._tick += 1
+            self._is_moved = False
+            noise = self._generator.standard_normal(len(self.sensors))
+            self.twin.kernels.sense(self._tick / self._rate, self._y, self._p, noise, self._readings)
+        return Sample(self._tick, self._readings.copy())
+
+    def write(self, index: int, command: Array) -> None:
+        """Let the rig move by one sample, and this command (actuators,) act after the delay.
+
+        Raises:
+            CommandError: it is not one finite number for each actuator, or nothing was read.
+        """
+        self._life.need_active("write")
+        check_answer(self._tick, command, self.actuators)
+        del index  # the oldest command under way acts, whatever sample it answers
+        self._queue[-1] = command
+        move, h = self.twin.kernels.move, 1.0 / self._rate
+        move(self._tick * h, self._y, self._queue, self._late, self._p, h, self._substeps, self._acting)
+        self._is_moved = True
+
+    def deactivate(self) -> None:
+        """Set the outputs to zero."""
+        self._life.deactivate()
+        self._queue[:] = 0.0
+        self._acting[:] = 0.0
+
+    def telemetry(self) -> dict[str, float]:
+        """Outputs that acted last and the twin's states, by name."""
+        applied = {APPLIED + name: float(value) for name, value in zip(self.actuators, self._acting, strict=True)}
+        return applied | {name: float(value) for name, value in zip(self.twin.state_names, self._y, strict=True)}

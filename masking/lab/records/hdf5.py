@@ -1,0 +1,115 @@
+"""Vectors of numbers in an HDF5 file, which a MATLAB file of version 7.3 is, too; each is named by its path.
+
+This module alone touches h5py, so that whoever reads no such file does not pay for loading it.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError
+from masking.lab.records import unpacked_size
+from masking.lab.records.nested_data import MOST_COLUMNS, vectors
+
+# What MATLAB calls numbers. Text, tables and objects are kept as integers, too, with another class beside them.
+_MATLAB = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+_MOST_INFLATED = 1032  # times as many bytes as are stored
+# What h5py raises for files that are cut off or damaged.
+_DAMAGED = (OSError, RuntimeError, ValueError, TypeError, KeyError, UnicodeError, MemoryError, SystemError, zlib.error)
+
+
+def is_hdf5(file: Path) -> bool:
+    """Whether a file has the signature of HDF5, whatever its name ends in."""
+    return bool(h5py.is_hdf5(file))
+
+
+def read(file: Path) -> dict[str, NDArray[np.float64]]:
+    """Read every vector of numbers as float64, by its path in the file, such as `multisine/u`.
+
+    Vectors and columns of matrices are as in `nested.vectors`. Scalars, texts, compounds and references are left out,
+    and what only MATLAB understands. Nothing is read from other files: a file with external links, external storage or
+    virtual datasets is refused.
+
+    Raises:
+        RecordError: it is no HDF5 file, is cut off or damaged, refers to other files, unpacks to too much, or holds no
+            vectors.
+    """
+    total = 0
+    found: dict[str, NDArray[np.float64]] = {}
+
+    def visit(path: str, held: h5py.Group | h5py.Dataset) -> None:
+        nonlocal total
+        if isinstance(held, h5py.Dataset):
+            if held.is_virtual or held.external:
+                raise _elsewhere(file, path, "a virtual dataset" if held.is_virtual else "stored in another file")
+            if _has_vectors(path, held):
+                total += 8 * held.size
+                unpacked_size.check(file, total)
+                _check_chunks(file, held)
+                found.update(vectors(path, held[()]))
+
+    def outside(path: str, held: object) -> str | None:
+        return path if isinstance(held, h5py.ExternalLink) else None
+
+    try:
+        with h5py.File(file, "r") as opened:
+            if (path := opened.visititems_links(outside)) is not None:
+                raise _elsewhere(file, path, "an external link")
+            opened.visititems(visit)
+    except RecordError:
+        raise
+    except _DAMAGED as error:
+        raise RecordError(f"{file}: the HDF5 file cannot be read ({error})") from error
+    if not found:
+        raise RecordError(f"{file}: it holds no vectors of numbers")
+    return found
+
+
+def _elsewhere(file: Path, path: str, what: str) -> RecordError:
+    return RecordError(f"{file}: {path} is {what}, and other files are not read; copy the data into this one")
+
+
+def _check_chunks(file: Path, held: h5py.Dataset) -> None:
+    """Refuse chunks that unpack to more than they should: HDF5 unpacks all that there is.
+
+    Raises:
+        RecordError: there are such ones.
+        zlib.error: a chunk is damaged.
+    """
+    if held.chunks is None or held.compression != "gzip":
+        return
+    size, inside = math.prod(held.chunks) * held.dtype.itemsize, 4096  # and what stands around the numbers
+    for number in range(held.id.get_num_chunks()):
+        stored = held.id.get_chunk_info(number)
+        if stored.size * _MOST_INFLATED <= unpacked_size.SMALL:
+            continue
+        skipped, data = held.id.read_direct_chunk(stored.chunk_offset)
+        if not skipped and unpacked_size.inflated(data, size + inside) > size + inside:
+            raise RecordError(f"{file}: {held.name} is damaged: a chunk unpacks to more than its {size} bytes")
+
+
+def _has_vectors(path: str, held: h5py.Dataset) -> bool:
+    if any(part.startswith("#") for part in path.split("/")):  # MATLAB's own: what cells and objects refer to
+        return False
+    sides = sorted(held.shape or ())
+    if not held.size or held.size < 2 or held.size > sides[-1] * MOST_COLUMNS:
+        return False
+    try:
+        kind = held.dtype.kind
+    except TypeError:  # HDF5 has kinds of numbers that numpy lacks, such as bit fields
+        return False
+    return kind in "fiu" and _is_number_of_matlab(held)
+
+
+def _is_number_of_matlab(held: h5py.Dataset) -> bool:
+    """Whether MATLAB, where a file is its own, holds numbers here, and not one of its other kinds in integers."""
+    if "MATLAB_empty" in held.attrs or "MATLAB_sparse" in held.parent.attrs:  # the shape; one part of a matrix
+        return False
+    known = held.attrs.get("MATLAB_class", b"double")
+    return (known.decode() if isinstance(known, bytes) else str(known)) in _MATLAB

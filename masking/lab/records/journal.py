@@ -1,0 +1,113 @@
+"""Journal: what happened, a line each, which is on disk before anything else is done.
+
+    {"event": ..., ...}<tab>CRC-32 of that, 8 hexadecimal digits
+
+A line that a crash cut off has no end; it is left out, and written over by the next.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+import zlib
+from pathlib import Path
+from typing import Any, Final, Self, final
+
+from masking.errors import RecordError
+
+if sys.platform != "win32":
+    import fcntl
+
+_TRIES: Final = 0.05  # s between looks at a lock
+
+
+@final
+class Journal:
+    """A journal that this process, and those that it starts with `handle`, have alone; a context.
+
+    Attributes:
+        entries: all that is in it, in order.
+
+    Args:
+        path: of the file, made if need be.
+        patience: s that another process is waited for.
+
+    Raises:
+        RecordError: the file cannot be written, another process has it, a line was changed, or the system is Windows.
+    """
+
+    def __init__(self, path: Path, patience: float = 0.0) -> None:
+        if sys.platform == "win32":
+            raise RecordError(
+                f"{path}: Windows has no lock that processes hand on, as a journal needs; run it on Linux"
+            )
+        self.path, until = path, time.monotonic() + patience
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise RecordError(f"{path} cannot be written ({error}); name another folder") from error
+        while True:
+            try:
+                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError:
+                if time.monotonic() > until:
+                    os.close(self.handle)
+                    raise RecordError(f"{path}: another process writes it; wait for its end, or stop it") from None
+                time.sleep(_TRIES)
+        try:
+            self.entries = self._read()
+        except BaseException:
+            os.close(self.handle)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self.handle)
+
+    def _read(self) -> list[dict[str, Any]]:
+        """Entries; leave out a last line that is cut off."""
+        found, good = list[dict[str, Any]](), 0
+        lines = self.path.read_bytes().splitlines(keepends=True)
+        for number, line in enumerate(lines, 1):
+            text, _, check = line[:-1].rpartition(b"\t")
+            is_whole = check == _check(text)
+            if not (line.endswith(b"\n") and is_whole):
+                if number < len(lines) or line.endswith(b"\n") or is_whole:  # one that was cut off has no end
+                    raise RecordError(f"{self.path}: line {number} was changed; begin anew in another folder")
+                break
+            found.append(json.loads(text))
+            good += len(line)
+        os.ftruncate(self.handle, good)
+        os.lseek(self.handle, good, os.SEEK_SET)
+        return found
+
+    def add(self, **entry: Any) -> None:  # noqa: ANN401
+        """Add an entry, as JSON can hold it, and bring it to disk.
+
+        Raises:
+            RecordError: no place is left; what was written of it is taken back.
+        """
+        text = json.dumps(entry, ensure_ascii=False).encode()
+        line, begin = text + b"\t" + _check(text) + b"\n", os.lseek(self.handle, 0, os.SEEK_CUR)
+        try:
+            written = os.write(self.handle, line)
+            if written < len(line):
+                raise OSError("no place is left")
+            os.fsync(self.handle)
+        except OSError as error:
+            os.ftruncate(self.handle, begin)
+            os.lseek(self.handle, begin, os.SEEK_SET)
+            raise RecordError(
+                f"{self.path} cannot be written ({error}); make room, then start the same again"
+            ) from error
+        self.entries.append(json.loads(text))
+
+
+def _check(text: bytes) -> bytes:
+    return b"%08x" % zlib.crc32(text)

@@ -1,0 +1,185 @@
+"""Files of data loggers: TDMS of LabVIEW, MDF 4 of vehicle buses, MCAP of robots; each by its own optional package.
+
+A channel is named by its group or topic: `rig/x`. The clock of each is beside its channels: `rig/time`, in s.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import json
+import re
+import struct
+import sys
+import traceback
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.errors import RecordError
+from masking.lab.records import unpacked_size
+from masking.lab.records.nested_data import vectors, without_doubles
+
+Column = NDArray[np.float64]
+Nested = Mapping[str, object]
+TIME = "time"
+_MDF_DEFLATED = (0, 1)  # plain and transposed
+
+
+def read(file: Path) -> dict[str, Column]:
+    """Read the channels of numbers in a .tdms, .mf4 or .mcap file.
+
+    Raises:
+        RecordError: the package for it is not installed, or the file cannot be read.
+    """
+    package, reader = {".tdms": ("nptdms", _tdms), ".mf4": ("asammdf", _mdf), ".mcap": ("mcap.reader", _mcap)}[
+        file.suffix.lower()
+    ]
+    try:
+        module = importlib.import_module(package)
+    except ImportError:
+        name = package.partition(".")[0]
+        raise RecordError(f"{file}: it is read by the package {name}: pip install 'masking[loggers]'") from None
+    try:
+        found = dict(vectors("", reader(file, module)))
+    except RecordError:
+        raise
+    except Exception as error:  # these packages raise what their parsers meet, struct.error among them
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordError(f"{file}: the file cannot be read ({reason})") from error
+    if not found:
+        raise RecordError(f"{file}: it holds no channels of numbers")
+    return found
+
+
+def _tdms(file: Path, nptdms: ModuleType) -> Nested:
+    """Channels by group; the clock is that of the first with a waveform's increment."""
+    described = nptdms.TdmsFile.read_metadata(file)
+    if sum(len(c) for group in described.groups() for c in group.channels()) > file.stat().st_size:
+        raise ValueError("it says that it has more samples than bytes")
+    made: dict[str, dict[str, object]] = {}
+    for group in nptdms.TdmsFile.read(file).groups():
+        made[group.name] = channels = {c.name: c[:] for c in group.channels()}
+        for channel in group.channels():
+            if TIME not in channels and "wf_increment" in channel.properties:
+                channels[TIME] = channel.time_track()
+    return made
+
+
+def _mdf(file: Path, asammdf: ModuleType) -> Nested:
+    """Channels of each group that has a name of its own by that, of the others by their numbers from 1."""
+    unpacked_size.check(file, _unpacked_mdf(file))
+    with _opened_mdf(file, asammdf) as opened:
+        unpacked_size.check(file, sum(8 * g.channel_group.cycles_nr * len(g.channels) for g in opened.groups))
+        named = [group.channel_group.acq_name for group in opened.groups]
+        often = Counter(named)
+        groups = [n if n and often[n] == 1 else str(i) for i, n in enumerate(named, 1)]
+        made: dict[str, dict[str, object]] = defaultdict(dict)
+        for signal in opened.iter_channels():
+            made[groups[signal.group_index]] |= {signal.name: signal.samples, TIME: signal.timestamps}
+        return made if len(made) > 1 else next(iter(made.values()), {})
+
+
+def _opened_mdf(file: Path, asammdf: ModuleType) -> Any:  # noqa: ANN401  (of an optional package)
+    """Open an MDF file; where that fails, the package closes it without a line on stderr."""
+    said, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        return asammdf.MDF(file)
+    except Exception as error:
+        left: BaseException | None = error
+        while left is not None:
+            traceback.clear_frames(left.__traceback__)
+            left = left.__context__
+        gc.collect()
+        raise
+    finally:
+        sys.unraisablehook = said
+
+
+def _unpacked_mdf(file: Path) -> int:
+    """How many bytes the compressed blocks of an MDF file unpack to, or say that they do.
+
+    Raises:
+        ValueError: one unpacks to more than it says.
+    """
+    data, total = file.read_bytes(), 0
+    for block in re.finditer(b"##DZ", data):
+        head = data[block.start() + 24 : block.start() + 48]
+        if len(head) == 24:
+            _, kind, _, _, original, size = struct.unpack("<2sBBIQQ", head)
+            total += int(original)
+            packed = data[block.start() + 48 :][:size]
+            if (
+                kind in _MDF_DEFLATED
+                and original <= unpacked_size.limit(file)
+                and unpacked_size.inflated(packed, original) > original
+            ):
+                raise ValueError("a block unpacks to more than it says")
+    return total
+
+
+def _unpacked_mcap(file: Path) -> int:
+    """How many bytes the chunks of an MCAP file unpack to.
+
+    Raises:
+        ValueError: one unpacks to more than it says.
+    """
+    streams, total, most = importlib.import_module("mcap.stream_reader"), 0, unpacked_size.limit(file)
+    with file.open("rb") as stream:
+        for one in streams.StreamReader(stream, emit_chunks=True, record_size_limit=file.stat().st_size).records:
+            if type(one).__name__ == "Chunk":
+                said, found = one.uncompressed_size, one.uncompressed_size
+                if one.compression == "zstd":
+                    found = importlib.import_module("zstandard").frame_content_size(one.data)
+                elif one.compression == "lz4" and said <= most:
+                    found = len(
+                        importlib.import_module("lz4.frame").LZ4FrameDecompressor().decompress(one.data, said + 1)
+                    )
+                if found > said:
+                    raise ValueError("a chunk unpacks to more than it says")
+                total += said
+    return total
+
+
+def _mcap(file: Path, reader: ModuleType) -> Nested:
+    """Fields of the JSON messages of each topic, on a clock that begins with the record."""
+    samples: dict[str, list[dict[str, object]]] = defaultdict(list)
+    clocks: dict[str, list[int]] = defaultdict(list)  # ns
+    others = set()
+    unpacked_size.check(file, _unpacked_mcap(file))
+    with file.open("rb") as stream:
+        for _, channel, message in reader.make_reader(stream, validate_crcs=True).iter_messages():
+            if channel.message_encoding != "json":
+                others.add(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
+                continue
+            content = json.loads(message.data, object_pairs_hook=without_doubles)
+            fields = content if isinstance(content, dict) else {"value": content}
+            topic = channel.topic.strip("/")
+            samples[topic].append(_flat("", fields))
+            clocks[topic].append(message.log_time)
+    if others and not samples:
+        raise RecordError(
+            f"{file}: only messages in JSON are read, not {', '.join(sorted(others))}; export them as csv"
+        )
+    start = min((clock[0] for clock in clocks.values()), default=0)
+    made: dict[str, dict[str, object]] = {}
+    for topic, rows in samples.items():
+        made[topic] = {name: [row.get(name) for row in rows] for name in dict.fromkeys(n for row in rows for n in row)}
+        made[topic][TIME] = [(when - start) * 1e-9 for when in clocks[topic]]
+    return made
+
+
+def _flat(path: str, fields: Mapping[str, object]) -> dict[str, object]:
+    """Nested fields of numbers by their paths."""
+    made: dict[str, object] = {}
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            made |= _flat(f"{path}{name}/", value)
+        elif isinstance(value, int | float):
+            made[f"{path}{name}"] = value
+    return made

@@ -1,0 +1,99 @@
+"""Noise: how much white noise there is in readings of something that moves, and up to which frequency it moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+
+# Readings fewer than these are too few for bands.
+FEWEST = 256
+# Bands that a spectrum is cut into, and lines in each, at least as far as there are lines.
+FEWEST_BANDS, MOST_BANDS, LINES = 4, 32, 64
+# A band is louder than others if it is this many deviations above their mean.
+LOUDER = 4.0
+# The same where none of hundreds of bands may be so by chance.
+SURELY = 6.0
+# Part of its lowest frequency that a band reaches beyond it where motion ends: a third of an octave.
+WIDER = 0.26
+# Parts of readings in which motion is looked for.
+QUARTERS = 4
+# Variance of the mean over lines of a spectrum by the window sin^4, in parts of that of independent lines.
+ALIKE = 2.63
+# Records are cut to a multiple of this, which has a fast transform.
+MULTIPLE = 128
+
+
+def third_differences(readings: Array) -> Array:
+    """Third differences (samples - 3, columns), scaled so that those of white noise are as large as the noise.
+
+    Args:
+        readings: in equal steps of time (samples, columns); what moves smoothly leaves next to nothing.
+    """
+    return np.asarray(np.diff(readings, n=3, axis=0) / np.sqrt(20.0))  # 1 + 9 + 9 + 1
+
+
+def white_noise(readings: Array) -> Array:
+    """Standard deviation of white noise in each column (columns,).
+
+    White noise is as strong at all frequencies, and motion is not. The spectrum is cut into bands, and the noise is the
+    mean of those that differ by chance only, the quietest first: all of them where there is nothing but noise. So
+    neither ten samples in a period nor a line near half the rate count as noise. Of noise with a colour, it is what
+    the quietest bands hold. Fewer than 256 readings have their noise found from third differences.
+
+    Args:
+        readings: in equal steps of time (samples, columns).
+
+    Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7, for smoothed periodograms; von Neumann
+    et al., Annals of Mathematical Statistics 12 (1941), 153-162, for differences.
+    """
+    if len(readings) < FEWEST:
+        thirds = third_differences(readings)
+        return np.asarray(np.sqrt((thirds**2).mean(axis=0))) if len(thirds) else np.zeros(readings.shape[1])
+    power = _periodogram(readings)
+    lines = power.shape[1]
+    bands = min(max(lines // LINES, FEWEST_BANDS), MOST_BANDS)
+    starts = np.arange(bands) * lines // bands
+    levels = np.sort(np.add.reduceat(power, starts, axis=1) / np.diff(np.append(starts, lines)), axis=1)
+    means = np.cumsum(levels, axis=1) / np.arange(1, bands + 1)
+    chance = np.sqrt(ALIKE * bands / lines * (1.0 + 1.0 / np.arange(1, bands)))  # of a band, and of the mean before it
+    louder = levels[:, 1:] > means[:, :-1] * (1.0 + LOUDER * chance)
+    quiet = np.where(louder.any(axis=1), louder.argmax(axis=1), bands - 1)
+    return np.asarray(np.sqrt(means[np.arange(len(means)), quiet]))
+
+
+def bandwidth(readings: Array) -> float:
+    """Highest frequency, in cycles per sample, at which any column is louder than its white noise.
+
+    Each quarter of the readings is looked at, so that motion that decays counts where it is. Bands are a third of an
+    octave wide. Of fewer than 1024 readings the quarters are too few for bands, and have 0.5.
+
+    Args:
+        readings: in equal steps of time (samples, columns).
+    """
+    if len(readings) < QUARTERS * FEWEST:
+        return 0.5
+    noise = white_noise(readings)[:, None] ** 2
+    return max(_bandwidth(quarter, noise) for quarter in np.array_split(readings, QUARTERS))
+
+
+def _bandwidth(readings: Array, noise: Array) -> float:
+    """Highest frequency at which any column is louder than its noise (columns, 1), a variance."""
+    power = _periodogram(readings)
+    lines, starts = power.shape[1], [0]
+    while (end := starts[-1] + max(LINES, int(WIDER * starts[-1]))) < lines:
+        starts.append(end)
+    ends = np.append(starts[1:], lines)
+    levels = np.add.reduceat(power, starts, axis=1) / (ends - starts)
+    louder = (levels > noise * (1.0 + SURELY * np.sqrt(ALIKE / (ends - starts)))).any(axis=0)
+    return float(0.5 * ends[louder].max(initial=0) / lines)
+
+
+def _periodogram(readings: Array) -> Array:
+    """Power of each column at all frequencies but 0, in parts of a variance (columns, lines)."""
+    count = len(readings) - len(readings) % MULTIPLE
+    window = np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 4  # side lobes fall by 30 dB in an octave
+    window /= np.sqrt((window**2).mean())
+    part = readings[:count]
+    spectrum = np.fft.rfft((window[:, None] * (part - part.mean(axis=0))).T)[:, 1:]
+    return np.asarray(np.abs(spectrum) ** 2 / count)

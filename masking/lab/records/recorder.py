@@ -1,0 +1,198 @@
+"""Recorder: a process that takes the rows of a running loop out of its ring and adds them to a stream on disk.
+
+    python -m masking.lab.records.recorder RING FOLDER
+
+It outlives the loop: of a process that was killed it takes the rest from the ring. The loop never waits for it, and a
+recorder that was killed itself is replaced by another one, which goes on in the same stream.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, final
+
+from masking.errors import RecordError
+from masking.lab.records import stream
+from masking.lab.records.ring import Ring, RingReader
+
+FLUSH: Final = 0.02  # s between pages
+SYNC: Final = 1.0  # s between the times at which all is brought to disk
+MOST: Final = 1 << 20  # bytes of a page
+STARTS: Final = 6  # recorders of one run at most
+FULL: Final = 3  # exit status where no place is left
+CLOSED: Final = "closed"
+KILLED: Final = "killed"
+WATCHING: Final = "recorder"  # name of the thread that waits for the end of a recorder
+_NICE: Final = 5
+_HELD: Final = 16.0  # s of rows in memory
+_READY: Final = b"ready\n"
+_END: Final = 10.0  # s at most for the last rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Record until the ring is closed, or the process that writes it has ended; return the exit status."""
+    ring, folder = sys.argv[1:3] if arguments is None else arguments
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(_NICE)
+    try:
+        _record(RingReader(ring), folder)
+    except stream.NoSpaceError as error:
+        _say(error)
+        return FULL
+    except RecordError as error:
+        _say(error)
+        return error.exit_status
+    return 0
+
+
+def _say(error: RecordError) -> None:
+    """Say why the record ends; a full disk may hold what is said, too."""
+    with contextlib.suppress(OSError):
+        print(f"masking: {error}", file=sys.stderr, flush=True)
+
+
+def _record(reader: RingReader, folder: str) -> None:
+    """Record rows until none follows."""
+    writer = stream.StreamWriter(folder)
+    reader.next = writer.next
+    sys.stdout.buffer.write(_READY)
+    sys.stdout.flush()
+    most, synced, lost = max(1, MOST // (8 * len(reader.columns))), time.monotonic(), 0
+    while True:
+        # Asked before the rows are taken: none follows those then.
+        is_closed, is_killed = reader.is_closed, not _is_writing(reader.process)
+        while len((rows := reader.take(most)).table):
+            writer.append(rows.first, rows.table)
+            lost += rows.missed
+        if is_closed or is_killed:
+            break
+        if time.monotonic() - synced > SYNC:
+            writer.sync()
+            synced = time.monotonic()
+        time.sleep(FLUSH)
+    writer.end({"why": CLOSED if is_closed else KILLED, "rows": writer.next, "lost": lost, "moved": writer.moved})
+    if not is_closed:
+        reader.path.unlink(missing_ok=True)
+
+
+def _is_writing(process: int) -> bool:
+    return os.getppid() == process
+
+
+@final
+class Recorder:
+    """The recorder of a run, as the process sees it that writes the rows.
+
+    It is there, and the manifest on disk, once this is made. A thread waits for its end, which costs the loop nothing,
+    and replaces it.
+
+    Attributes:
+        ring: for the rows.
+        ended: how many recorders have ended before the rows did.
+        is_full: whether no place is left for rows.
+        lost: rows that were put and are in no part of the stream, counted by `close`.
+
+    Args:
+        folder: of the stream, made if need be.
+        columns: unit and meaning of the numbers of a row, by name.
+        rate: rows per second, Hz.
+        spare: folder for the rest where the first one is full.
+        **more: what else the manifest says.
+
+    Raises:
+        RecordError: the folder holds a stream already, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        columns: Mapping[str, Mapping[str, str]],
+        rate: float,
+        spare: str | Path,
+        **more: Any,  # noqa: ANN401
+    ) -> None:
+        self.folder, self.ended, self.lost, self.is_full, self._starts = Path(folder), 0, 0, False, 0
+        units = {name: entry["unit"] for name, entry in columns.items()}
+        number = os.urandom(8).hex()
+        self.ring = Ring([*columns], rate, units, round(_HELD * rate), number=number)
+        content = {"columns": dict(columns), "rate": rate, "number": number}
+        content |= {"spare": str(Path(spare).absolute()), "ring": str(self.ring.path)}
+        try:
+            stream.begin(folder, {**content, **more})
+            self._process: subprocess.Popen[bytes] | None = self._start()
+            if self._process.stdout is None or self._process.stdout.readline() != _READY:
+                self._process.wait()
+                stream.remove(folder)
+                raise RecordError(f"{folder}: the recorder could not begin; it said why")
+        except BaseException:
+            self.ring.close()
+            raise
+        self._thread = threading.Thread(target=self._attend, name=WATCHING, daemon=True)
+        self._thread.start()
+
+    @property
+    def process(self) -> int | None:
+        """Number of the process that records; None where none does any more."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether rows are not recorded any more."""
+        return self._process is None
+
+    @property
+    def note(self) -> str:
+        """Say what did not go as it should; empty where all did."""
+        many, said = f"{self.ended} recorders were" if self.ended != 1 else "1 recorder was", list[str]()
+        if self.is_full:
+            said = ["no place was left for the stream of the run: it was stopped"]
+        elif self.is_lost:
+            said = [f"{many} killed, and no other was started: what followed was not streamed"]
+        elif self.ended:
+            said = [f"{many} killed and replaced"]
+        return "; ".join([*said, *([f"{self.lost} rows were not streamed"] if self.lost else [])])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what did not go as it should, as JSON can hold it."""
+        return {"ended": self.ended, "lost": self.lost, "note": self.note}
+
+    def close(self) -> None:
+        """Let the recorder take the last rows and end the stream; wait for it, and count what is missing."""
+        self.ring.close(remove=False)
+        self._thread.join(_END)
+        self.lost = self.ring.count - stream.written(self.folder)
+        self.ring.path.unlink(missing_ok=True)
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        """Start a recorder in a session of its own, which no signal of the terminal reaches."""
+        self._starts += 1
+        command = [sys.executable, "-m", "masking.lab.records.recorder", str(self.ring.path), str(self.folder)]
+        return subprocess.Popen(  # noqa: S603  # this program itself
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+        )
+
+    def _attend(self) -> None:
+        """Wait for the end of one recorder after the other."""
+        while self._process is not None:
+            status = self._process.wait()
+            if self._process.stdout is not None:
+                self._process.stdout.close()
+            if status == 0:
+                return
+            self.is_full = status == FULL
+            self.ended += 1
+            try:
+                self._process = self._start() if not self.is_full and self._starts < STARTS else None
+            except OSError:  # no process can be started
+                self._process = None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""Bounds on what files unpack to, checked before they are unpacked: some kilobytes may stand for terabytes."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from masking.errors import RecordError
+
+SMALL = 2**28  # bytes that every file may unpack to
+RATIO = 32  # times its own size that a larger one may unpack to; measured records: 1 to 10
+_PIECE = 2**20
+
+
+def limit(file: Path) -> int:
+    """How many bytes a file may unpack to."""
+    return max(SMALL, RATIO * file.stat().st_size)
+
+
+def check(file: Path, size: int) -> None:
+    """Refuse a file that unpacks to too much.
+
+    Args:
+        file: packed.
+        size: of all that it holds as float64, in bytes.
+
+    Raises:
+        RecordError: it is larger than `limit`.
+    """
+    if size > limit(file):
+        raise RecordError(
+            f"{file}: it unpacks to {size / 2**20:.0f} MiB, {size / max(1, file.stat().st_size):.0f} times its size: "
+            f"more than {SMALL // 2**20} MiB and {RATIO} times are refused; cut it, or save it without compression"
+        )
+
+
+def inflated(data: bytes, most: int) -> int:
+    """How many bytes data of zlib unpack to, in little memory; no more than one piece beyond `most`.
+
+    Raises:
+        zlib.error: they are damaged.
+    """
+    return sum(map(len, _pieces(data, most)))
+
+
+def _pieces(data: bytes, most: int) -> Iterator[bytes]:
+    unpacking, rest, size = zlib.decompressobj(), data, 0
+    while size <= most and not unpacking.eof:
+        piece = unpacking.decompress(rest, _PIECE)
+        rest, size = unpacking.unconsumed_tail, size + len(piece)
+        if not piece and not rest:
+            return
+        yield piece

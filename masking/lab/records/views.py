@@ -1,0 +1,137 @@
+"""Views of a recording for other programs and for notebooks: pandas, xarray, a figure, a table in HTML."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+import lazy_loader as lazy
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.display import fragments, symbols
+from masking.display.palette import COLOURS, INK
+from masking.display.thinning import thin
+from masking.errors import RecordError
+
+if TYPE_CHECKING:
+    from masking.display import axes
+else:
+    axes = lazy.load("masking.display.axes", suppress_warning=True)
+
+Columns = Mapping[str, NDArray[np.float64]]
+IDEAL: Final = "ideal"
+_WIDTH, _ROW, _ENDS = 9.0, 1.5, 0.75  # inches: width of a figure, height of a row, and room above and below
+
+
+def frame(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> Any:  # noqa: ANN401  # a DataFrame
+    """Pandas DataFrame over the time, with units and meanings in `attrs`.
+
+    Args:
+        columns: of the recording.
+        units: of the columns, by name.
+        meanings: of the columns, by name.
+
+    Raises:
+        RecordError: pandas is not installed.
+    """
+    pandas = _package("pandas")
+    made = pandas.DataFrame({name: values for name, values in columns.items() if name != "t"})
+    made.index = pandas.Index(columns["t"], name="t")
+    made.attrs.update(units=dict(units), meanings=dict(meanings))
+    return made
+
+
+def dataset(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str], title: str) -> Any:  # noqa: ANN401  # a Dataset
+    """Xarray Dataset over the time; each variable has `units` and `long_name`.
+
+    Args:
+        columns: of the recording.
+        units: of the columns, by name.
+        meanings: of the columns, by name.
+        title: of the recording.
+
+    Raises:
+        RecordError: xarray is not installed.
+    """
+    xarray = _package("xarray")
+
+    def variable(name: str) -> tuple[str, NDArray[np.float64], dict[str, str]]:
+        attributes = {"units": units.get(name, ""), "long_name": meanings.get(name, "")}
+        return "t", columns[name], {key: text for key, text in attributes.items() if text}
+
+    data = {name: variable(name) for name in columns if name != "t"}
+    return xarray.Dataset(data, coords={"t": variable("t")}, attrs={"title": title} if title else {})
+
+
+def _package(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise RecordError(f"to_{name} needs the package {name}: pip install 'masking[notebook]'") from None
+
+
+def figure(
+    columns: Columns, units: Mapping[str, str], rows: Sequence[Sequence[str]], title: str
+) -> axes.NotebookFigure:
+    """Draw columns over the time; what is ideal lies as a dashed line over what is virtual.
+
+    Args:
+        columns: of the recording.
+        units: of the columns, by name; those of a row may differ, and are then in its legend.
+        rows: the columns of each row of axes.
+        title: written above.
+    """
+    height = _ROW * len(rows) + _ENDS
+    made = axes.NotebookFigure(figsize=(_WIDTH, height), dpi=axes.DPI / 2, facecolor="white", layout="constrained")
+    for names, each in zip(rows, np.atleast_1d(made.subplots(len(rows), sharex=True)), strict=True):
+        axes.dress(each)
+        common = {units.get(name, "") for name in names}
+        for name, colour in zip(names, COLOURS * len(names), strict=False):
+            prefix, _, short = name.rpartition(".")
+            unit = "" if len(common) == 1 else units.get(name, "")
+            each.plot(
+                *thin(columns["t"], columns[name]), color=colour, lw=1.2, label=axes.with_unit(_label(short), unit)
+            )
+            ideal = columns.get(f"{IDEAL}.{short}") if prefix == "virtual" else None
+            if ideal is not None:
+                each.plot(*thin(columns["t"], ideal), color=INK, lw=0.8, ls=axes.DASHED)
+        each.set_ylabel(axes.with_unit(_prefix(names), common.pop() if len(common) == 1 else ""))
+        each.legend(frameon=False, fontsize=axes.SIZE - 0.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        each.set_xlim(columns["t"][0], columns["t"][-1])
+    each.set_xlabel(axes.with_unit("time", units.get("t", "")))
+    made.suptitle(title, fontsize=axes.SIZE + 1.5, color=INK, x=0.01, ha="left")
+    return made
+
+
+def _prefix(names: Sequence[str]) -> str:
+    """Return what several columns are: their common prefix, or the name of the only one."""
+    prefixes = {name.rpartition(".")[0] for name in names}
+    return prefixes.pop() if len(prefixes) == 1 else ""
+
+
+def _label(name: str) -> str:
+    """Typeset the name of a column without its prefix; a rate keeps its prime."""
+    plain = name.rstrip("'")
+    return f"{symbols.tex(plain)}{name[len(plain) :]}"
+
+
+def card(title: str, subtitle: str, columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> str:
+    """HTML with a table of columns: their units, meanings, ranges and shapes, rates left out.
+
+    Args:
+        title: of the recording.
+        subtitle: the line below it.
+        columns: of the recording.
+        units: of the columns, by name.
+        meanings: of the columns, by name.
+    """
+    rows = [
+        (name, units.get(name, ""), meanings.get(name, ""), f"{c.min():.4g}", f"{c.max():.4g}", fragments.line(c))
+        for name, c in columns.items()
+        if name != "t" and not name.endswith("'")
+    ]
+    head = ("column", "unit", "meaning", "least", "greatest", "")
+    return fragments.card(title, subtitle, fragments.table(head, rows, numbers=(3, 4)))

@@ -1,0 +1,341 @@
+"""Error budget: the share of each cause in the masking error of a simulated rig, from runs without that cause."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from masking.analysis.masking_error import masking_error
+from masking.compile.numerics.arrays import Array
+from masking.control.observer import Differences, Observer
+from masking.control.rig.twin import Twin
+from masking.control.sampled_controller import SampledLoop
+from masking.errors import MaskingError, ModelError
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import TwinRun, run_twin
+from masking.model.declaration import schema
+from masking.model.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
+
+Progress = Callable[[float], None]
+
+NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
+FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
+LONGEST: Final = 10.0  # s that the runs of a budget may take where nobody has asked for one
+_PREPARING: Final = 0.15  # s before each of them
+_WORTH: Final = 0.9  # of chi: what a cause must bring it down to, to be worth a sentence
+_PROBES: Final = 200  # states of the run at which the controller's model is compared with the rig
+_KNOWN: Final = 0.5  # of the error of the model: what knowing a cause must bring it down to
+_KNOWN_NOTE: Final = "the controller's model knows it: without it, the model is wrong"
+_OFFSETS_NOTE: Final = "makes up for another cause: to mend it alone makes matters worse"
+
+
+@dataclass(frozen=True)
+class Row:
+    """The masking error of one run: without a cause, whose effects are named as the plant file names them.
+
+    Args:
+        cause: what was absent.
+        effects: the effects that were switched off; "limits" for those of the plant file.
+        chi: masking error of each virtual coordinate; infinite where the run could not go on.
+        remedy: what helps against the cause on a rig.
+        note: what must be known to read the row, such as why the run stopped.
+    """
+
+    cause: str
+    effects: tuple[str, ...]
+    chi: Mapping[str, float]
+    remedy: str = ""
+    note: str = ""
+
+    @property
+    def worst(self) -> float:
+        """Largest chi."""
+        return max(self.chi.values())
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared chi of the coordinates, by which runs are compared."""
+        return math.sqrt(sum(chi**2 for chi in self.chi.values()) / len(self.chi))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What limits the masking error of a run: the run as it is, without each cause in turn, and without all of them.
+
+    `without_all` leaves on what the controller's model knows.
+    """
+
+    whole: Row
+    rows: tuple[Row, ...]
+    without_all: Row
+    rate: float
+
+    @property
+    def sentence(self) -> str:
+        """Return what to mend first."""
+        now, left = _chi(self.whole.rms), _chi(self.without_all.rms)
+        best = min(self.rows, key=lambda row: row.rms)
+        if best.rms <= _WORTH * self.whole.rms:
+            how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
+            return f"Mend first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
+        if self.without_all.rms <= _WORTH * self.whole.rms:
+            return (
+                f"No single cause limits the masking error; all together do (chi {now} -> {left} without any of them)."
+            )
+        return f"Nothing that can be switched off limits the masking error (chi {now}, and {left} without any of it)."
+
+    def as_dict(self) -> dict[str, Any]:
+        """Budget as JSON can hold it; `change` is that of the rms of chi."""
+        whole = self.whole
+
+        def entry(row: Row) -> dict[str, Any]:
+            change = 0.0 if row.rms == whole.rms else row.rms - whole.rms  # both may be infinite
+            facts = {**asdict(row), "effects": [*row.effects]}
+            return {**facts, "worst": row.worst, "rms": row.rms, "change": change}
+
+        return {
+            "sentence": self.sentence,
+            "chi": dict(whole.chi),
+            "worst": whole.worst,
+            "rms": whole.rms,
+            "rows": [entry(row) for row in self.rows],
+            "without_all": entry(self.without_all),
+        }
+
+
+def run(experiment: Experiment, wanted: bool | None = None, progress: Progress | None = None) -> Recording:
+    """Run an experiment and put its budget into the manifest of the recording, under `budget`.
+
+    Args:
+        experiment: what to run.
+        wanted: whether to make a budget; where it is None, one is made that takes less than ten seconds.
+        progress: called with the part done, first of the run and then of the budget.
+
+    Raises:
+        MaskingError: the run could not go on, or a budget is wanted of a run without an observer.
+    """
+    if wanted and not experiment.has_observer:
+        raise ModelError(
+            f"{experiment.declaration.name}: there is no budget of a controller that knows the true state; give "
+            "controller.rate and an observer, such as 'controller: {rate: 1 kHz, observer: disturbance}'"
+        )
+    recording = experiment.run(progress)
+    if wanted is None:
+        is_free = experiment.declaration.controller.regulate is None  # else chi is of another motion
+        wanted = experiment.has_observer and is_free and expected_time(experiment, recording) < LONGEST
+    if not wanted:
+        return recording
+    if (recording.manifest.get("stop") or {}).get("met"):  # the same length for all runs
+        experiment = in_full(experiment, recording.manifest["stop"]["at"])
+    facts = budget(experiment, progress).as_dict()
+    return replace(recording, manifest={**recording.manifest, "budget": facts})
+
+
+def in_full(experiment: Experiment, duration: float | None = None) -> Experiment:
+    """Experiment that nothing ends before its duration, or before another one in virtual time."""
+    changes = {"stop": None, "duration": duration or experiment.declaration.duration}
+    declaration = experiment.declaration.model_copy(update=changes)
+    return Experiment(replace(experiment.assembly, experiment=declaration))
+
+
+def expected_time(experiment: Experiment, recording: Recording) -> float:
+    """How long a budget will take, in s, from the time of the run."""
+    timing = recording.manifest["timing"]
+    slow, fast = 1 + len(causes(experiment.twin)), 2  # sampling, and all of these
+    return float((timing["run"] + timing["ideal"]) * (slow + FASTER * fast) + _PREPARING * (slow + fast))
+
+
+def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
+    """Causes that a twin has switched on, each with its effects as the plant file names them.
+
+    The limits of the plant file count as saturation.
+    """
+    found: dict[str, list[str]] = {family: [] for family in FAMILIES}
+    for effect in twin.effects:
+        if effect.enabled:
+            found.setdefault(effect.entry.family or effect.kind, []).append(effect.path.partition(".")[2])
+    if twin.declaration.limits.inputs or twin.declaration.limits.power:
+        found[SATURATION].append("limits")
+    return {cause: tuple(dict.fromkeys(names)) for cause, names in found.items() if names}
+
+
+def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
+    """Run an experiment as it is, and again without each cause of masking error.
+
+    Only the cause changes: the observer keeps the bandwidths and the noise for which it was designed, and a controller
+    that predicts the delay predicts the one there is.
+
+    Args:
+        experiment: with an observer.
+        progress: called with the part done.
+
+    Raises:
+        MaskingError: the experiment is wrong; a run that cannot go on counts with an infinite chi.
+    """
+    bench, found = _Bench(experiment), causes(experiment.twin)
+    total = 1 + len(found) + 2 * FASTER
+    done = itertools.accumulate([1] * (1 + len(found)) + [FASTER], initial=0)
+
+    def row(cause: str, without: Iterable[str], effects: tuple[str, ...], note: str = "") -> tuple[Row, TwinRun | None]:
+        without, before = frozenset(without), next(done)
+        weight = FASTER if SAMPLING in without else 1
+        return bench.row(cause, without, effects, note, lambda part: report((before + weight * part) / total))
+
+    def report(part: float) -> None:
+        if progress is not None:
+            progress(part)
+
+    whole, run_as_it_is = row(NOTHING, (), ())
+    known = bench.known(found, run_as_it_is) if run_as_it_is else frozenset()
+    rows = []
+    for cause, effects in found.items():
+        made, _ = row(cause, [cause], effects, _KNOWN_NOTE if cause in known else "")
+        is_worse = not made.note and made.rms * _WORTH > whole.rms
+        rows.append(replace(made, note=_OFFSETS_NOTE) if is_worse else made)
+    faster = f"sampled at {FASTER * bench.rate / 1e3:g} kHz instead, with the same delay in seconds"
+    rows.append(row(SAMPLING, [SAMPLING], (), faster)[0])
+    note = f"but for {', '.join(c for c in found if c in known)}, which the controller's model knows" if known else ""
+    off = [cause for cause in found if cause not in known]
+    effects = tuple(name for cause in off for name in found[cause])
+    return Budget(whole, tuple(rows), row(ALL, [*off, SAMPLING], effects, note)[0], bench.rate)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """An experiment that is run without some of the causes of its masking error."""
+
+    experiment: Experiment
+
+    @property
+    def rate(self) -> float:
+        return self.experiment.sampled.rate
+
+    @cached_property
+    def observer(self) -> Observer:
+        """The observer of the run as it is, with the bandwidths that were chosen for it."""
+        observer, sampled = self.experiment.observer, self.experiment.sampled
+        if isinstance(observer, Differences):
+            return observer
+        speeds = observer.bandwidths(sampled.instruments.plan(sampled.rate, sampled.noise))
+        return replace(observer, bandwidth=tuple(float(speed) for speed in speeds))
+
+    def row(
+        self, cause: str, without: frozenset[str], effects: tuple[str, ...], note: str, progress: Progress
+    ) -> tuple[Row, TwinRun | None]:
+        """Run the experiment without some causes; return its row, and the run if it could go on."""
+        twin = self.experiment.twin
+        known = [twin.dictionary[use.effect] for name, use in twin.declaration.effects.items() if name in effects]
+        remedy = _remedy(cause, known)
+        names = self.experiment.virtual.coordinates
+        try:
+            run = self.run(without, progress)
+        except MaskingError as error:
+            return Row(cause, effects, dict.fromkeys(names, math.inf), remedy, str(error)), None
+        with np.errstate(all="ignore"):  # a run that is about to grow without bound
+            columns = self.experiment.columns(run)[0].columns
+            found = {name: masking_error(columns[f"virtual.{name}"], columns[f"ideal.{name}"]) for name in names}
+        chi = {name: value if math.isfinite(value) else math.inf for name, value in found.items()}
+        return Row(cause, effects, chi, remedy, note), run
+
+    def run(self, without: frozenset[str], progress: Progress) -> TwinRun:
+        """Run the experiment without some causes, recorded at the instants at which it is recorded as it is."""
+        experiment, loop = self.experiment, self.loop(without)
+        sampled = loop.sampled
+        return run_twin(
+            loop,
+            sampled.end,
+            duration=experiment.declaration.duration * experiment.time_scale,
+            seed=experiment.declaration.seed,
+            every=experiment.every * round(sampled.rate / self.rate),
+            progress=progress,
+        )
+
+    def loop(self, without: frozenset[str]) -> SampledLoop:
+        """Controller and twin without some causes; the compiled functions are those of the run as it is."""
+        sampled, faster = self.experiment.sampled, FASTER if SAMPLING in without else 1
+        twin = self.twin(without, faster)
+        plant = sampled.instruments.plant
+        if SATURATION in without:
+            limits = {name: limit.model_copy(update={"max": math.inf}) for name, limit in plant.limits.inputs.items()}
+            lifted = plant.limits.model_copy(update={"inputs": limits, "power": None})
+            plant = plant.model_copy(update={"limits": lifted})
+        instruments = replace(sampled.instruments, plant=plant, delay=twin.delay)
+        made = replace(sampled, instruments=instruments, observer=self.observer, rate=faster * sampled.rate)
+        return SampledLoop(made, twin)
+
+    def twin(self, without: frozenset[str], faster: int) -> Twin:
+        """Twin without some causes, with the same delay in seconds at a multiple of the rate."""
+        twin = self.experiment.twin
+        off = {name for cause, effects in causes(twin).items() if cause in without for name in effects}
+        twin = _switched(twin, lambda name, enabled: enabled and name not in off)
+        if faster == 1 or not twin.delay:
+            return twin
+        first, *more = causes(twin)[DELAY.family]
+        changes = {**twin.changes, **{name: schema.EffectChange(enabled=False) for name in more}}
+        changes[first] = schema.EffectChange(parameters={DELAY.grows_with: float(faster * twin.delay)}, enabled=True)
+        return twin.changed(changes)
+
+    def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
+        """Causes that the controller's model holds: with them, and only them, the rig is nearer to it."""
+        settings, twin = self.experiment.declaration.controller, self.experiment.twin
+        if settings.model is None and not settings.parameters:
+            return frozenset()
+        model, n = self.experiment.law.model, len(twin.model.coordinates)
+        rows = np.unique(np.linspace(0, len(run.times) - 1, _PROBES).astype(int))
+        p, u, out = model.values(), np.zeros(len(model.inputs)), np.empty(run.estimates.shape[1])
+        assumed = []
+        for row in rows:
+            state = np.concatenate([run.states[row, : 2 * n], run.estimates[row, 2 * n :]])
+            model.kernels.derivative(0.0, state, u, p, out)
+            assumed.append(out[n : 2 * n].copy())
+
+        def error(effects: tuple[str, ...]) -> float:
+            rig = _switched(twin, lambda name, enabled: enabled and name in effects)
+            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - assumed))
+
+        bare = error(())
+        kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}
+        return frozenset(
+            cause
+            for cause, effects in found.items()
+            if any(kinds.get(name) == "element" for name in effects) and error(effects) < _KNOWN * bare
+        )
+
+
+def _accelerations(twin: Twin, states: Array, n: int) -> Array:
+    """Accelerations (m, n) of a twin that is not driven, in given states (m, states)."""
+    p, u, out = twin.values(), np.zeros(len(twin.actuators)), np.empty(states.shape[1])
+    found = np.empty((len(states), n))
+    for state, row in zip(states, found, strict=True):
+        twin.kernels.twin_derivative(0.0, np.ascontiguousarray(state), u, p, out)
+        row[:] = out[n : 2 * n]
+    return found
+
+
+def _switched(twin: Twin, on: Callable[[str, bool], bool]) -> Twin:
+    """Twin with its effects switched as `on(name, is it on)` says."""
+    changes = {}
+    for name, use in twin.declaration.effects.items():
+        change = twin.changes.get(name, schema.EffectChange())
+        enabled = use.enabled if change.enabled is None else change.enabled
+        changes[name] = change.model_copy(update={"enabled": on(name, enabled)})
+    return twin.changed(changes)
+
+
+def _remedy(cause: str, effects: Iterable[Effect]) -> str:
+    if cause == SAMPLING:
+        return "raise controller.rate"
+    remedies = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
+    usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
+    return next(iter([*remedies, *usual]), "")
+
+
+def _chi(value: float) -> str:
+    return f"{value:.2g}"

@@ -1,0 +1,454 @@
+"""Feasibility: what a wanted motion asks of a rig's actuators and stroke, before anything is run on it.
+
+The controller's own model stands for the rig, and the control law acts in continuous time: the rig then moves exactly
+as the virtual system does. What that takes is compared with the limits of the plant file, and what would have to change
+so that it fits is found by simulating the changed motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
+from masking.control.blocks import INVERTIBLE
+from masking.control.closed_loop import ClosedLoop
+from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import complete, loop_state, rig_state
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step
+from masking.model.declaration.quantities import percent
+from masking.model.modelling import input_series
+
+if TYPE_CHECKING:
+    from scipy import signal
+else:
+    signal = lazy.load("scipy.signal", suppress_warning=True)
+
+# Rows per unit of virtual time at first; they are doubled until no peak changes by more than the tolerance.
+ROWS_PER_UNIT = 10
+FEWEST_ROWS, MOST_ROWS = 1_000, 400_000
+# Relative error of a peak, and by how much a limit may be passed.
+TOLERANCE = 1e-4
+# A factor is bisected to so much of itself.
+BISECTED = 1e-4
+# Tried in turn: slower motion up to 64 times, faster up to 16 times, and less stroke or amplitude down to 1/256.
+SLOWER = tuple(2.0 ** (i / 4) for i in range(1, 25))
+FASTER = tuple(2.0 ** (-i / 4) for i in range(1, 17))
+SMALLER = tuple(2.0 ** (-i / 2) for i in range(1, 17))
+
+What = Literal["time_scale", "transform", "initial"]
+LADDERS: Mapping[What, Sequence[Sequence[float]]] = {
+    "time_scale": (SLOWER, FASTER), "transform": (SMALLER,), "initial": (SMALLER,),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Use:
+    """How much of one limit a motion uses.
+
+    Args:
+        name: of the actuator, or the expression that is limited.
+        kind: of the limit: the largest command, the largest mean power, or the largest value of a coordinate.
+        needed: largest magnitude over the motion, in `unit`.
+        limit: largest magnitude that the plant file allows, in `unit`.
+        unit: of both.
+    """
+
+    name: str
+    kind: Literal["command", "power", "coordinate"]
+    needed: float
+    limit: float
+    unit: str
+
+    @property
+    def part(self) -> float:
+        """Return what is needed per what is allowed."""
+        return self.needed / self.limit
+
+    @property
+    def fits(self) -> bool:
+        """Whether the limit holds."""
+        return self.part <= 1.0 + TOLERANCE
+
+    @property
+    def label(self) -> str:
+        """Return what is limited, in words."""
+        return f"mean power of {self.name}" if self.kind == "power" else self.name
+
+    def __str__(self) -> str:
+        return f"{self.label} needs {percent(self.part, 3)} of {_digits(self.limit)} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Mend:
+    """One change that makes a motion fit, or that was tried in vain.
+
+    Args:
+        what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
+        factor: what to multiply it by, the one nearest to 1 that fits; None where none does.
+        shown: the factor in few digits, rounded to the side that fits.
+        left: where no factor fits, the limits that each of them passes, with the least use; where there is none such,
+            those that are passed under the factor that comes nearest.
+    """
+
+    what: What
+    factor: float | None
+    shown: float | None = None
+    left: tuple[Use, ...] = ()
+
+    def __str__(self) -> str:
+        if self.factor is None or self.shown is None:
+            why = "; ".join(map(str, self.left))
+            return f"{_NOTHING[self.what]} not help: {why} even then"
+        if self.what == "time_scale":
+            change = (
+                f"{self.shown:g} times slower" if self.factor > 1.0 else f"{_digits(1.0 / self.shown)} times faster"
+            )
+            return f"time_scale x {self.shown:g} (a virtual system {change})"
+        if self.what == "transform":
+            return f"a transform that maps to {self.shown:g} of the stroke"
+        return f"initial values x {self.shown:g}"
+
+
+_NOTHING = {
+    "time_scale": "another time_scale alone does",
+    "transform": "a mapping to less stroke alone does",
+    "initial": "smaller initial values alone do",
+}
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """What the ideal motion of an experiment asks of its rig, and what to change where that is too much.
+
+    Args:
+        name: of the experiment.
+        uses: each limit and how much of it is used.
+        mends: what was tried where a limit is passed; empty where the motion fits.
+        notes: what could not be determined.
+    """
+
+    name: str
+    uses: tuple[Use, ...]
+    mends: tuple[Mend, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> bool:
+        """Whether every limit holds."""
+        return all(use.fits for use in self.uses)
+
+    def __getitem__(self, label: str) -> Use:
+        """Use of a limit by its label, such as "V1", "mean power of V1" or "x1 - x3"."""
+        return next(use for use in self.uses if use.label == label)
+
+    @property
+    def verdict(self) -> str:
+        """Whether it fits and what to change, in words."""
+        if self.fits:
+            most = max(self.uses, key=lambda use: use.part)
+            return f"fits: {most} at most"
+        needs = "; ".join(str(use) for use in sorted(self.uses, key=lambda use: -use.part) if not use.fits)
+        ways = ", or ".join(str(mend) for mend in self.mends if mend.factor is not None)
+        vain = [str(mend) for mend in self.mends if mend.factor is None]
+        parts = [f"does not fit: {needs}", f"To fit: {ways}" if ways else "", *(f"{v[0].upper()}{v[1:]}" for v in vain)]
+        return ". ".join(part for part in parts if part)
+
+    def __str__(self) -> str:
+        rows = [("", "needed", "limit", "used")]
+        rows += [
+            (u.label, f"{_digits(u.needed)} {u.unit}", f"{_digits(u.limit)} {u.unit}", percent(u.part, 3))
+            for u in self.uses
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            f"  {name:{widths[0]}}  " + "  ".join(f"{x:>{w}}" for x, w in zip(rest, widths[1:], strict=True))
+            for name, *rest in rows
+        ]
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes), f"  {self.verdict}"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it."""
+        return {
+            "fits": self.fits,
+            "verdict": self.verdict,
+            "limits": [
+                {"name": u.name, "kind": u.kind, "needed": u.needed, "limit": u.limit, "unit": u.unit, "used": u.part}
+                for u in self.uses
+            ],
+            "mends": [{"change": m.what, "factor": m.factor, "left": [u.label for u in m.left]} for m in self.mends],
+            "notes": list(self.notes),
+        }
+
+
+def feasibility(experiment: Experiment) -> Feasibility:
+    """Compare what the ideal motion of an experiment needs with the limits of its plant.
+
+    A limit of mean power is compared if the plant file gives the heating of an actuator: the power `heating c^2` of
+    a command c, averaged as the sampled controller does it, with the time constant of the plant file, from rest.
+
+    Args:
+        experiment: sound, as `Experiment.validate` finds it.
+
+    Raises:
+        ModelError: an actuator has no largest command; no rig position gives the initial state.
+        ActuationError: the actuators cannot give what the control law asks for.
+        DeclarationError: the motion cannot be followed to its end; with the place of what is to blame.
+    """
+    motion = Motion(experiment)
+    try:
+        uses, rows, settled = motion.resolve()
+    except (SingularityError, IntegrationError) as error:
+        raise DeclarationError(_problem(experiment, error)) from error
+    notes = (
+        motion.notes if settled else (*motion.notes, f"peaks between the {rows} rows of the simulation may be higher")
+    )
+    if all(use.fits for use in uses):
+        return Feasibility(experiment.declaration.name, uses, (), notes)
+
+    mends = tuple(_mend(motion, what, rows, uses) for what in LADDERS)
+    return Feasibility(experiment.declaration.name, uses, mends, notes)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The ideal motion of an experiment: the controller's model, moved by the control law in continuous time."""
+
+    experiment: Experiment
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """Controller with its own model as the plant."""
+        controller = self.experiment.law
+        return ClosedLoop(controller, controller.model)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which limits cannot be compared, and how what is passive moves."""
+        power, passive = self.experiment.assembly.plant.limits.power, self.experiment.passive
+        notes = () if passive is None else (str(passive.zero_dynamics),)
+        live = [name for name, source in self.experiment.declaration.inputs.items() if source.is_live]
+        notes = (*notes, f"without {', '.join(live)}, which is known in a run only") if live else notes
+        if power is None or power.heating is not None:
+            return notes
+        return (*notes, "mean power is unknown: the plant file has no limits.power.heating")
+
+    def resolve(self) -> tuple[tuple[Use, ...], int, bool]:
+        """Uses of the limits, the rows of the simulation that show them, and whether these were enough."""
+        rows = round(ROWS_PER_UNIT * self.experiment.declaration.duration)
+        rows = min(MOST_ROWS, max(FEWEST_ROWS, rows)) + 1
+        uses = self.uses(rows)
+        while 2 * rows <= MOST_ROWS:
+            before, rows = uses, 2 * rows - 1
+            uses = self.uses(rows)
+            if all(new.needed - old.needed <= TOLERANCE * new.limit for old, new in zip(before, uses, strict=True)):
+                return uses, rows, True
+        return uses, rows, False
+
+    def uses(self, rows: int, what: What = "time_scale", factor: float = 1.0) -> tuple[Use, ...]:
+        """How much of each limit the motion uses.
+
+        Args:
+            rows: instants at which the motion is looked at.
+            what: what is changed of the experiment.
+            factor: of the change.
+
+        Raises:
+            SingularityError: a matrix of the control law became singular on the way.
+            IntegrationError: the motion could not be followed.
+            ModelError: an actuator has no largest command, or no rig position gives the initial state.
+        """
+        experiment, plant = self.experiment, self.experiment.assembly.plant
+        instruments = experiment.instruments
+        table = instruments.limits()
+        times, states, inputs = self.simulate(rows, what, factor)
+        commands = inputs @ instruments.allocation_inverse.T
+        if not (np.isfinite(commands).all() and np.isfinite(states).all()):
+            raise IntegrationError("the state or the inputs are no longer finite numbers")
+        found, sizes = [], experiment.twin.size
+        for i, name in enumerate(instruments.actuators):
+            declared = plant.limits.inputs[name]
+            size = sizes(declared.unit) / sizes(instruments.unit(name))
+            peak = float(np.abs(commands[:, i]).max())
+            found.append(Use(name, "command", peak / size, table[i, LARGEST] / size, declared.unit))
+        power = plant.limits.power
+        for i, name in enumerate(instruments.actuators):
+            if power is not None and table[i, HEATING] > 0.0:
+                size = sizes(power.unit)
+                mean = mean_power(table[i, HEATING] * commands[:, i] ** 2, times[1] - times[0], table[i, TIME])
+                found.append(Use(name, "power", float(mean.max()) / size, table[i, POWER] / size, power.unit))
+        n = len(experiment.plant.coordinates)
+        names = [*experiment.plant.coordinates, *(f"{c}'" for c in experiment.plant.coordinates)]
+        columns = experiment.plant.parameter_values() | dict(zip(names, states[:, : 2 * n].T, strict=True))
+        for expression, limit in plant.limits.coordinates.items():
+            peak = float(np.abs(evaluate(expression, columns)).max()) / sizes(limit.unit)
+            found.append(Use(expression.text, "coordinate", peak, limit.max, limit.unit))
+        return tuple(found)
+
+    def simulate(self, rows: int, what: What, factor: float) -> tuple[Array, Array, Array]:
+        """Times of the rig (rows,), its states (rows, .) in SI units and its inputs (rows, inputs).
+
+        Args:
+            rows: of the simulation.
+            what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
+            factor: by which it is multiplied.
+        """
+        time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
+        experiment, loop = self.experiment, self.loop
+        controller, n = loop.controller, len(loop.plant.coordinates)
+        beside = experiment.passive.initial() if experiment.passive else None
+        start = amplitude * experiment.virtual_start
+        state = rig_state(loop, start, passive=beside) * stroke
+        state[n:] /= time
+        for i in controller.transform.passive:
+            if controller.transform.jacobian[:, i].is_zero_matrix:  # what is beside the transform stays as it is
+                state[i], state[n + i] = state[i] / stroke, state[n + i] / stroke * time
+        state = loop_state(loop, start, state)
+        changed = replace(controller, time_scale=controller.time_scale * time)
+        p = replace(loop, controller=changed).values()
+        # The transform sees rig coordinates by these lengths, which follow three other parts of the parameter array.
+        before = (controller.model.values(), controller.virtual.values(), controller.transform.parameters)
+        first = sum(len(part) for part in before)
+        p[first : first + n] *= stroke
+        times = np.linspace(0.0, experiment.declaration.duration * changed.time_scale, rows)
+        schedule = experiment.inputs.of_rig(changed.time_scale)
+        found = input_series.integrate(
+            loop.kernels,
+            times,
+            state,
+            np.zeros(len(loop.plant.inputs)),
+            p,
+            schedule=schedule,
+            tolerance=experiment.declaration.tolerance,
+        )
+        return times, found.states, complete(loop, times, found.states, p, schedule).inputs
+
+
+def mean_power(power: Array, step: float, time: float) -> Array:
+    """Exponential mean P of a power p (m,), with P' = (p - P) / time and P = 0 at first.
+
+    Args:
+        power: (m,), at even times.
+        step: s from one to the next.
+        time: s over which the mean is taken.
+    """
+    kept = math.exp(-step / time)
+    halves = 0.5 * (1.0 - kept) * (power[1:] + power[:-1])
+    return np.concatenate([[0.0], np.asarray(signal.lfilter([1.0], [1.0, -kept], halves), dtype=np.float64)])
+
+
+def evaluate(expression: Expression, columns: Mapping[str, Array | float]) -> Array:
+    """Values of an expression (m,) for columns (m,) or numbers by symbol, primes included."""
+    try:
+        return np.atleast_1d(np.asarray(expression.walk(_Columns(columns)), dtype=float))
+    except (ArithmeticError, ValueError):  # row by row, a branch of `where` that is not chosen does no harm
+        rows = max(np.size(column) for column in columns.values())
+        table = {name: np.broadcast_to(column, rows) for name, column in columns.items()}
+        return np.array([expression.evaluate({name: c[i] for name, c in table.items()}) for i in range(rows)])
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Numbers, a column at a time."""
+
+    columns: Mapping[str, Array | float]
+
+    def number(self, step: Step) -> Any:  # noqa: ANN401  (a number, or a column of them)
+        return CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)
+
+    def symbol(self, step: Step) -> Any:  # noqa: ANN401
+        return self.columns[step.value]
+
+    def apply(self, step: Step, args: Sequence[Any]) -> Any:  # noqa: ANN401
+        number = OPERATIONS[step.operation].number
+        if step.operation in {"+", "-", "*", "negative", "abs"}:
+            return number(*args)
+        return np.asarray(np.frompyfunc(number, len(args), 1)(*args), dtype=float)
+
+
+def _mend(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> Mend:
+    """Search the factor nearest to 1 that makes a motion fit, ladder by ladder."""
+    tried = [unchanged]
+
+    def fits(factor: float) -> bool:
+        try:
+            tried.append(motion.uses(rows, what, factor))
+        except MaskingError:  # the changed motion cannot be followed
+            return False
+        return _worst(tried[-1]) <= 1.0 + 0.01 * TOLERANCE
+
+    for ladder in LADDERS[what]:
+        outside = 1.0
+        for factor in ladder:
+            if fits(factor):
+                found = _bisect(fits, outside, factor)
+                shown = _outward(found)
+                return Mend(what, found, shown if fits(shown) else found)
+            outside = factor
+    least = [min(column, key=lambda use: use.part) for column in zip(*tried, strict=True)]
+    never = tuple(use for use in least if not use.fits)
+    together = tuple(use for use in min(tried, key=_worst) if not use.fits)
+    return Mend(what, None, None, never or together)
+
+
+def _bisect(fits: Callable[[float], bool], outside: float, inside: float) -> float:
+    """Factor at which a motion begins to fit, on the side that does."""
+    while abs(inside - outside) > BISECTED * inside:
+        middle = 0.5 * (inside + outside)
+        outside, inside = (outside, middle) if fits(middle) else (middle, inside)
+    return inside
+
+
+def _worst(uses: Iterable[Use]) -> float:
+    return max(use.part for use in uses)
+
+
+def _outward(factor: float) -> float:
+    """Round a factor away from 1, to two digits, or to three near 1."""
+    digits = 2 if factor < 1.0 or factor >= 1.1 else 3
+    unit = 10.0 ** (math.floor(math.log10(factor)) + 1 - digits)
+    steps = factor / unit
+    return float(f"{(math.ceil(steps - 1e-9) if factor > 1.0 else math.floor(steps + 1e-9)) * unit:.6g}")
+
+
+def _digits(value: float) -> str:
+    return f"{value:.2g}" if abs(value) < 100.0 else f"{value:.0f}"
+
+
+def _problem(experiment: Experiment, error: MaskingError) -> Problem:
+    """Return what is wrong with an experiment whose ideal motion cannot be followed, and where."""
+    declaration = experiment.declaration
+    if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
+        path = "transform"
+        message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
+        mend = INVERTIBLE
+    else:
+        path = "initial"
+        message = f"the virtual motion cannot be followed to its end: {error}"
+        mend = "start elsewhere, or change the virtual system so that it stays in reach"
+    place = declaration.key_place(path) or declaration.key_place("virtual")
+    return Problem(place, path, message, mend)
+
+
+def _can_follow_virtual(experiment: Experiment) -> bool:
+    """Whether the virtual system, by itself, moves on to the end of the experiment."""
+    virtual, declaration = experiment.virtual, experiment.declaration
+    start, inputs = experiment.virtual_start, np.zeros(len(virtual.inputs))
+    try:
+        schedule, span = experiment.inputs.schedule, np.array([0.0, declaration.duration])
+        input_series.integrate(
+            virtual.kernels, span, start, inputs, virtual.values(),
+            schedule=schedule, tolerance=declaration.tolerance,
+        )  # fmt: skip
+    except (SingularityError, IntegrationError):
+        return False
+    return True

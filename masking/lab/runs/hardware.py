@@ -1,0 +1,349 @@
+"""Rig: an experiment on a plant that runs by itself, and a twin that stands in for such a plant."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import final
+
+from masking.analysis.synchronisation import Watch
+from masking.compile.numerics.arrays import Array
+from masking.control.known_instruments import Instruments
+from masking.control.rig.twin import Twin
+from masking.control.sampled_controller import SampledController
+from masking.control.stepwise_controller import SampledStep
+from masking.errors import MaskingError, ModelError
+from masking.lab.plants import adapters
+from masking.lab.plants import serve as serving
+from masking.lab.plants.address import scheme_of
+from masking.lab.plants.authentication import Key
+from masking.lab.plants.command_guard import Guard, PlantLimits
+from masking.lab.plants.interface import Plant, Settings
+from masking.lab.plants.operating_system import Stop
+from masking.lab.plants.safety_chain import Chain
+from masking.lab.plants.session import LONGEST_WATCHDOG, RATES, Allowed
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.records import stream as streams
+from masking.lab.records.recording import Recording
+from masking.lab.records.tick_times import timing
+from masking.lab.runs import safety_limits
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
+from masking.lab.runs.operator_link import Operator
+from masking.lab.runs.realtime import RigRun, check_channels, every, run_rig
+from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
+
+WATCHDOG = 0.02
+_MEND = "run it on that plant, or write the plant that is there into it"
+
+
+def serve(
+    plant: str | Path,
+    address: str,
+    *,
+    lockstep: bool = False,
+    record: str | Path | None = None,
+    seed: int = 0,
+    sessions: int | None = None,
+    limits: str | Path | None = None,
+    watchdog: float = LONGEST_WATCHDOG,
+    rates: tuple[float, float] = RATES,
+    key: str | Path | None = None,
+    ready: Callable[[str], None] | None = None,
+    stop: Stop | None = None,
+) -> tuple[Path, ...]:
+    """Serve a plant to a controller in another process, until asked to stop.
+
+    Args:
+        plant: a packaged plant or a plant file, whose twin is served; or the address of a plant without a clock.
+        address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
+        lockstep: wait for each command, instead of a clock of its own.
+        record: folder for the plant's own record of each session.
+        seed: of the noise of a twin's sensors.
+        sessions: how many to serve; None for any number.
+        limits: a packaged plant or a plant file, whose limits every command is brought within; by default those of the
+            plant, and none for an address.
+        watchdog: the longest that a controller may ask for, s.
+        rates: the lowest and the highest that it may ask for, Hz.
+        key: file that only its owner can read, with a key that controllers must have, too; needed where other machines
+            reach the address.
+        ready: called with the address once the plant can be reached.
+        stop: looked at in each tick.
+
+    Returns:
+        the folders of the records.
+
+    Raises:
+        PlantMismatchError: the plant owns its clock, the address is wrong or taken, or the key is missing or unsafe.
+    """
+    shared = Key.read(key) if key is not None else None
+    twin = None if scheme_of(str(plant)) else Twin.load(plant)
+    limited = twin if limits is None else Twin.load(limits)
+    guard = _guard(limited) if limited is not None else None
+    if twin is None:
+        served = adapters.connect(str(plant))
+    else:
+        served = SimulatedPlant(twin, seed)
+        settings = Settings(rate=1000.0)  # any rate does: this compiles what a controller would not wait for
+        served.configure(settings)
+        if guard is not None:
+            guard.begin(served, settings)
+        served.deactivate()
+    return serving.serve(
+        served,
+        address,
+        clock="lockstep" if lockstep else "real",
+        record=record,
+        stop_after=sessions,
+        ready=ready,
+        stop=stop,
+        allowed=Allowed(watchdog, rates),
+        guard=guard,
+        key=shared,
+    )
+
+
+def _guard(twin: Twin) -> Guard:
+    """Return what keeps a served plant within the limits of a plant file, as far as its sensors show them."""
+    rules = partial(safety_limits.limits, Instruments.of(twin))
+    Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
+    return PlantLimits(rules)
+
+
+def run(
+    experiment: Experiment,
+    plant: Plant,
+    *,
+    lockstep: bool = False,
+    watchdog: float = WATCHDOG,
+    acknowledge: bool = False,
+    progress: Callable[[float], None] | None = None,
+    stop: Stop | None = None,
+    emergency: Stop | None = None,
+    keep: Callable[[Recording], None] | None = None,
+    stream: str | Path | None = None,
+    spare: str | Path | None = None,
+    operator: Operator | None = None,
+) -> Recording:
+    """Run an experiment on a plant, from rest through the homing phase to the end.
+
+    SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
+    `rig.end` says why the run ended, with one of `masking.lab.runs.stopping.REASONS`.
+
+    Args:
+        experiment: with a sampled controller, an observer and a homing phase.
+        plant: any that is not active; its outputs are at zero on every way out.
+        lockstep: run as fast as both sides can, each waiting for the other.
+        watchdog: seconds without a command after which the plant goes to zero by itself.
+        acknowledge: why the plant tripped in the last run was looked at; it is refused without.
+        progress: called with the part done.
+        stop: looked at before each tick.
+        emergency: likewise; the run then trips.
+        keep: called with what there is since the release where the run ends in an error, before it is raised.
+        stream: folder to which each row goes while the run goes on, the homing included; once the recording is saved,
+            `masking.lab.records.stream.remove` takes them away. By default nothing is written.
+        spare: folder for the rest of the stream where its own is full; by default that for temporary files.
+        operator: who looks at the run, and may stop it.
+
+    Returns:
+        what the controller saw and did since the release; the rig's states are estimates.
+
+    Raises:
+        ModelError: the experiment does not run on sensors, or has no homing phase.
+        PlantError: the plant is lost, refuses, or has other channels.
+        RecordError: the folder holds a stream already, or cannot be written.
+        MaskingError: the run was stopped before the release.
+    """
+    _check(experiment)
+    sampled = experiment.sampled
+    before = sampled.before
+    after = samples_after(experiment, sampled)
+    controller = _prepare(sampled)
+    condition = experiment.stop_condition
+    watched = None
+    if condition:
+        watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
+    keeper = _Keeper(controller, before, after, watched)
+    declared, instruments = experiment.assembly.plant, experiment.instruments
+    wanted = Path(next(iter(declared.files), declared.name)).stem
+    rules = safety_limits.rules(instruments, sampled.rate, experiment.twin, controller.estimate)
+
+    streamed = None
+    if stream is not None:
+        second = Path(tempfile.gettempdir() if spare is None else spare)
+        streamed = StreamedRows(experiment, Path(stream), second, lockstep=lockstep, before=before)
+
+    def is_full() -> bool:
+        return streamed is not None and streamed.recorder.is_full
+
+    def is_over() -> bool:
+        return keeper.is_over or is_full() or (stop is not None and stop())
+
+    def made(ran: RigRun) -> Recording:
+        times = {"controller": ran.durations, "work": ran.work} | ({} if lockstep else {"lateness": ran.lateness})
+        outcome = {
+            "end": keeper.end(ran.reason, is_full=is_full()),
+            "counters": dict(ran.counters),
+            "timing": timing(ran.index, **times),
+            **({"note": ran.note} if ran.note else {}),
+        }
+        outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
+        outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
+        if streamed is not None and streamed.recorder.note:
+            outcome |= {"recorder": streamed.recorder.as_dict()}
+        return RowLayout(experiment).recording(ran.table, after, lockstep=lockstep, outcome=outcome)
+
+    def on_end(ran: RigRun) -> None:
+        ended.append(ran)
+        if operator is not None:
+            operator.end(keeper.end(ran.reason, is_full=is_full()), ran.trip)
+
+    ended: list[RigRun] = []
+    try:
+        if operator is not None:
+            operator.begin(experiment, controller, rules)
+        ran = run_rig(
+            keeper.step,
+            plant,
+            rate=sampled.rate,
+            samples=before + after,
+            limits=rules,
+            watchdog=watchdog,
+            lockstep=lockstep,
+            acknowledge=acknowledge,
+            accept=lambda found: check_channels(
+                found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
+            ),
+            on_tick=None if progress is None else every(progress, before + after),
+            on_row=[one.put for one in (streamed, operator) if one is not None and one.put is not None],
+            stop=is_over,
+            emergency=emergency,
+            look=None if operator is None else operator.look,
+            estimate=controller.estimate,
+            known=known(controller, keeper.lasting),
+            before=before,
+            on_end=on_end,
+        )
+    except BaseException:
+        is_kept = bool(ended) and keep is not None and keeper.is_released
+        if streamed is not None:
+            streamed.end(keep=bool(ended and len(ended[0].index)))
+        if is_kept and keep is not None:
+            keep(made(ended[0]))
+        raise
+    if streamed is not None:
+        streamed.end(keep=keeper.is_released or ran.reason not in {INTERRUPTED, STOPPED})
+    if not keeper.is_released:
+        why = f" ({ran.trip})" if ran.trip else ""
+        is_kept = stream is not None and streams.is_in(stream)
+        what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
+        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
+    return made(ran)
+
+
+def _check(experiment: Experiment) -> None:
+    settings = experiment.declaration.controller
+    if not experiment.has_observer:
+        raise ModelError(
+            "a rig is known by its sensors only: give controller.rate and controller.observer, such as "
+            "'controller: {rate: 1 kHz, observer: disturbance, homing: 3}'"
+        )
+    if settings.homing is None:
+        raise ModelError(
+            "a rig cannot be placed in its initial state: write controller.homing, the seconds in which the "
+            "controller brings it there, such as 'homing: 3'"
+        )
+    experiment.validate()
+
+
+def _prepare(sampled: SampledController) -> SampledStep:
+    """Compile and load everything before the plant is touched; return the controller, ready to begin."""
+    for name in ("transform", "transforms"):
+        getattr(sampled.kernels, name).prepare()
+    return SampledStep(sampled)
+
+
+@final
+class _Watched:
+    """What watches a run for synchronisation.
+
+    Args:
+        watch: what has been seen of it.
+        columns: where the two are among the virtual coordinates.
+        every: of how many samples one is looked at: those that are recorded, as offline.
+        controller: that is watched.
+    """
+
+    def __init__(self, watch: Watch, columns: tuple[int, int], every: int, controller: SampledStep) -> None:
+        self.watch, self._columns, self._every = watch, columns, every
+        self._time, self._virtual, self._transform = controller.virtual()
+
+    def step(self, index: int, t: float) -> None:
+        """Look at a sample at time t, which the controller has answered."""
+        if index < 0 or index % self._every:
+            return
+        self._time[0] = t
+        self._transform.call()
+        first, second = self._columns
+        self.watch.step(self._virtual.item(first), self._virtual.item(second))
+
+
+@final
+class _Keeper:
+    """A sampled controller on the ticks of a plant, and where it is in its run.
+
+    Attributes:
+        last: the last sample that was answered; 0 is the release.
+        lasting: what lasted of pushes at the release (1, pushes).
+
+    Args:
+        controller: the controller, which begins with the first sample.
+        before: samples before the release.
+        after: samples from the release on.
+        watched: what ends the run before that.
+    """
+
+    def __init__(self, controller: SampledStep, before: int, after: int, watched: _Watched | None) -> None:
+        self.controller, self.before, self.after, self.watched = controller, before, after, watched
+        self.first, self.last = -1, -before - 1
+        self.lasting = controller.sampled.feed.lasting(controller.parameters)
+
+    @property
+    def is_released(self) -> bool:
+        """Whether there is a sample since the release."""
+        return self.last >= 0
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the run has ended as planned.
+
+        The time has passed, which it may have with fewer rows where samples were missed, or what ends it was found.
+        """
+        return self.last >= self.after - 1 or self.reason == SYNCHRONISED
+
+    @property
+    def reason(self) -> str:
+        """Return why a run that has ended as planned has."""
+        return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
+
+    def end(self, reason: str, *, is_full: bool) -> str:
+        """Return why the run ended, from why its loop did."""
+        if reason in {STOPPED, FINISHED} and self.is_over:
+            return self.reason
+        return FULL if reason == STOPPED and is_full else reason
+
+    def step(self, tick: int, readings: Array) -> Array:
+        """Commands (actuators,) that answer the readings (sensors,) of a tick of the plant."""
+        controller = self.controller
+        if self.first < 0:
+            self.first = tick
+        index = tick - self.first - self.before
+        if index >= 0 > self.last:
+            self.lasting[:] = controller.sampled.feed.lasting(controller.parameters)
+        applied = controller(readings, index)
+        self.last = index
+        if self.watched is not None:
+            self.watched.step(index, index / controller.rate)
+        return applied

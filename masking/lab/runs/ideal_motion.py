@@ -1,0 +1,67 @@
+"""Ideal: the virtual system of an experiment integrated by itself, in chunks whose state is handed on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.lab.runs.experiment_inputs import VirtualInputs
+from masking.lab.runs.offline import chunks
+from masking.model.modelling import input_series
+from masking.model.modelling.model import Model
+
+Reached: TypeAlias = tuple[float, Array]  # time of the rig in s, and the state of the virtual system by itself then
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """The motion that a rig should have.
+
+    Args:
+        virtual: the virtual system.
+        inputs: its inputs that are no expressions.
+        time_scale: seconds of the rig per unit of virtual time.
+        tolerance: local relative error of the integrator.
+    """
+
+    virtual: Model
+    inputs: VirtualInputs
+    time_scale: float
+    tolerance: float
+
+    @property
+    def needs_memory(self) -> str:
+        """Return why it cannot be integrated in chunks; empty where it can."""
+        if any(source.is_live for source in self.inputs.experiment.inputs.values()):
+            return "the inputs of its virtual system come from the run itself"
+        meta = self.virtual.kernels.meta
+        return "its virtual system jumps, or depends on its past" if meta.get("lags") or meta.get("events") else ""
+
+    def along(self, times: Array, live: Mapping[str, Array], reached: Reached) -> tuple[Array, Reached]:
+        """Its states (m, .) from where it is on, and where it is then.
+
+        Args:
+            times: of the rig (m,), s.
+            live: inputs that the run alone knows, by name (m,).
+            reached: the state at an earlier time, or at 0.
+        """
+        (begin, state), parts = reached, list[Array]()
+        schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(self.virtual.kernels, len(times))
+        for first in starts:
+            part = times[first : first + starts.step]
+            found = input_series.integrate(
+                self.virtual.kernels,
+                np.concatenate([[begin], part]) / self.time_scale,
+                state,
+                np.zeros(len(self.virtual.inputs)),
+                self.virtual.values(),
+                schedule=schedule,
+                tolerance=self.tolerance,
+            )
+            parts.append(found.states[1:])
+            begin, state = float(part[-1]), found.states[-1, : len(state)].copy()
+        return parts[0] if len(parts) == 1 else np.concatenate(parts), (begin, state)

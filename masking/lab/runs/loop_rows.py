@@ -1,0 +1,177 @@
+"""Rows of a run as they go to disk while it goes on, the homing included, and the run that they were taken from."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.control.sampled_controller import SampledController
+from masking.control.stepwise_controller import SampledStep
+from masking.lab.records import stream
+from masking.lab.records.recorder import Recorder
+from masking.lab.records.recording import Recording
+from masking.lab.runs import manifest
+from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import TwinRun
+from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP
+from masking.lab.runs.stopping import SYNCHRONISED
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """What the numbers of a row are.
+
+    Args:
+        experiment: that runs.
+    """
+
+    experiment: Experiment
+
+    @cached_property
+    def groups(self) -> dict[str, dict[str, dict[str, str]]]:
+        """Unit and meaning of each column, by its name, in groups that lie side by side."""
+        plant, sampled = self.experiment.assembly.plant, self.experiment.sampled
+        sizes, model = sampled.sizes, sampled.instruments.model
+        ports = plant.actuators or self.experiment.assembly.plant_model.inputs
+        actuators = {name: ports[name] for name in sampled.instruments.actuators}
+        coordinates = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
+        states = [*coordinates, *(f"state {i}" for i in range(1, sizes.states - len(coordinates) + 1))]
+        disturbed = model.coordinates[: sizes.coordinates] if sizes.order else ()
+        lasting = sampled.feed.lasting(sampled.values())
+        return {
+            "loop": dict(LOOP),
+            "sensor": {f"sensor.{n}": {"unit": s.unit, "meaning": s.meaning} for n, s in plant.sensors.items()},
+            "input": {f"input.{n}": {"unit": a.unit, "meaning": a.meaning} for n, a in actuators.items()},
+            "power": {f"power.{n}": {"unit": "W", "meaning": f"mean power of {n}"} for n in actuators},
+            "estimate": {f"estimate.{n}": {"unit": "SI", "meaning": f"estimate of {n}"} for n in states},
+            "disturbance": {
+                f"disturbance.{n}": {"unit": "SI", "meaning": f"acceleration of {n} that the model lacks"}
+                for n in disturbed
+            },
+            "demanded": {
+                f"demanded.{n}": {"unit": a.unit, "meaning": f"demanded of {n}"} for n, a in actuators.items()
+            },
+            "lasting": {
+                f"lasting.{i}": {"unit": "SI", "meaning": "what lasted of a push at the release"}
+                for i in range(lasting.size)
+            },
+        }
+
+    @cached_property
+    def columns(self) -> dict[str, dict[str, str]]:
+        """Unit and meaning of each column, by its name."""
+        return {name: entry for group in self.groups.values() for name, entry in group.items()}
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where each group is in a row."""
+        ends = [0, *itertools.accumulate(len(group) for group in self.groups.values())]
+        return {name: slice(*pair) for name, pair in zip(self.groups, itertools.pairwise(ends), strict=True)}
+
+    def run(self, table: Array, after: int) -> TwinRun:
+        """Run since the release that rows (rows, columns) are of.
+
+        Args:
+            table: since the first sample, or a part of it.
+            after: samples from the release on.
+        """
+        rate, every = self.experiment.sampled.rate, self.experiment.every
+        index, answered = (table[:, i].astype(np.int64) for i in (INDEX, ANSWERED))
+        kept = np.flatnonzero((answered > 0) & (index >= 0) & (index < after) & (index % every == 0))
+        parts = {name: np.ascontiguousarray(table[kept, place]) for name, place in self.slices.items()}
+        has_disturbances = self.experiment.sampled.sizes.order > 0
+        return TwinRun(
+            index[kept] / rate,
+            parts["estimate"],
+            parts["estimate"],
+            parts["sensor"],
+            parts["demanded"],
+            parts["input"],
+            parts["power"],
+            parts["disturbance"] if has_disturbances else None,
+            parts["lasting"][:1] if len(kept) else np.empty((1, parts["lasting"].shape[1])),
+        )
+
+    def recording(self, table: Array, after: int, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
+        """Recording of a run on a plant that runs by itself.
+
+        Args:
+            table: rows since the first sample, or a part of them.
+            after: samples from the release on.
+            lockstep: whether controller and plant waited for each other.
+            outcome: how the run ended and what was counted, for the manifest.
+        """
+        columns, _ = self.experiment.columns(self.run(table, after))
+        made = self.experiment.recording(columns, {}, is_stopped=outcome["end"] == SYNCHRONISED)
+        made.manifest.update(mode="lockstep" if lockstep else "real time", states="estimated", rig=dict(outcome))
+        return made
+
+
+def samples_after(experiment: Experiment, sampled: SampledController) -> int:
+    """Samples from the release on to the planned end."""
+    return int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
+
+
+def known(controller: SampledStep, lasting: Array) -> tuple[Array, ...]:
+    """Return what the rows of a controller have of it, in the order of `RowLayout`.
+
+    Args:
+        controller: that answers.
+        lasting: of pushes at the release (1, pushes), changed in place.
+    """
+    sizes, state = controller.sampled.sizes, controller.state
+    states = sizes.states + (sizes.coordinates if sizes.order else 0)
+    return controller.power, state[:states], controller.demanded, lasting[0]
+
+
+@final
+class StreamedRows:
+    """The rows of a run on their way to disk.
+
+    Attributes:
+        put: records a row.
+
+    Args:
+        experiment: that runs.
+        folder: of the stream.
+        spare: folder for the rest where that one is full.
+        **more: what else the manifest says.
+
+    Raises:
+        RecordError: the folder holds a stream already, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        folder: Path,
+        spare: Path,
+        **more: Any,  # noqa: ANN401
+    ) -> None:
+        self.layout, self._folder = RowLayout(experiment), folder
+        declaration = experiment.declaration
+        content = manifest.content(experiment.assembly, experiment.virtual, more)
+        files = experiment.assembly.plant.files
+        content["read_from"] = {
+            "experiment": str(Path(next(iter(declaration.files), declaration.name)).absolute()),
+            "plant": str(Path(next(iter(files), "")).absolute()) if files and not declaration.plants else None,
+        }
+        content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
+        self.recorder = Recorder(folder, self.layout.columns, experiment.sampled.rate, spare, **content)
+        self.put = self.recorder.ring.put
+
+    def end(self, *, keep: bool) -> None:
+        """Record the last rows; remove the stream where it is not kept, and its folder if nothing else is there."""
+        self.recorder.close()
+        if not keep:
+            stream.remove(self._folder)
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()

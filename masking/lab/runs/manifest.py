@@ -1,0 +1,115 @@
+"""Manifest of a run: what was declared, on which files, with which result."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from masking.compile.numerics.arrays import Array
+from masking.control.known_instruments import Instruments
+from masking.control.sampled_controller import SampledController
+from masking.model.declaration import registry, schema
+from masking.model.modelling.model import Model
+
+LIBRARIES = ("masking", "numpy", "numba", "sympy")
+
+
+def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Manifest of a run.
+
+    Args:
+        assembly: what was declared.
+        virtual: the virtual system, as it was integrated.
+        entries: what the run adds.
+    """
+    declaration, rate = assembly.experiment, assembly.experiment.controller.rate
+    files = {**declaration.files, **assembly.plant.files}
+    for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
+        files |= model.files
+    return {
+        "format": "masking recording 1",
+        "name": declaration.name,
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "seed": declaration.seed,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
+        "commit": _commit(files),
+        "files": {Path(path).name: digest for path, digest in files.items()},
+        "declarations": {
+            "experiment": declaration.canonical(),
+            "plant": assembly.plant.canonical(),
+            "plant_model": assembly.plant_model.canonical(),
+            "virtual": assembly.virtual_model.canonical(),
+            "controller_model": assembly.believed_model.canonical(),
+        },
+        "parameters": virtual.parameter_values(),
+        "virtual_name": virtual.name,
+        "plant_name": assembly.plant.name,
+        "oscillators": list(virtual.oscillators),
+        "mode": "continuous" if rate is None else "sampled",
+        "rate": rate,
+        **entries,
+    }
+
+
+def start(wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
+    """Where homing should have brought the rig, and where it did.
+
+    Args:
+        wanted: initial state of the virtual coordinates.
+        reached: what they were at first, by name.
+    """
+    return {"wanted": dict(zip(reached, map(float, wanted), strict=False)), "reached": dict(reached)}
+
+
+def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
+    """Return what the observer of a controller is.
+
+    Args:
+        sampled: the controller.
+        kind: of the observer.
+    """
+    entry: dict[str, Any] = {"kind": kind, "delay": sampled.delay}
+    if sampled.has_model:
+        known = sampled.instruments
+        plan = known.plan(sampled.rate, sampled.noise)
+        speeds = sampled.observer.bandwidths(plan)
+        entry |= {"order": sampled.observer.order, "fastest": plan.fastest}
+        entry["noise"] = dict(zip(known.sensors, plan.noise, strict=True))
+        entry["bandwidth"] = dict(zip(known.model.coordinates, speeds, strict=True))
+    return entry
+
+
+def limits(plant: schema.PlantDeclaration, instruments: Instruments) -> dict[str, dict[str, Any]]:
+    """Limit of each actuator in the unit of its commands.
+
+    Args:
+        plant: with the limits.
+        instruments: with the units.
+    """
+    found = {}
+    for name, limit in plant.limits.inputs.items():
+        unit = instruments.unit(name) if name in instruments.actuators else limit.unit
+        found[name] = {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
+    return found
+
+
+def _commit(files: Mapping[str, str]) -> str | None:
+    """Git commit of the folder that the experiment was read from, if it is in a repository."""
+    folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
+    try:
+        found = subprocess.run(  # the user's own git, wherever it is
+            ["git", "rev-parse", "HEAD"],  # noqa: S607
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=5,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() or None

@@ -1,0 +1,415 @@
+"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin.
+
+Each is run whole, or in chunks of rows whose state is handed on: together they are the same numbers to the last bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+
+from masking.compile.codegen.compiled_functions import Kernels, steps_between
+from masking.compile.numerics.arrays import Array
+from masking.control.closed_loop import ClosedLoop
+from masking.control.law import Controller
+from masking.control.sampled_controller import SampledLoop
+from masking.errors import ModelError
+from masking.lab.runs.stopping import check_status
+from masking.model.modelling.input_series import Schedule, integrate
+
+Progress = Callable[[float], None]
+
+PIECES = 100
+CHUNK: Final = 2**16  # rows after which an integrator with step size control begins anew, in whatever chunks it runs
+
+
+@dataclass(frozen=True)
+class Run:
+    """What happened in a run, at the recorded instants.
+
+    Args:
+        times: (m,), seconds of the rig.
+        rig: rig coordinates then velocities (m, 2 n), SI units.
+        virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
+        inputs: (m, inputs).
+    """
+
+    times: Array
+    rig: Array
+    virtual: Array
+    inputs: Array
+
+
+@dataclass(frozen=True)
+class TwinRun:
+    """What happened in a run around a twin, at the recorded samples.
+
+    Args:
+        times: (m,), seconds since the release.
+        states: states of the twin (m, states), as `Twin.state_names` says, SI units.
+        estimates: what the controller took for coordinates, velocities and internal states (m, .), SI units.
+        readings: of the sensors (m, sensors), in their units.
+        demanded: commands before limits (m, actuators), in the actuators' units.
+        applied: commands after limits (m, actuators).
+        power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
+        disturbances: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
+        lasting: what the controller took for lasting of each push before the first sample (1, pushes), SI units.
+    """
+
+    times: Array
+    states: Array
+    estimates: Array
+    readings: Array
+    demanded: Array
+    applied: Array
+    power: Array
+    disturbances: Array | None = None
+    lasting: Array | None = None
+
+
+_AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
+
+
+def cut(run: _AnyRun, rows: int) -> _AnyRun:
+    """First rows of a run."""
+    parts = {part.name: getattr(run, part.name) for part in fields(run)}
+    return replace(run, **{name: part[:rows] for name, part in parts.items() if part is not None})
+
+
+def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
+    """Chunks of a run as one."""
+    runs = [*chunks_of_run]
+    if len(runs) == 1:
+        return runs[0]
+    names = [
+        part.name for part in fields(runs[0]) if getattr(runs[0], part.name) is not None and part.name != "lasting"
+    ]
+    parts: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
+    return replace(runs[0], **parts)
+
+
+def chunks(kernels: Kernels, rows: int) -> range:
+    """First row of each chunk in which compiled dynamics are integrated.
+
+    What jumps, or depends on its past, is integrated in one.
+
+    Args:
+        kernels: of the dynamics.
+        rows: of the run.
+    """
+    return range(0, rows, max(1, rows) if kernels.meta.get("lags") or kernels.meta.get("events") else CHUNK)
+
+
+def continuous_chunks(
+    loop: ClosedLoop,
+    state: Array,
+    rows: int,
+    instants: Callable[[int, int], Array],
+    *,
+    tolerance: float,
+    schedule: Schedule | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Run]:
+    """Run a closed loop whose controller acts in continuous time, in chunks of `CHUNK` rows.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at the first time.
+        rows: to record.
+        instants: returns the times of the rows from one number to before another.
+        tolerance: local relative error of the integrator.
+        schedule: parameters of the control law that change on the way.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the integrator could not go on.
+    """
+    p, _ = loop.values(), loop.controller.virtual.delays()
+    inputs, y, before = np.zeros(len(loop.plant.inputs)), state, np.empty(0)
+    starts = chunks(loop.kernels, rows)
+    for begin in starts:
+        times = instants(begin, min(begin + starts.step, rows))
+        found = integrate(
+            loop.kernels, np.concatenate([before, times]), y, inputs, p,
+            schedule=schedule, tolerance=tolerance, progress=_within(progress, begin, len(times), rows), pieces=PIECES,
+        )  # fmt: skip
+        states = found.states[len(before) :]
+        y, before = states[-1, : len(state)].copy(), times[-1:]
+        yield complete(loop, times, states, p, schedule)
+
+
+def _within(progress: Progress | None, begin: int, count: int, rows: int) -> Progress | None:
+    return None if progress is None else lambda part: progress((begin + part * count) / rows)
+
+
+def sampled_chunks(
+    loop: ClosedLoop,
+    state: Array,
+    *,
+    rate: float,
+    duration: float,
+    every: int = 1,
+    substeps: int | None = None,
+    schedule: Schedule | None = None,
+    progress: Progress | None = None,
+    most: int | None = None,
+) -> Iterator[Run]:
+    """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs, in chunks of rows.
+
+    Args:
+        loop: controller and plant.
+        state: rig coordinates then velocities (2 n,) at time 0.
+        rate: samples per second.
+        duration: seconds.
+        every: record one sample of this many.
+        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
+            state asks for.
+        schedule: parameters of the control law that change on the way.
+        progress: called with the part done.
+        most: rows of a chunk; by default there is one.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the inputs are no longer finite.
+    """
+    loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
+    if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
+        raise ModelError(
+            f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
+        )
+    substeps = substeps or _substeps(loop, state, rate)
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    y, u, p, first = np.array(state, dtype=float), np.zeros(len(loop.plant.inputs)), loop.values(), 0.0
+    changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
+    span = every * (most or samples)
+    mend = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
+    for begin, end in itertools.pairwise(_bounds(0, samples, span, changes)):
+        if begin % span == 0:
+            rows = np.arange(begin, min(begin + span, samples), every)
+            out_y, out_u = np.empty((len(rows), len(y))), np.empty((len(rows), len(u)))
+        count = end - begin
+        row = -(-(begin % span) // every)
+        if schedule is not None:
+            schedule.set(begin / rate * (1.0 + 1e-12), p)
+        status, done, first = loop.kernels.run_sampled(
+            begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
+        )
+        check_status(loop.kernels, status, (begin + done) / rate, y, mend)
+        if progress is not None:
+            progress(end / samples)
+        if end % span == 0 or end == samples:
+            found = complete(loop, rows / rate, out_y, p, schedule)
+            yield Run(found.times, found.rig, found.virtual, out_u)
+
+
+def _bounds(first: int, samples: int, span: int, cuts: Iterable[int] = ()) -> list[int]:
+    """Where the pieces of a run begin and end: those of progress, of chunks of a span, and cuts besides."""
+    pieces = {first + (samples - first) * piece // PIECES for piece in range(PIECES + 1)}
+    return sorted(pieces | {*range(0, samples, span)} | {cut for cut in cuts if 0 < cut < samples})
+
+
+def run_twin(
+    loop: SampledLoop,
+    start: Array,
+    *,
+    duration: float,
+    seed: int,
+    every: int = 1,
+    progress: Progress | None = None,
+) -> TwinRun:
+    """Run a sampled controller around a twin.
+
+    With homing, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
+    is held at `start` by the controller's own commands until the first command that was made for the release acts.
+
+    Args:
+        loop: controller and twin.
+        start: the twin's coordinates (n,) at the start where there is no homing, SI units.
+        duration: seconds after the release.
+        seed: of the sensors' noise.
+        every: record one sample of this many.
+        progress: called with the part done.
+
+    Raises:
+        SingularityError: the decoupling matrix became singular; holds the state.
+        IntegrationError: the state or the commands are no longer finite.
+    """
+    return joined(twin_chunks(loop, start, duration=duration, seed=seed, every=every, progress=progress))
+
+
+def twin_chunks(
+    loop: SampledLoop,
+    start: Array,
+    *,
+    duration: float,
+    seed: int,
+    every: int = 1,
+    progress: Progress | None = None,
+    most: int | None = None,
+) -> Iterator[TwinRun]:
+    """Run a controller around a twin as `run_twin` does, in chunks of at most `most` rows; the rest is the same."""
+    sampled, twin, kernels = loop.sampled, loop.twin, loop.kernels
+    rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
+    generator = np.random.default_rng(seed)
+    before = sampled.before
+    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    span = every * (most or samples)
+    y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start), 0.0, twin.substeps(rate)
+    noise = generator.standard_normal((1, len(twin.sensors)))
+    reading = np.empty(len(twin.sensors))
+    twin.kernels.sense(-before / rate, y, p, noise[0], reading)
+    memory = sampled.begin(reading)
+    late = twin.late(rate)
+    queue = np.tile(memory.holding, (1 + math.ceil(late.max(initial=0.0)), 1))
+    widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
+    lasting = np.empty((1, 0))
+    mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
+    for begin, end in itertools.pairwise(_bounds(-before, samples, span)):
+        if begin == -before or begin % span == 0:
+            rows = np.arange(max(0, begin), min(max(0, begin) + span, samples), every)
+            out = [np.empty((len(rows), width)) for width in widths]
+        count = end - begin
+        if begin == 0:
+            lasting = sampled.feed.lasting(memory.p)
+        more = generator.standard_normal((count - len(noise), len(twin.sensors)))
+        noise = np.concatenate([noise, more]) if len(noise) else more
+        row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
+        status, done, first = kernels.run(
+            begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
+            late, noise, first, *(table[row:] for table in out),
+        )  # fmt: skip
+        check_status(kernels, status, (begin + done) / rate, y, mend)
+        noise = noise[:0]
+        if progress is not None:
+            progress((end + before) / (samples + before))
+        if end > 0 and (end % span == 0 or end == samples):
+            states, memories, readings, demanded, applied = out
+            estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
+            disturbed = slice(sizes.states, sizes.states + sizes.coordinates)
+            disturbances = memories[:, disturbed] if sizes.order else None
+            yield TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
+
+
+def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
+    """Integration steps between samples that resolve the plant's fastest motion near a state."""
+    p, u = loop.values(), np.zeros(len(loop.plant.inputs))
+
+    def slope(y: Array, out: Array) -> None:
+        loop.kernels.plant_derivative(0.0, y, u, p, out)
+
+    return steps_between(slope, state, np.resize(loop.controller.lengths, len(state)), rate)
+
+
+class Mapped(Protocol):
+    """A control law with a compiled transform."""
+
+    @property
+    def controller(self) -> Controller:
+        """Control law."""
+
+    @property
+    def kernels(self) -> Kernels:
+        """Compiled functions with `transform(t, q, v, p, out)`."""
+
+    def values(self) -> Array:
+        """Parameter array."""
+
+
+def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None) -> Array:
+    """Rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
+
+    Args:
+        loop: controller and plant.
+        virtual_state: virtual coordinates then velocities (2 k,); what follows is not looked at.
+        guess: rig coordinates (n,) to start from; by default several are tried.
+        passive: coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default.
+
+    Raises:
+        ModelError: no rig position is found that gives the virtual coordinates.
+    """
+    lengths = loop.controller.lengths
+    k = len(loop.controller.virtual.coordinates)
+    eta, rate = virtual_state[:k], virtual_state[k : 2 * k] / loop.controller.time_scale
+    free = list(loop.controller.transform.passive)
+    beside = np.zeros(2 * len(free)) if passive is None else passive
+    whole, rates = np.append(eta, beside[: len(free)]), np.append(rate, beside[len(free) :])
+    generator = np.random.default_rng(0)
+    guesses = [np.zeros(len(lengths))] if guess is None else [guess]
+    guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+    for start in guesses:
+        q = _newton(loop, start, whole, lengths)
+        if q is not None:
+            return np.concatenate([q, np.linalg.lstsq(_map(loop, q)[1], rates, rcond=None)[0]])
+    names = loop.controller.virtual.coordinates
+    wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
+    raise ModelError(
+        f"transform: no rig position gives the initial {wanted}; start elsewhere, or change the transform so that its "
+        "range includes this state"
+    )
+
+
+def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
+    """State of a closed loop whose virtual system is in a state: the rig's, then `ClosedLoop.internal`.
+
+    Args:
+        loop: controller and plant.
+        virtual_state: virtual coordinates, velocities and internal states.
+        rig: coordinates and velocities of the rig (2 n,), such as `rig_state` gives them.
+    """
+    internal = [state.initial for state in loop.plant.declaration.states.values()]
+    return np.concatenate([rig, internal, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
+
+
+def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
+    q = np.array(q, dtype=float)
+    for _ in range(50):
+        value, jacobian = _map(loop, q)
+        error = eta - value
+        if not np.all(np.isfinite(error)) or not np.all(np.isfinite(jacobian)):
+            return None
+        if np.max(np.abs(error)) <= 1e-13 * (1.0 + np.max(np.abs(eta))):
+            return q
+        step = np.linalg.lstsq(jacobian, error, rcond=None)[0]
+        largest = float(np.max(np.abs(step) / lengths))
+        q = q + step * min(1.0, 2.0 / largest) if largest > 0.0 else q
+    return None
+
+
+def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
+    """Virtual coordinates with the passive ones (n,) behind them, and their slope by the rig's (n, n)."""
+    n, k = len(q), len(loop.controller.virtual.coordinates)
+    p, out = loop.values(), np.empty(2 * k)
+    jacobian = np.empty((k, n))
+    for i in range(n):
+        loop.kernels.transform(0.0, q, np.eye(n)[i], p, out)
+        jacobian[:, i] = out[k:] / loop.controller.time_scale
+    free = list(loop.controller.transform.passive)
+    return np.append(out[:k], q[free]), np.concatenate([jacobian, np.eye(n)[free]])
+
+
+def complete(loop: ClosedLoop, times: Array, states: Array, p: Array, schedule: Schedule | None) -> Run:
+    """Run of a closed loop whose states are known.
+
+    Args:
+        loop: controller and plant.
+        times: (m,), increasing.
+        states: of the rig (m, .), SI units.
+        p: parameter array of the loop.
+        schedule: parameters of it that change on the way.
+    """
+    virtual = np.empty((len(times), 2 * len(loop.controller.virtual.coordinates)))
+    inputs = np.empty((len(times), len(loop.plant.inputs)))
+    for begin, end in schedule.spans(times) if schedule else [(0, len(times))]:
+        if schedule is not None:
+            schedule.set(float(times[begin]), p)
+        rows = slice(begin, end)
+        loop.kernels.along(times[rows], states[rows], p, virtual[rows], inputs[rows])
+    last = 2 * len(loop.plant.coordinates) + len(loop.internal)
+    remembered = states[:, last - len(loop.controller.virtual.states) : last]
+    return Run(times, states, np.hstack([virtual, remembered]), inputs)

@@ -1,0 +1,136 @@
+"""Passive coordinates of an experiment: where they begin, how they move by themselves, and the energy they took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.control.law import Controller
+from masking.control.zero_dynamics import Held, ZeroDynamics
+from masking.errors import ModelError
+from masking.model.declaration import dimensions, units
+from masking.model.modelling.model import Model
+
+_ROWS: Final = 5000  # of a run, at which its energy is looked at
+
+
+@dataclass(frozen=True)
+class Passive:
+    """Rig coordinates that no virtual one stands for.
+
+    Args:
+        law: the control law.
+        plant: the model of the rig, SI units.
+        eta: virtual coordinates at the start (k,).
+        given: the experiment's initial values, in declared units.
+    """
+
+    law: Controller
+    plant: Model
+    eta: Array
+    given: Mapping[str, float]
+
+    @property
+    def indices(self) -> list[int]:
+        """Where they are among the rig's coordinates."""
+        return list(self.law.transform.passive)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self.plant.coordinates[i] for i in self.indices)
+
+    @cached_property
+    def zero_dynamics(self) -> ZeroDynamics:
+        """Their motion with the virtual coordinates held where the run begins.
+
+        Raises:
+            ModelError: they do not rest anywhere.
+        """
+        law = self.law
+        return Held(self.plant, law.transform, law.transform_parameters, law.lengths, self.eta).zero_dynamics()
+
+    def initial(self) -> Array:
+        """Their values, then their velocities, at the start (2 m,), SI units: as given, else at rest."""
+        declared = self.plant.declaration.coordinates
+        names = [name for name in self.names if name not in self.law.virtual.coordinates]  # the virtual one is meant
+        sizes = {name: self.plant.units.conversions[declared[name].unit].factor for name in names}
+        values = [self.given.get(name) if name in sizes else None for name in self.names]
+        rest = self.zero_dynamics.rest if None in values else np.zeros(len(values))
+        start = [z if x is None else x * sizes[n] for n, x, z in zip(self.names, values, rest, strict=True)]
+        speeds = [self.given.get(f"{name}'", 0.0) * sizes[name] if name in sizes else 0.0 for name in self.names]
+        return np.array([*start, *speeds])
+
+    def check_still(self) -> None:
+        """Refuse initial velocities, which a controller that reads sensors cannot give.
+
+        Raises:
+            ModelError: names the coordinate.
+        """
+        moving = [
+            name for name in self.names if self.given.get(f"{name}'") and name not in self.law.virtual.coordinates
+        ]
+        if moving:
+            raise ModelError(
+                f"initial.{moving[0]}': a rig that is read by sensors starts at rest; leave it out, or take 'observer: "
+                "exact' or 'rate: continuous', where a simulation can begin in any state"
+            )
+
+    def entry(self, states: Array) -> dict[str, Any]:
+        """Return what they are and did, for the manifest.
+
+        Args:
+            states: of the rig over the run (rows, .), coordinates and velocities first, SI units.
+        """
+        try:
+            found = self.zero_dynamics.as_dict()
+        except ModelError as error:
+            found = {"coordinates": list(self.names), "verdict": "unknown", "how": "no rest", "words": str(error)}
+        peaks = dict(zip(self.names, np.abs(states[:, self.indices]).max(axis=0).tolist(), strict=True))
+        found |= {"peak": peaks}
+        energy = self._energy(states) if found["verdict"] != "unknown" else None
+        if energy is not None:
+            found["energy"] = {
+                "start": float(energy[0]),
+                "end": float(energy[-1]),
+                "peak": float(energy.max()),
+                "unit": self._energy_unit(),
+            }
+        return found
+
+    @staticmethod
+    def merged(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+        """Entry of a run from those of two chunks, one behind the other."""
+        found = {**before, "peak": {name: max(peak, after["peak"][name]) for name, peak in before["peak"].items()}}
+        if "energy" in before:
+            peak = max(before["energy"]["peak"], after["energy"]["peak"])
+            found["energy"] = {**before["energy"], "end": after["energy"]["end"], "peak": peak}
+        return found
+
+    def _energy_unit(self) -> str:
+        """Unit of the energy in SI units."""
+        model = self.plant.declaration
+        expression, symbols = model.energy or model.lagrangian, dimensions.symbol_dimensions(model)
+        found = dimensions.dimension_in(expression, symbols) if expression and symbols else None
+        if found is None:
+            return ""
+        return "J" if found == units.dimension_of("J") else units.describe(found)
+
+    def _energy(self, states: Array) -> Array | None:
+        """Energy of the rig beyond that with its passive coordinates at rest (rows,); None without one."""
+        kernels, n = self.plant.kernels, len(self.plant.coordinates)
+        if not kernels.meta["has_energy"]:
+            return None
+        rows = np.unique(np.linspace(0, len(states) - 1, _ROWS).astype(int))
+        p, found = self.plant.values(), np.empty(len(rows))
+        for i, row in enumerate(rows):
+            q, rest = states[row, :n].copy(), states[row, :n].copy()
+            v, still = states[row, n:].copy(), states[row, n:].copy()
+            rest[self.indices], still[self.indices] = self.zero_dynamics.rest, 0.0
+            found[i] = kernels.energy(0.0, q, v, p) - kernels.energy(0.0, rest, still, p)
+        return found

@@ -1,0 +1,465 @@
+"""Run a controller on a plant, one tick after the other, and leave the plant at zero whatever happens.
+
+In each tick: read the sensors, look whether they are plausible and the rig within its limits, step the controller,
+refuse what is not finite, clamp to the limits, write. What is between reading and writing is the chain of
+`masking.lab.plants.safety_chain`: no command reaches the plant but through it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import struct
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import (
+    CommandError,
+    EmergencyStopError,
+    PlantError,
+    PlantLostError,
+    PlantMismatchError,
+    SamplesLostError,
+)
+from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling
+from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
+from masking.lab.plants.safety_chain import Cause, Chain, Rules, Trip
+from masking.lab.records.ring import cells
+from masking.lab.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
+
+Step = Callable[[int, Array], Array]
+Row: TypeAlias = "memoryview[float]"
+# The first columns of a row: unit and meaning of each, by its name.
+LOOP: Final = {
+    "tick": {"unit": "1", "meaning": "tick of the plant's clock"},
+    "wall": {"unit": "s", "meaning": "time since the first sample, measured"},
+    "answered": {"unit": "1", "meaning": "1 where the controller answered the sample"},
+    "index": {"unit": "1", "meaning": "sample, 0 at the release and negative in the homing"},
+    "late": {"unit": "1", "meaning": "1 where samples before were missed, or the tick began more than a period late"},
+    "lateness": {"unit": "s", "meaning": "how late the tick began"},
+    "duration": {"unit": "s", "meaning": "how long the controller took"},
+}
+TICK, WALL, ANSWERED, INDEX, LATE, LATENESS, DURATION = range(len(LOOP))
+_pack = struct.Struct(f"{len(LOOP)}d").pack_into
+_LOOKED_AFTER = 0.05  # s between looks at what a plant puts out
+_LARGEST = 2**53  # a tick that a float holds
+_IDLE = 2  # looks in a row at which it may put out nothing although it is commanded to
+
+
+@dataclass(frozen=True, eq=False)
+class RigRun:
+    """What happened in a run, a row for each tick.
+
+    Args:
+        times: (m,), seconds of the plant's clock: index / rate.
+        wall: (m,), seconds since the first tick, measured.
+        index: (m,), ticks of the plant's clock.
+        sensors: (m, sensors).
+        demanded: (m, actuators), what the controller returned, also where that is not finite.
+        applied: (m, actuators), what was written after the clamp.
+        late: (m,), True where samples before this one were missed, or the tick began more than a period late.
+        durations: (m,), seconds that the controller's step took.
+        lateness: (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before.
+        work: (m,), seconds that the controller, the safety chain and the row of the record took together.
+        table: (m, columns), as `Rows` has it.
+        reason: why it ended, one of `masking.lab.runs.stopping.REASONS`.
+        counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
+        note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
+        trip: why the safety chain tripped; None where it did not.
+    """
+
+    times: Array
+    wall: Array
+    index: NDArray[np.int64]
+    sensors: Array
+    demanded: Array
+    applied: Array
+    late: NDArray[np.bool_]
+    durations: Array
+    lateness: Array
+    work: Array
+    table: Array
+    reason: str
+    counters: Mapping[str, int]
+    note: str = ""
+    trip: Trip | None = None
+
+
+def run_rig(
+    step: Step,
+    plant: Plant,
+    *,
+    rate: float,
+    samples: int,
+    limits: Array | Rules,
+    watchdog: float = 0.02,
+    lockstep: bool = False,
+    acknowledge: bool = False,
+    accept: Callable[[Plant], None] | None = None,
+    on_tick: Callable[[int], None] | None = None,
+    on_row: Sequence[Callable[[Row], None]] = (),
+    stop: Stop | None = None,
+    emergency: Stop | None = None,
+    look: Callable[[Chain, int], None] | None = None,
+    estimate: Array | None = None,
+    known: Sequence[Array] = (),
+    before: int = 0,
+    on_end: Callable[[RigRun], None] | None = None,
+) -> RigRun:
+    """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
+
+    SIGINT, SIGTERM and SIGHUP end the run in order. Where the plant does not own the clock, ticks are kept here.
+
+    Args:
+        step: takes the tick of a sample and its sensors (sensors,), and returns the command (actuators,).
+        plant: any plant that is not active.
+        rate: Hz.
+        samples: ticks.
+        limits: what the rig is held to; or (actuators,), the largest magnitude of each command, positive.
+        watchdog: seconds without a command after which the plant goes to zero by itself.
+        lockstep: run as fast as both sides can, each waiting for the other.
+        acknowledge: why the plant tripped in the last run was looked at.
+        accept: called with the configured plant before it is activated; raises what it refuses the plant with.
+        on_tick: called with the row after each tick, within the tick's time.
+        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
+        stop: looked at before each tick.
+        emergency: likewise; the run then trips.
+        look: called with the safety chain, which it may stop, and the tick of each sample.
+        estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
+        known: what each row has of the controller besides: contiguous arrays of float64, likewise.
+        before: samples before the release.
+        on_end: called with what was recorded once the plant is at zero, also before an error is raised.
+
+    Raises:
+        CommandError: the controller returned something else than one finite number for each actuator.
+        PlantError: the plant is lost, refuses, or has other channels.
+        Exception: what the controller raised.
+    """
+    settings = Settings(rate, watchdog, lockstep, acknowledge)
+    rows, reason, note = None, FAILED, ""
+    try:
+        with asked_to_stop() as asked, contextlib.ExitStack() as way_out:
+            way_out.callback(plant.deactivate)
+            plant.configure(settings)
+            if accept is not None:
+                accept(plant)
+            if not isinstance(limits, Rules):
+                limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
+            rows = Rows(samples, plant, Chain(limits, estimate), on_row, known=known, before=before)
+            note = way_out.enter_context(undisturbed(priority=not lockstep))
+            way_out.push(partial(_leave, plant, rows))  # first of all on the way out
+            plant.activate()
+            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, look=look,
+                           asked=asked)  # fmt: skip
+    except BaseException as error:
+        if rows is not None:
+            rows.tell()
+        if on_end is not None and rows is not None:
+            on_end(rows.run(rate, _reason(error, rows), plant, note))
+        raise
+    run = rows.run(rate, reason, plant, note)
+    if on_end is not None:
+        on_end(run)
+    return run
+
+
+def _leave(plant: Plant, rows: Rows, _kind: object, error: BaseException | None, _trace: object) -> None:
+    """Leave a plant at zero, and let it know why the chain tripped, if it did."""
+    if error is not None:
+        _reason(error, rows)
+    if rows.chain.trip is not None and isinstance(plant, Latching):
+        with contextlib.suppress(Exception):  # whatever an adapter does, the plant is left
+            plant.trip(str(rows.chain.trip))
+    plant.deactivate()
+
+
+def _reason(error: BaseException, rows: Rows) -> str:
+    """Return why a run ended in an error, and let the chain know."""
+    tick, text = int(rows.table[max(0, rows.count - 1), TICK]), f"{type(error).__name__}: {error}"
+    if isinstance(error, PlantLostError):
+        cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
+        rows.chain.stop(cause, tick, detail=text)
+        return LOST
+    if isinstance(error, EmergencyStopError):
+        rows.chain.stop(Cause.ESTOP, tick, "at the plant", detail=text)
+    if rows.chain.trip is None and isinstance(error, PlantError):
+        rows.chain.stop(Cause.PLANT_ERROR, tick, detail=text)
+    return TRIPPED if rows.chain.trip is not None else FAILED
+
+
+def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, mend: str) -> None:
+    """Refuse a plant whose channels are not those wanted, in their order.
+
+    Args:
+        plant: configured.
+        sensors: the names that are wanted.
+        actuators: likewise.
+        whose: who wants them, such as "the experiment is for linear_rig".
+        mend: what to do about it.
+
+    Raises:
+        PlantMismatchError: names both.
+    """
+    for kind, theirs, ours in (("sensors", plant.sensors, sensors), ("actuators", plant.actuators, actuators)):
+        if tuple(theirs) != tuple(ours):
+            raise PlantMismatchError(
+                f"the plant's {kind} are {', '.join(theirs)}; {whose}, whose {kind} are {', '.join(ours)}, in this "
+                f"order: {mend}"
+            )
+
+
+def every(progress: Callable[[float], None], samples: int) -> Callable[[int], None]:
+    """Function that reports the fraction done about a hundred times, within the time of a tick."""
+    step = max(1, samples // 100)
+
+    def report(row: int) -> None:
+        if row % step == 0:
+            progress((row + 1) / samples)
+
+    return report
+
+
+def _loop(
+    step: Step,
+    plant: Plant,
+    rows: Rows,
+    settings: Settings,
+    *,
+    on_tick: Callable[[int], None] | None,
+    stop: Stop | None,
+    emergency: Stop | None,
+    look: Callable[[Chain, int], None] | None,
+    asked: Stop,
+) -> str:
+    """Run tick after tick; return why it ended."""
+    keeps_time = not (plant.owns_clock or settings.lockstep)
+    deadlines, chain = Deadlines(settings.rate), rows.chain
+    taken = _Taken(plant, chain, settings.rate) if isinstance(plant, Telling) else None
+    counters = plant.counters if isinstance(plant, Counting) else {}
+    ended, skipped = time.perf_counter(), 0
+    for row in range(rows.samples):
+        lateness = deadlines.wait(asked) if keeps_time and row else 0.0 if settings.lockstep else None
+        if asked():
+            return INTERRUPTED
+        if stop is not None and stop():
+            return STOPPED
+        sample = plant.read()
+        began = time.perf_counter()
+        missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
+        if missed or rows.is_late:
+            before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
+            chain.time(
+                sample.index,
+                is_late=rows.is_late and not settings.lockstep,
+                silence=0.0 if settings.lockstep else (began - ended) * settings.rate,
+                missed=missed,
+                lost=missed - (skipped - before),
+            )
+        if emergency is not None and emergency():
+            chain.stop(Cause.ESTOP, sample.index)
+        if look is not None:
+            look(chain, sample.index)
+        command = rows.applied[row]
+        if chain.watch(sample.index, sample.values, missed) is None:
+            _answer(step, plant, rows, sample, began)
+        answered = time.perf_counter()
+        plant.write(sample.index, command)
+        ended = time.perf_counter()
+        rows.tell()
+        rows.work[row] = answered - began + (time.perf_counter() - ended)
+        if taken is not None:
+            taken.look(sample.index, command)
+        if chain.trip is not None:
+            return TRIPPED
+        if on_tick is not None:
+            on_tick(row)
+    return FINISHED
+
+
+def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) -> None:
+    """Let the controller answer a sample; what it raises comes through once zero was written.
+
+    Raises:
+        CommandError: it returned something else than one number for each actuator.
+        Exception: what the controller raised.
+    """
+    tick = sample.index
+    try:
+        rows.answer(tick, step(tick, sample.values), time.perf_counter() - began)
+    except BaseException as error:
+        cause = Cause.CONTROLLER_NONFINITE if isinstance(error, CommandError) else Cause.CONTROLLER_EXCEPTION
+        rows.chain.stop(cause, tick, ", ".join(plant.actuators), value=np.nan, detail=traceback.format_exc())
+        with contextlib.suppress(PlantError):
+            plant.write(tick, rows.chain.applied)
+        raise
+
+
+@final
+class _Taken:
+    """Whether a plant that reports its outputs takes the commands that it is given.
+
+    Args:
+        plant: the plant.
+        chain: which trips where it does not.
+        rate: samples per second.
+    """
+
+    def __init__(self, plant: Telling, chain: Chain, rate: float) -> None:
+        self._plant, self._chain, self._every, self._row = plant, chain, max(2, round(rate * _LOOKED_AFTER)), 0
+        self._least = np.full(len(chain.applied), np.inf)
+        self._idle = np.zeros(len(chain.applied), dtype=np.int64)
+
+    def look(self, tick: int, written: Array) -> None:
+        """Look at what was written (actuators,), and now and then at what is put out."""
+        np.minimum(self._least, np.abs(written), out=self._least)
+        self._row += 1
+        if self._row % self._every:
+            return
+        told, names = self._plant.telemetry(), self._chain.rules.actuators
+        for i, name in enumerate(names):
+            is_idle = self._least[i] > 0.0 and told.get(APPLIED + name, np.nan) == 0.0
+            self._idle[i] = self._idle[i] + 1 if is_idle else 0
+            if self._idle[i] > _IDLE:
+                self._chain.stop(Cause.COMMANDS_NOT_TAKEN, tick, name, value=float(written[i]))
+        self._least[:] = np.inf
+
+
+@final
+class Rows:
+    """The rows of a run, made ahead and filled tick by tick.
+
+    Attributes:
+        table: (samples, columns): `LOOP`, the sensors, the applied commands, and what the controller knows.
+        count: rows that were begun.
+        is_late: whether the last tick was.
+
+    Args:
+        samples: number of rows.
+        plant: a configured plant.
+        chain: of the run.
+        on_row: each called once with each row.
+        known: what the controller knows, contiguous arrays of float64.
+        before: samples before the release.
+    """
+
+    def __init__(
+        self,
+        samples: int,
+        plant: Plant,
+        chain: Chain,
+        on_row: Sequence[Callable[[Row], None]] = (),
+        *,
+        known: Sequence[Array] = (),
+        before: int = 0,
+    ) -> None:
+        if samples < 1:
+            raise PlantMismatchError(f"samples is {samples}; give at least 1")
+        self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
+        self.missed = self.gaps = self._told = self._at = 0
+        self.is_late, self._before, self._first, self._last, self._began = False, before, 0, 0, 0.0
+        self._wall, self._on_row, self._shape = 0.0, on_row, chain.applied.shape
+        sensors, actuators = len(plant.sensors), len(plant.actuators)
+        ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known)]))
+        self._width = ends[-1]
+        # Filled, so that their pages are there before the first tick.
+        self.table, self.work = np.full((samples, self._width), 0.0), np.full(samples, 0.0)
+        self.demanded = np.full((samples, actuators), 0.0)
+        self.sensors, self.applied = self.table[:, ends[0] : ends[1]], self.table[:, ends[1] : ends[2]]
+        self._cells = cells(self.table)
+        # Memory to memory; measured: a third of the time of arrays.
+        self._known = [
+            (end - len(part), end, part.data) for end, part in zip(ends[3:], known, strict=True) if len(part)
+        ]
+
+    def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
+        """Begin the next row with a sample.
+
+        Args:
+            tick: of the plant's clock.
+            values: (sensors,).
+            wall: s of the wall clock.
+            missed: periods missed so far.
+            lateness: s that the tick began late, where it is this side that keeps the time.
+
+        Returns:
+            the samples that were missed before this one.
+        """
+        row, tick, gap = self.count, min(tick, _LARGEST), 0
+        self.count += 1
+        if row:
+            gap = tick - self._last - 1
+        else:
+            self._first, self._began, lateness = tick, wall, lateness or 0.0
+        if lateness is None:
+            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        self._at = at = row * self._width
+        self.is_late = gap > 0 or missed > self.missed
+        self._last, self._wall, self.missed = tick, wall, missed
+        index = tick - self._first - self._before
+        _pack(self._cells, 8 * at, tick, wall - self._began, 0.0, index, self.is_late, lateness, 0.0)  # as `LOOP`
+        self.sensors[row] = values
+        self.gaps += max(0, gap)
+        return max(0, gap)
+
+    def answer(self, tick: int, demanded: Array, duration: float) -> None:
+        """Keep what the controller answered in the row that was begun, and what of it may be written.
+
+        Args:
+            tick: of the plant's clock.
+            demanded: (actuators,).
+            duration: s that the controller took.
+
+        Raises:
+            CommandError: it is not one number for each actuator.
+        """
+        row, chain = self.count - 1, self.chain
+        self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration
+        shape = demanded.shape if type(demanded) is np.ndarray else np.shape(demanded)
+        if shape != self._shape:
+            message = f"tick {tick}: the controller returned shape {shape}"
+            raise CommandError(f"{message}; return {self._shape}, one number for each actuator")
+        self.demanded[row] = demanded
+        self.applied[row] = chain.guard(tick, demanded)
+
+    def tell(self) -> None:
+        """Let the last row be recorded, if it was not yet."""
+        if self._told < self.count:
+            self._told, at = self.count, self._at
+            for begin, end, known in self._known:
+                self._cells[at + begin : at + end] = known
+            row = self._cells[at : at + self._width]
+            for take in self._on_row:
+                take(row)
+
+    def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
+        """Rows that were begun; the applied command of one that was not completed is zero."""
+        rows = slice(0, self.count)
+        table = self.table[rows]
+        counted = dict(plant.counters) if isinstance(plant, Counting) else {}
+        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.missed + self.gaps}
+        ticks = table[:, TICK].astype(np.int64)
+        return RigRun(
+            times=ticks / rate,
+            wall=table[:, WALL],
+            index=ticks,
+            sensors=self.sensors[rows],
+            demanded=self.demanded[rows],
+            applied=self.applied[rows],
+            late=table[:, LATE] > 0.0,
+            durations=table[:, DURATION],
+            lateness=table[:, LATENESS],
+            work=self.work[rows],
+            table=table,
+            reason=reason,
+            counters={**counted, **own, "clamped": self.chain.clamped},
+            note=note,
+            trip=self.chain.trip,
+        )

@@ -1,0 +1,73 @@
+"""Rate of a recording: its instants, and where none is declared, a rate that follows the virtual motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.model.modelling.model import Model
+
+FEWEST: Final = 10.0  # rows per unit of virtual time
+PER_PERIOD: Final = 40.0  # rows in a period of the fastest oscillation
+_STEP: Final = 1e-6  # of a size of each state, for differences
+
+
+def instants(duration: float, samples: int, rate: float | None) -> tuple[int, Callable[[int, int], Array]]:
+    """How many rows a recording in continuous time has, and what gives the times from one row to before another.
+
+    Args:
+        duration: s.
+        samples: rows, evenly from its beginning to its end, where there is no rate.
+        rate: rows per second, if declared.
+    """
+    if rate is not None:
+        return int(duration * rate * (1.0 + 1e-12)) + 1, lambda first, last: np.arange(float(first), last) / rate
+    step = duration / (samples - 1)
+
+    def evenly(first: int, last: int) -> Array:
+        times = np.arange(float(first), last) * step
+        if last == samples:
+            times[-1] = duration
+        return times
+
+    return samples, evenly
+
+
+def rows_per_unit(virtual: Model, initial: Array) -> float:
+    """Rows per unit of virtual time that show each period of the motion, and at least 10.
+
+    The period is that of the fastest oscillation about the initial state and about rest.
+
+    Args:
+        virtual: the virtual system.
+        initial: its initial state, coordinates then velocities (2 k,), in its units.
+    """
+    return max(FEWEST, PER_PERIOD * fastest(virtual, initial) / (2.0 * math.pi))
+
+
+def fastest(virtual: Model, initial: Array) -> float:
+    """Angular frequency of the fastest oscillation about the initial state and about rest; 0 without any.
+
+    Args:
+        virtual: the virtual system.
+        initial: as `rows_per_unit` has it.
+    """
+    return max(_fastest(virtual, state) for state in (initial, np.zeros(len(initial))))
+
+
+def _fastest(virtual: Model, state: Array) -> float:
+    """Largest angular frequency of the motion about a state; 0 where it has none."""
+    size, p, u = len(state), virtual.values(), np.zeros(len(virtual.inputs))
+    lengths = np.ones(size) if virtual.is_dimensionless else np.resize(virtual.lengths, size)
+    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
+    for i, step in enumerate(_STEP * lengths):
+        for sign, out in ((1.0, ahead), (-1.0, behind)):
+            virtual.kernels.derivative(0.0, state + sign * step * np.eye(size)[i], u, p, out)
+        jacobian[:, i] = (ahead - behind) / (2.0 * step)
+    if not np.all(np.isfinite(jacobian)):
+        return 0.0
+    return float(np.abs(np.linalg.eigvals(jacobian).imag).max(initial=0.0))

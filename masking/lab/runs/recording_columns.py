@@ -1,0 +1,100 @@
+"""Columns of the recording of a run, with their units and meanings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.model.declaration import instrument_declaration, schema
+from masking.model.declaration.input_definitions import cell
+from masking.model.declaration.registry import Assembly
+from masking.model.modelling.model import Model
+
+
+@dataclass
+class Columns:
+    """The columns of a recording, each with its unit and meaning, while they are gathered.
+
+    Args:
+        assembly: the declarations of the experiment.
+        plant: the model of the rig.
+        virtual: the virtual system.
+    """
+
+    assembly: Assembly
+    plant: Model
+    virtual: Model
+    columns: dict[str, Array] = field(default_factory=dict)
+    units: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @property
+    def _ports(self) -> Mapping[str, instrument_declaration.Actuator | schema.Input]:
+        return self.assembly.plant.actuators or self.assembly.plant_model.inputs
+
+    def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
+        """Add one column (m,).
+
+        Args:
+            name: of the column.
+            values: (m,).
+            unit: of the values.
+            meaning: in words.
+        """
+        self.columns[name] = np.ascontiguousarray(values)
+        self.units[name] = {"unit": unit, "meaning": meaning}
+
+    def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
+        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal.
+
+        Args:
+            times: (m,), s.
+            rig: its states (m, .), SI units.
+            virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
+            ideal: those of the virtual system by itself.
+        """
+        self.add("t", times, "s", "time")
+        for prefix, model, states in (
+            ("rig", self.plant, rig),
+            ("virtual", self.virtual, virtual),
+            ("ideal", self.virtual, ideal),
+        ):
+            n = len(model.coordinates)
+            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
+                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
+                rate = unit if model.is_dimensionless else f"{unit}/s"
+                self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
+                self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
+            for i, (name, state) in enumerate(model.declaration.states.items() if prefix != "rig" else (), 2 * n):
+                unit = "1" if model.is_dimensionless else model.units.conversions[state.unit].si
+                self.add(f"{prefix}.{name}", states[:, i], unit, state.meaning)
+        return self
+
+    def add_inputs(self, inputs: Mapping[str, Array]) -> Columns:
+        """Add inputs of the virtual system that are no expressions (m,), as `virtual_input`."""
+        for name, values in inputs.items():
+            unit = self.virtual.declaration.parameters[cell(name, "c0")].unit
+            unit = "1" if self.virtual.is_dimensionless else self.virtual.units.conversions[unit].si
+            self.add(f"virtual_input.{name}", values, unit, f"input {name} of the virtual system")
+        return self
+
+    def add_sensors(self, readings: Array) -> Columns:
+        """Add the readings (m, sensors)."""
+        for i, (name, sensor) in enumerate(self.assembly.plant.sensors.items()):
+            self.add(f"sensor.{name}", readings[:, i], sensor.unit, sensor.meaning)
+        return self
+
+    def add_actuators(self, prefix: str, commands: Array) -> Columns:
+        """Add commands (m, actuators) as `input`, what was applied, or as `demanded`, before limits."""
+        for i, (name, port) in enumerate(self._ports.items()):
+            meaning = port.meaning if prefix == "input" else f"demanded of {name}"
+            self.add(f"{prefix}.{name}", commands[:, i], port.unit, meaning)
+        return self
+
+    def add_power(self, power: Array) -> Columns:
+        """Add the mean power of each actuator (m, actuators), W."""
+        for i, name in enumerate(self._ports):
+            self.add(f"power.{name}", power[:, i], "W", f"mean power of {name}")
+        return self

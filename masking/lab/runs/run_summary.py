@@ -1,0 +1,53 @@
+"""Summary: what the manifest says of the rows of a run, gathered while they come in chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, final
+
+import numpy as np
+
+from masking.analysis.masking_error import ErrorSum
+from masking.compile.numerics.arrays import Array
+from masking.lab.runs.passive_coordinates import Passive
+
+
+@final
+class Summary:
+    """Numbers of a run that need all of its rows, but not all at once.
+
+    Args:
+        virtual: names of the virtual coordinates.
+        rig: names of the coordinates of the rig.
+        passive: those of the rig that no virtual one stands for, if any.
+
+    Attributes:
+        first: first row of the virtual coordinates, by name.
+        last: last time, s.
+        passive: what the passive coordinates did, for the manifest; None where there are none.
+    """
+
+    def __init__(self, virtual: Sequence[str], rig: Sequence[str], passive: Passive | None) -> None:
+        self._errors, self._rig, self._passive = {name: ErrorSum() for name in virtual}, tuple(rig), passive
+        self.first, self.last = dict[str, float](), 0.0
+        self.passive: dict[str, Any] | None = None
+
+    def add(self, columns: Mapping[str, Array]) -> None:
+        """Add a chunk of rows.
+
+        Args:
+            columns: of the recording (m,), by name.
+        """
+        self.first = self.first or {name: float(columns[f"virtual.{name}"][0]) for name in self._errors}
+        self.last = float(columns["t"][-1])
+        for name, errors in self._errors.items():
+            errors.add(columns[f"virtual.{name}"], columns[f"ideal.{name}"])
+        if self._passive:
+            names = [f"rig.{name}{prime}" for prime in ("", "'") for name in self._rig]
+            entry = self._passive.entry(np.column_stack([columns[name] for name in names]))
+            self.passive = entry if self.passive is None else Passive.merged(self.passive, entry)
+
+    @property
+    def masking_error(self) -> dict[str, float]:
+        """Masking error of each virtual coordinate."""
+        return {name: errors.value for name, errors in self._errors.items()}

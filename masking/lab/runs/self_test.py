@@ -1,0 +1,289 @@
+"""Self-test of a rig before it is armed: a small pulse of each actuator, compared with what the twin reads under it.
+
+The commands are those of `runs.realtime.run_rig` with the pulse as the largest command: more never reaches the
+plant. The twin is at rest when the test begins; so must the rig be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from masking.compile.numerics import safety_tables
+from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.controller_sizes import LARGEST
+from masking.control.known_instruments import Instruments
+from masking.control.rig.twin import Twin
+from masking.errors import MaskingError, PlantError, PlantMismatchError
+from masking.lab.plants.interface import Plant
+from masking.lab.plants.safety_chain import Rules, Trip
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.runs import safety_limits
+from masking.lab.runs.realtime import check_channels, run_rig
+from masking.model.declaration.schema import EffectChange
+
+SIZE: Final = 0.05  # of the largest command
+RATE: Final = 500.0  # Hz
+_QUIET: Final = 0.3  # s before a pulse, in which the noise is measured
+_PULSE: Final = 0.1  # s at most: shorter where the twin moves by more than the next part of a limited coordinate
+_MOVED: Final = 0.1
+_AFTER: Final = 0.2  # s of the answer that are compared
+_REST: Final = 20.0  # s at most until the rig is at rest again
+_CLEAR: Final = 6.0  # times the noise that an answer must be
+_DEAD: Final = 0.2  # of the predicted answer
+_GAIN: Final = (0.5, 2.0)  # of the predicted answer
+_NOISY: Final = 5.0  # times the declared noise
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How one sensor answered the pulse of one actuator.
+
+    Args:
+        actuator: which was moved.
+        sensor: which is looked at.
+        predicted: the largest change that the twin reads, in the sensor's unit.
+        noise: of the sensor, standard deviation: that at rest, or what is declared where that is more.
+        at_rest: standard deviation of what was read before the pulse.
+        gain: what was read per what was predicted, least squares.
+    """
+
+    actuator: str
+    sensor: str
+    predicted: float
+    noise: float
+    at_rest: float
+    gain: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the prediction stands out of the noise, so that the gain says something."""
+        return self.predicted > _CLEAR * self.noise
+
+    def __str__(self) -> str:
+        if not self.is_clear:
+            return f"{self.actuator} -> {self.sensor}: {self.predicted:.3g} predicted, within noise of {self.noise:.2g}"
+        return f"{self.actuator} -> {self.sensor}: {self.gain:.2f} of {self.predicted:.3g}, noise {self.noise:.2g}"
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """What a self-test found.
+
+    Args:
+        answers: of each sensor to each actuator.
+        findings: why the rig must not be armed, a sentence each; none where it may.
+    """
+
+    answers: tuple[Answer, ...]
+    findings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join([*map(str, self.answers), *self.findings, "fails" if self.findings else "passes"])
+
+    def check(self) -> None:
+        """Refuse a rig that must not be armed.
+
+        Raises:
+            PlantError: says what was found.
+        """
+        if self.findings:
+            raise PlantError(f"the self-test refuses to arm: {'; '.join(self.findings)}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as JSON can hold it."""
+        keys = ("actuator", "sensor", "predicted", "noise", "at_rest", "gain")
+        answers = [{key: getattr(answer, key) for key in keys} for answer in self.answers]
+        return {"answers": answers, "findings": list(self.findings)}
+
+
+def self_test(
+    twin: Twin,
+    plant: Plant,
+    *,
+    size: float = SIZE,
+    rate: float = RATE,
+    lockstep: bool = False,
+    acknowledge: bool = False,
+) -> SelfTest:
+    """Pulse each actuator in turn, and compare what the sensors read with what those of the twin do.
+
+    Args:
+        twin: of the plant file.
+        plant: not active, at rest; it is deactivated on every way out.
+        size: of a pulse, as a part of the largest command, at most 1.
+        rate: samples per second.
+        lockstep: run as fast as both sides can.
+        acknowledge: why the plant tripped in the last run was looked at.
+
+    Raises:
+        ModelError: an actuator has no largest command.
+        PlantMismatchError: the plant has other channels, or the size is none.
+        PlantError: the plant is lost, or refuses.
+        MaskingError: the test was interrupted.
+    """
+    if not 0.0 < size <= 1.0:
+        raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
+    instruments = Instruments.of(twin)
+    held = _held(safety_limits.rules(instruments, rate, twin), size)
+    quiet = {e.path.removeprefix("effects.") for e in twin.effects if e.entry.where == "sensor" and e.entry.deviation}
+    ideal = twin.changed({**twin.changes, **dict.fromkeys(quiet, EffectChange(enabled=False))})
+    answers = list[Answer]()
+    for j in range(len(twin.actuators)):
+        seconds, predicted = _PULSE, _predicted(ideal, held, j, _PULSE)
+        while seconds * rate > 2.0 and part_moved(held, predicted) > _MOVED:
+            seconds *= 0.5
+            predicted = _predicted(ideal, held, j, seconds)
+        read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge)
+        if trip is not None:
+            return SelfTest(tuple(answers), (f"{twin.actuators[j]}: {trip}",))
+        answers += _answers(twin, j, predicted, read)
+    return SelfTest(tuple(answers), tuple(_findings(twin, tuple(answers), size)))
+
+
+def allowed(twin: Twin) -> float:
+    """Command that every actuator of a plant file may be given.
+
+    Raises:
+        ModelError: an actuator has no largest command.
+    """
+    return float(Instruments.of(twin).limits()[:, LARGEST].min())
+
+
+def _held(rules: Rules, size: float) -> Rules:
+    """Rules with a part of the largest commands; answers are compared by the test itself."""
+    commands = rules.commands.copy()
+    commands[:, LARGEST] *= size
+    return replace(safety_limits.without_model(rules), commands=commands)
+
+
+def part_moved(rules: Rules, read: Array) -> float:
+    """Largest part of a limited coordinate over which readings (samples, sensors) went."""
+    far = np.ptp(read @ rules.weights.T, axis=0) if len(rules.weights) else np.zeros(0)
+    is_position = rules.limits[:, safety_tables.OVER] == 0.0
+    return float(np.max((far / rules.limits[:, safety_tables.BOUND])[is_position], initial=0.0))
+
+
+def _predicted(ideal: Twin, rules: Rules, at: int, seconds: float) -> Array:
+    return _Pulse(rules, at, seconds).run(SimulatedPlant(ideal), None, lockstep=True)[0]
+
+
+class _Pulse:
+    """A pulse of one actuator, as a controller.
+
+    Args:
+        rules: whose largest commands are those of the pulse.
+        at: which actuator.
+        seconds: length of the pulse.
+    """
+
+    def __init__(self, rules: Rules, at: int, seconds: float) -> None:
+        self.rules, self.at, rate = rules, at, rules.rate
+        self.begin, self.stop = round(_QUIET * rate), round((_QUIET + _PULSE + _AFTER) * rate)
+        self.end = self.begin + max(1, round(seconds * rate))
+        self.first: int | None = None
+        self.read, self.command = list[Array](), np.zeros(len(rules.actuators))
+        self.is_over = False
+
+    def step(self, tick: int, readings: Array) -> Array:
+        """Command; look now and then whether the rig is at rest again."""
+        self.first = tick if self.first is None else self.first
+        k = tick - self.first
+        self.read.append(readings.copy())
+        if len(self.read) > self.stop and not len(self.read) % self.begin:
+            self.is_over = _is_still(
+                *(np.array(x) for x in (self.read[-self.begin :], self.read[: self.begin], self.read))
+            )
+        self.command[self.at] = self.rules.commands[self.at, LARGEST] if self.begin <= k < self.end else 0.0
+        return self.command
+
+    def run(
+        self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False
+    ) -> tuple[Array, Trip | None]:
+        """Return what the sensors read before and after the pulse (samples, sensors), once a real rig is at rest again.
+
+        Raises:
+            MaskingError: it was interrupted.
+        """
+        rate, rest = self.rules.rate, 0 if twin is None else round(_REST * self.rules.rate)
+
+        def accept(found: Plant) -> None:
+            if twin is not None:
+                whose = (
+                    f"the plant file is that of {Path(next(iter(twin.declaration.files), twin.declaration.name)).stem}"
+                )
+                check_channels(
+                    found, twin.sensors, twin.actuators, whose, "give the plant file of the rig that is there"
+                )
+
+        ran = run_rig(
+            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept,
+            acknowledge=acknowledge,
+            stop=lambda: self.is_over,
+        )  # fmt: skip
+        every = np.arange(self.stop)
+        if ran.trip is None and len(ran.sensors) < self.stop:
+            raise MaskingError(f"the self-test was {ran.reason}; nothing is known of the rig")
+        index = ran.index - ran.index[0]
+        return np.stack([np.interp(every, index, column) for column in ran.sensors.T], axis=1), ran.trip
+
+
+def _is_still(last: Array, first: Array, answer: Array) -> bool:
+    return bool(np.all(np.ptp(last, axis=0) <= np.maximum(2.0 * np.ptp(first, axis=0), 0.05 * np.ptp(answer, axis=0))))
+
+
+def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Answer]:
+    """Give how each sensor answered."""
+    begin = round(len(read) * _QUIET / (_QUIET + _PULSE + _AFTER))
+    for i, sensor in enumerate(twin.sensors):
+        wanted = predicted[begin:, i] - predicted[begin - 1, i]
+        noise = float(np.std(read[:begin, i]))
+        found = read[begin:, i] - np.mean(read[:begin, i])
+        power = float(wanted @ wanted)
+        yield Answer(
+            twin.actuators[at], sensor, float(np.abs(wanted).max()), max(noise, twin.noise().get(sensor, 0.0)), noise,
+            float(wanted @ found) / power if power > 0.0 else 0.0,
+        )  # fmt: skip
+
+
+def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[str]:
+    """Give why the rig must not be armed: first what is wrong with a sensor, then with an actuator."""
+    for sensor, declared in twin.noise().items():
+        at_rest = min((x.at_rest for x in answers if x.sensor == sensor), default=0.0)
+        if at_rest > _NOISY * declared > 0.0:
+            ratio = f"{at_rest / declared:.0f} times what is declared"
+            yield f"{sensor} reads {at_rest:.2g} of noise at rest, {ratio}: look at its cable, and what shakes the rig"
+    clear = [answer for answer in answers if answer.is_clear]
+    told = {a.sensor: [x for x in clear if x.sensor == a.sensor] for a in answers}
+    reversed_sensors = {
+        sensor
+        for sensor, own in told.items()
+        if own
+        and all(x.gain < -_DEAD for x in own)
+        and any(y.gain > _DEAD for x in own for y in clear if y.actuator == x.actuator and y.sensor != sensor)
+    }
+    for sensor in sorted(reversed_sensors):
+        yield f"{sensor} has the wrong sign: {_shown(told[sensor][:1])}; look at its polarity"
+    for actuator in twin.actuators:
+        own = [x for x in clear if x.actuator == actuator and x.sensor not in reversed_sensors]
+        if not own:
+            yield f"{actuator}: no answer to {size:.0%} of its limit stands out of the noise; give a larger --pulse"
+        elif all(abs(x.gain) < _DEAD for x in own):
+            yield f"{actuator} is dead: {_shown(own)}; look at its amplifier, its cable and its supply"
+        elif all(x.gain < -_DEAD for x in own):
+            alone = ", or the sensor" if len(own) == 1 else ""
+            yield f"{actuator}{alone} has the wrong sign: {_shown(own)}; look at its polarity"
+        else:
+            for x in own:
+                if abs(x.gain) < _DEAD:
+                    yield f"{x.sensor} does not answer {actuator}: {_shown([x])}; look at the sensor and its cable"
+                elif not _GAIN[0] <= x.gain <= _GAIN[1]:
+                    yield f"{x.sensor} answers {actuator} wrongly: {_shown([x])}; look at both, or mend the plant file"
+
+
+def _shown(answers: list[Answer]) -> str:
+    return ", ".join(f"{x.sensor} reads {x.gain:.2f} of what is predicted" for x in answers)

@@ -1,0 +1,220 @@
+"""Design of a sweep: what varies, over which grids, lists and distributions, and the values of each run."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
+
+import lazy_loader as lazy
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import DeclarationError, Problem
+
+if TYPE_CHECKING:
+    from scipy import stats
+else:
+    stats = lazy.load("scipy.stats", suppress_warning=True)
+
+Sampling = Literal["random", "latin", "sobol"]
+FACTOR: Final = "x:"  # before values that the declared one is multiplied by
+FIT: Final = "fit:"  # before the file of a fit
+_FORMS: Final = (
+    "write LOW:HIGH:NUMBER, LOW:HIGH:NUMBER:log, A,B,C, normal:MEAN:DEVIATION, uniform:LOW:HIGH or "
+    "loguniform:LOW:HIGH, with x: in front for multiples of the declared value"
+)
+
+
+@runtime_checkable
+class Distribution(Protocol):
+    """A distribution, such as a frozen one of `scipy.stats`."""
+
+    def ppf(self, q: Array) -> Array:
+        """Values below which the parts q of it lie."""
+
+
+Values: TypeAlias = str | Distribution | Sequence[float] | Array
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What varies along one direction of a sweep.
+
+    Args:
+        names: of what gets the value; all of them the same.
+        values: of a grid or list (k,); None where they are drawn.
+        distribution: that values are drawn from; None where there are values.
+        is_factor: whether declared values are multiplied by it.
+    """
+
+    names: tuple[str, ...]
+    values: Array | None = None
+    distribution: Distribution | None = None
+    is_factor: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name of its column."""
+        return ",".join(self.names)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Values that are drawn together: mean + root z, z independent and standard normal.
+
+    Args:
+        first: place of the first of their axes.
+        mean: (k,).
+        root: of their covariance (k, k).
+    """
+
+    first: int
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Design:
+    """The runs of a sweep: at each point of the grid, the same values that are drawn.
+
+    Args:
+        axes: what varies.
+        runs: drawn at each point of the grid.
+        seed: of what is drawn.
+        sampling: independent draws, a Latin hypercube, or Sobol's sequence with Owen's scrambling.
+        joint: axes that are drawn together.
+    """
+
+    axes: tuple[Axis, ...]
+    runs: int = 1
+    seed: int = 0
+    sampling: Sampling = "random"
+    joint: tuple[Joint, ...] = ()
+
+    @property
+    def grid(self) -> tuple[Axis, ...]:
+        """Axes that have a grid or a list."""
+        return tuple(axis for axis in self.axes if axis.values is not None)
+
+    @cached_property
+    def points(self) -> Array:
+        """Values of each run (rows, axes): the last axis of the grid first, then what is drawn."""
+        lists = [axis.values for axis in self.axes if axis.values is not None]
+        grid = np.array(list(itertools.product(*lists)), dtype=float).reshape(math.prod(map(len, lists)), len(lists))
+        drawn = self._drawn()
+        found = np.empty((len(grid) * self.runs, len(self.axes)))
+        at = np.array([axis.values is not None for axis in self.axes], dtype=bool)
+        found[:, at] = np.repeat(grid, self.runs, axis=0)
+        found[:, ~at] = np.tile(drawn, (len(grid), 1))
+        return found
+
+    def _drawn(self) -> Array:
+        """Return what is drawn (runs, axes that are drawn)."""
+        axes = [(i, axis) for i, axis in enumerate(self.axes) if axis.distribution is not None]
+        if not axes:
+            return np.empty((self.runs, 0))
+        parts, found = self._unit(len(axes)), dict[int, Array]()
+        for column, (i, axis) in enumerate(axes):
+            assert axis.distribution is not None  # noqa: S101  # chosen above
+            found[i] = np.asarray(axis.distribution.ppf(parts[:, column]), dtype=float)
+        for joint in self.joint:
+            places = range(joint.first, joint.first + len(joint.mean))
+            together = joint.mean + np.column_stack([found[i] for i in places]) @ joint.root.T
+            found |= dict(zip(places, together.T, strict=True))
+        return np.column_stack([found[i] for i, _ in axes])
+
+    def _unit(self, dimensions: int) -> Array:
+        """Points of the unit cube (runs, dimensions)."""
+        generator = np.random.default_rng(self.seed)
+        if self.sampling == "latin":
+            return np.asarray(stats.qmc.LatinHypercube(dimensions, seed=generator).random(self.runs))
+        if self.sampling == "sobol":  # balanced for powers of two, the first of which are taken
+            sobol = stats.qmc.Sobol(dimensions, seed=generator)
+            return np.asarray(sobol.random_base2(max(0, math.ceil(math.log2(self.runs)))))[: self.runs]
+        return generator.random((self.runs, dimensions))
+
+    @classmethod
+    def of(cls, over: Mapping[str, Values], runs: int | None, seed: int, sampling: Sampling) -> Design:
+        """Design of what a sweep is given.
+
+        Args:
+            over: values by what varies; several names with commas between them get the same value.
+            runs: drawn at each point of the grid; None for one.
+            seed: of what is drawn.
+            sampling: as `Design` has it.
+
+        Raises:
+            DeclarationError: values cannot be read, or what is drawn has no number of runs.
+        """
+        axes, joint = list[Axis](), list[Joint]()
+        for key, given in over.items():
+            if isinstance(given, str) and given.startswith(FIT):
+                fitted, mean, covariance = _fit(key, given.removeprefix(FIT))
+                joint.append(Joint(len(axes), mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)))
+                axes += [Axis((f"{key}.{name}",), distribution=stats.norm()) for name in fitted]
+            else:
+                axes.append(_axis(key, given))
+        drawn = [axis.label for axis in axes if axis.distribution is not None]
+        if drawn and runs is None:
+            _refuse(drawn[0], "is drawn from a distribution", "say how many runs, such as --runs 1000 (runs=1000)")
+        if not axes and runs is None:
+            _refuse("over", "nothing varies", "name something, such as --over z=0.1:0.3:20, or give --runs")
+        if runs is not None and runs < 1:
+            _refuse("runs", f"must be at least 1, not {runs}")
+        if sampling not in {"random", "latin", "sobol"}:
+            _refuse("sampling", f"there is no '{sampling}'", "give random, latin or sobol")
+        return cls(tuple(axes), runs or 1, seed, sampling, tuple(joint))
+
+
+def _axis(key: str, given: Values) -> Axis:
+    names = tuple(name.strip() for name in key.split(","))
+    is_factor = isinstance(given, str) and given.startswith(FACTOR)
+    if isinstance(given, str):
+        given = _read(key, given.removeprefix(FACTOR))
+    if isinstance(given, Distribution):
+        return Axis(names, distribution=given, is_factor=is_factor)
+    values = np.atleast_1d(np.asarray(given, dtype=float))
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        _refuse(key, "needs finite values in one row", _FORMS)
+    return Axis(names, values=values, is_factor=is_factor)
+
+
+def _read(key: str, text: str) -> Distribution | Array:
+    """Read values as the command line has them."""
+    kind, *rest = text.split(":")
+    try:
+        if kind in {"normal", "uniform", "loguniform"}:
+            a, b = map(float, rest)
+            if not (b > 0.0 if kind == "normal" else b > a and (a > 0.0 or kind == "uniform")):
+                raise ValueError(text)
+            made: dict[str, Any] = {"normal": stats.norm, "loguniform": stats.loguniform}
+            found: Distribution = stats.uniform(a, b - a) if kind == "uniform" else made[kind](a, b)
+            return found
+        if not rest:
+            return np.array([float(x) for x in kind.split(",")])
+        low, high, count = float(kind), float(rest[0]), int(rest[1])
+        if rest[2:] not in ([], ["log"]) or count < 1:
+            raise ValueError(text)
+        return np.geomspace(low, high, count) if rest[2:] else np.linspace(low, high, count)
+    except (ValueError, IndexError):
+        _refuse(key, f"'{text}' cannot be read", _FORMS)
+
+
+def _fit(key: str, path: str) -> tuple[list[str], Array, Array]:
+    """Names, values and covariance of a fit."""
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        values = {name: entry["value"] for name, entry in content["parameters"].items()}
+        return [*values], np.array([*values.values()]), np.array(content["covariance"], dtype=float)
+    except (OSError, ValueError, KeyError, TypeError):
+        _refuse(key, f"{path} has no fit with a covariance", "name the fit.json that 'masking identify' writes")
+
+
+def _refuse(name: str, message: str, mend: str = "") -> NoReturn:
+    raise DeclarationError(Problem(None, name, message, mend))

@@ -1,0 +1,178 @@
+"""Variation: an experiment with other values of what a sweep names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from masking.errors import DeclarationError, Problem, nearest
+from masking.lab.runs.experiment import Experiment
+from masking.model.declaration import schema
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.units import pretty
+from masking.model.modelling.model import Model
+
+_NUMBERS: Final = ("duration", "seed", "tolerance", "time_scale")  # of an experiment
+# What needs no declaration to be read anew: values are checked by a run.
+_LIGHT: Final = {"parameters", "initial", "seed"}
+PLANT: Final = "plant"  # parameters of its model
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value stands.
+
+    Args:
+        path: section of the experiment, keys in it; or `plant` and a parameter.
+        declared: its value, in declared units; None where there is none.
+    """
+
+    path: tuple[str, ...]
+    declared: float | Expression | None
+
+
+def place(experiment: Experiment, name: str) -> Place:
+    """Return what a name of a sweep stands for.
+
+    Args:
+        experiment: that varies.
+        name: a parameter, coordinate or velocity (`x1'`) of the virtual system; `EFFECT.PARAMETER` of the plant;
+            `plant.PARAMETER` of its model; a number of the experiment, such as `duration`; or the path of one.
+
+    Raises:
+        DeclarationError: it stands for nothing.
+    """
+    declaration, plant = experiment.declaration, experiment.assembly.plant
+    virtual = Model(experiment.assembly.virtual_model, declaration.parameters)
+    head, _, rest = name.partition(".")
+    if name in virtual.parameters:
+        return Place(("parameters", name), _parameter(virtual, name))
+    if name in virtual.state_names:
+        return Place(("initial", name), declaration.initial.get(name, _initial(virtual, name)))
+    if name in _NUMBERS:
+        return Place((name,), getattr(declaration, name))
+    if head == PLANT and rest in experiment.assembly.plant_model.parameters:
+        own = {n: x for n, x in plant.parameters.items() if n in experiment.assembly.plant_model.parameters}
+        return Place((PLANT, rest), _parameter(Model(experiment.assembly.plant_model, own), rest))
+    effects = {effect.label: effect for effect in experiment.twin.effects} | {
+        effect.path.removeprefix("effects."): effect for effect in experiment.twin.effects
+    }
+    label = head if head in effects else next((n for n in effects if head == PLANT and rest.startswith(f"{n}_")), "")
+    if label:
+        effect, key = effects[label], rest if head == label else rest.removeprefix(f"{label}_")
+        if key in effect.entry.parameters:
+            use = effect.path.removeprefix("effects.")
+            value = effect.parameters.get(key, effect.entry.parameters[key].value)
+            return Place(("effects", use, "parameters", key), value)
+    if rest and head in type(declaration).model_fields:
+        return Place((head, *rest.split(".")), None)
+    allowed = [*virtual.parameters, *virtual.state_names, *_NUMBERS]
+    allowed += [f"{n}.{p}" for n, effect in effects.items() for p in effect.entry.parameters]
+    allowed += [f"{PLANT}.{n}" for n in experiment.assembly.plant_model.parameters]
+    message = f"{experiment.stem} has nothing called '{name}' to vary"
+    raise DeclarationError(Problem(None, name, message, nearest(name, allowed)))
+
+
+def unit(experiment: Experiment, where: Place) -> str:
+    """Declared unit of a parameter of the virtual system or of the plant's model; nothing for 1 and others.
+
+    Args:
+        experiment: that varies.
+        where: a place in it.
+    """
+    models = {"parameters": experiment.assembly.virtual_model, PLANT: experiment.assembly.plant_model}
+    model, name = models.get(where.path[0]), where.path[-1]
+    found = model.parameters[name].unit if model and name in model.parameters else "1"
+    return "" if found == "1" else pretty(found)
+
+
+def _parameter(model: Model, name: str) -> float:
+    """Parameter in its declared unit."""
+    return model.value(name) / model.units.conversions[model.declaration.parameters[name].unit].factor
+
+
+def _initial(model: Model, name: str) -> float | None:
+    declared = model.declaration.coordinates.get(name.rstrip("'"))
+    if declared is None:
+        return model.declaration.states[name].initial
+    return declared.initial_velocity if name.endswith("'") else declared.initial
+
+
+def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]) -> Experiment:
+    """Experiment with other values.
+
+    Args:
+        experiment: whose declaration is sound.
+        settings: each a place, its value, and whether the declared one is multiplied by that.
+
+    Raises:
+        DeclarationError: as for a file.
+    """
+    sections, parameters = dict[str, Any](), dict[str, float]()
+    values = [(where.path, value(where, number, is_factor=by)) for where, number, by in settings]
+    is_light = all(path[0] in _LIGHT and isinstance(one, float) for path, one in values)
+    whole: Mapping[str, Any] = {
+        "parameters": experiment.declaration.parameters,
+        "initial": experiment.declaration.initial,
+    }
+    whole = whole if is_light else experiment.declaration.canonical()
+    for path, one in values:
+        if path[0] == PLANT:
+            parameters[path[1]] = float(one)
+        elif len(path) == 1:
+            sections[path[0]] = int(one) if path[0] == "seed" else one
+        else:
+            sections.setdefault(path[0], whole.get(path[0], {}))
+            sections[path[0]] = _put(sections[path[0]], path[1:], one)
+    if is_light:
+        declaration = experiment.declaration.model_copy(update=sections)
+        return Experiment(replace(experiment.assembly, experiment=declaration))
+    made = experiment.changed(**sections) if sections else experiment
+    return _with_plant(made, parameters) if parameters else made
+
+
+def value(where: Place, number: float, *, is_factor: bool) -> float | str:
+    """Value that a place gets: a number, or an expression for multiples of one.
+
+    Raises:
+        DeclarationError: there is no declared value to multiply.
+    """
+    if not is_factor:
+        return float(number)
+    if where.declared is None:
+        name = ".".join(where.path)
+        raise DeclarationError(Problem(None, name, "has no declared value to multiply", "give values without x:"))
+    if isinstance(where.declared, Expression):
+        return f"{float(number)!r}*({where.declared.text})"
+    return float(number) * float(where.declared)
+
+
+def _put(section: Mapping[str, Any], path: Sequence[str], one: float | str) -> dict[str, Any]:
+    if len(path) == 1:
+        return {**section, path[0]: one}
+    inner = section.get(path[0], {})
+    return {**section, path[0]: _put(inner if isinstance(inner, Mapping) else {}, path[1:], one)}
+
+
+def _with_plant(experiment: Experiment, parameters: Mapping[str, float]) -> Experiment:
+    """Experiment whose plant has other parameters, of which its controller knows nothing."""
+    assembly, declaration = experiment.assembly, experiment.declaration
+    known = (
+        {}
+        if declaration.controller.model
+        else {name: place(experiment, f"{PLANT}.{name}").declared for name in parameters}
+    )
+    controller = declaration.controller.model_copy(
+        update={
+            "parameters": {
+                **{n: float(x) for n, x in known.items() if isinstance(x, float)},
+                **declaration.controller.parameters,
+            }
+        }
+    )
+    plant: schema.PlantDeclaration = assembly.plant.model_copy(
+        update={"parameters": {**assembly.plant.parameters, **parameters}}
+    )
+    changed = declaration.model_copy(update={"controller": controller})
+    return Experiment(replace(assembly, experiment=changed, plant=plant))

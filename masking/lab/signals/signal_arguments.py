@@ -1,0 +1,140 @@
+"""Checks of what a signal is asked to be: each refuses with what was given, what is allowed, and the mend."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import ModelError
+
+
+def real(what: str, value: object) -> float:
+    """Finite number.
+
+    Raises:
+        ModelError: it is none.
+    """
+    if isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    raise ModelError(f"{what} is {value!r}; give a finite number")
+
+
+def positive(what: str, value: object, unit: str = "") -> float:
+    """Positive, finite number.
+
+    Args:
+        what: its name in the message.
+        value: the number.
+        unit: of it.
+
+    Raises:
+        ModelError: it is none.
+    """
+    found = real(what, value)
+    if found > 0.0:
+        return found
+    raise ModelError(f"{what} is {found:g}{f' {unit}' * bool(unit)}; give a number above 0")
+
+
+def count(what: str, value: object, least: int = 1) -> int:
+    """Whole number.
+
+    Args:
+        what: its name in the message.
+        value: the number.
+        least: that is allowed.
+
+    Raises:
+        ModelError: it is none, or less.
+    """
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= least:
+        return int(value)
+    raise ModelError(f"{what} is {value!r}; give a whole number of at least {least}")
+
+
+def row(what: str, values: ArrayLike, length: int | None = None) -> Array:
+    """Finite numbers as a read-only array (length,), one number repeated.
+
+    Args:
+        what: name of the numbers, in the plural.
+        values: one number, or a sequence of them.
+        length: how many there must be; None for any number of at least one.
+
+    Raises:
+        ModelError: they are no such numbers.
+    """
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the {what} are not real numbers ({error})") from None
+    if found.ndim == 0:
+        found = np.full(1 if length is None else length, float(found))
+    if found.ndim != 1 or not len(found):
+        raise ModelError(f"the {what} have shape {found.shape}; give one number or a list of numbers")
+    if length is not None and len(found) != length:
+        raise ModelError(f"{len(found)} {what} for {length} lines; give one for each line, or one for all")
+    bad = np.flatnonzero(~np.isfinite(found))
+    if len(bad):
+        what = f"number {bad[0]} of the {what} (they count from 0) is {found[bad[0]]}"
+        raise ModelError(f"{what}; give finite numbers")
+    found.flags.writeable = False
+    return found
+
+
+def below_nyquist(what: str, frequency: float, rate: float) -> None:
+    """Refuse a frequency that the rate cannot hold.
+
+    Args:
+        what: its name in the message.
+        frequency: Hz.
+        rate: Hz.
+
+    Raises:
+        ModelError: the frequency is not below half the rate.
+    """
+    if frequency >= rate / 2:
+        raise ModelError(
+            f"{what} {frequency:.6g} Hz is not below half the rate {rate:g} Hz; take a rate above "
+            f"{2 * frequency:.6g} Hz, or leave out what lies at or above {rate / 2:g} Hz"
+        )
+
+
+def samples(what: str, seconds: float, rate: float, least: int) -> int:
+    """How many samples a part of a signal lasts.
+
+    Args:
+        what: its name in the message.
+        seconds: s.
+        rate: Hz.
+        least: samples that are needed.
+
+    Raises:
+        ModelError: there are fewer.
+    """
+    found = round(seconds * rate)
+    if found < least:
+        raise ModelError(
+            f"{what} of {seconds:g} s has {found} samples at {rate:g} Hz, at least {least} are needed; take "
+            f"{least / rate:g} s or more, or a rate of {least / seconds:g} Hz or more"
+        )
+    return found
+
+
+def names(what: str, values: Sequence[str]) -> tuple[str, ...]:
+    """Different texts, not empty and without brackets, which hold units in a csv.
+
+    Raises:
+        ModelError: they are no such texts.
+    """
+    found = (values,) if isinstance(values, str) else tuple(values)
+    for name in found:
+        if not isinstance(name, str) or not name or name != name.strip() or set(name) & set("[]\r\n"):
+            raise ModelError(f"{what} {name!r} is not a name; give a text without brackets or spaces around it")
+        if found.count(name) > 1:
+            raise ModelError(f"{what} '{name}' appears more than once; give each channel a name of its own")
+    return found

@@ -1,0 +1,73 @@
+"""What a plant file may say of its sensors and actuators, and of what the rig withstands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict
+
+from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
+from masking.model.declaration.shorthand import Short
+
+_NUMBER = Short("value", (int, float))
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class Quantity(_Part):
+    """A number with its unit."""
+
+    value: Number
+    unit: TextField = "1"
+
+
+class Limit(_Part):
+    """The largest allowed magnitude."""
+
+    max: Positive
+    unit: TextField = "1"
+
+
+class Sensor(_Part):
+    """What a sensor measures, and how many of its own units one unit of that gives.
+
+    `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit.
+    """
+
+    measures: Formula
+    unit: TextField = "1"
+    gain: Annotated[Quantity, _NUMBER] = Quantity(value=1.0)
+    meaning: TextField = ""
+    range: tuple[Number, Number] | None = None
+    jump: Positive | None = None
+
+
+class Actuator(_Part):
+    """A channel that a controller writes to."""
+
+    meaning: TextField = ""
+    unit: TextField = "1"
+
+
+class PowerLimit(_Part):
+    """The largest mean power of an actuator: `heating` is the power per squared command, `time` the mean's, in s."""
+
+    value: Positive
+    unit: TextField = "1"
+    heating: Annotated[Quantity, _NUMBER] | None = None
+    time: Positive = 10.0
+
+
+class Limits(_Part):
+    """What the rig withstands: actuators, coordinates (or expressions of them), their rates, power of each actuator.
+
+    `missed` is the largest share of the samples of a second that a run may miss or answer late.
+    """
+
+    inputs: dict[Name, Limit] = {}
+    coordinates: dict[Formula, Limit] = {}
+    velocities: dict[Formula, Limit] = {}
+    power: PowerLimit | None = None
+    missed: Positive | None = None

@@ -1,0 +1,384 @@
+"""A strict reader of YAML that keeps the place of every key and value.
+
+It reads PyYAML's events, never its constructors, and refuses what silently means something else: duplicate keys,
+anchors, aliases, merge keys, tags, several documents, and plain scalars such as `on`, `010`, `1:30` or a date.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from masking.errors import DeclarationError, Place, Problem
+
+LARGEST_FILE = 2**20
+DEEPEST_NESTING = 50
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same events, in C where PyYAML was built so
+
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+_LEADING_ZERO = re.compile(r"[-+]?0\d")
+# y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
+_AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
+    (
+        re.compile(r"on|off|yes|no", re.IGNORECASE),
+        "is true or false in YAML 1.1",
+        "quote it or write true/false",
+    ),
+    (re.compile(r"[-+]?\.?(?:inf(?:inity)?|nan)", re.IGNORECASE), "is not a finite number", "write a finite number"),
+    (
+        re.compile(r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+"),
+        "is an octal number in YAML",
+        "leave the leading zero away",
+    ),
+    (
+        re.compile(r"[-+]?0(?:x[0-9a-fA-F_]+|b[01_]+)"),
+        "is a hexadecimal or binary number in YAML 1.1",
+        "write it in decimals",
+    ),
+    (
+        re.compile(r"[-+]?\d[\d_]*(?::[0-5]?\d)+(?:\.\d*)?"),
+        "is a number to base 60 in YAML 1.1",
+        "write it in decimals",
+    ),
+    (re.compile(r"\d{4}-\d\d?-\d\d?(?:[Tt ].*)?"), "is a date in YAML 1.1", "quote it"),
+    (
+        re.compile(r"[-+]?\d[\d_]*_[\d_]*(?:\.[\d_]*)?(?:[eE].*)?"),
+        "is a number in YAML 1.1",
+        "leave the underscores away",
+    ),
+)
+_NO_SPACE = re.compile(r"[\w)]['\"]*:[^\s:/]")
+_CONTENT = re.compile(r"\s*[^\s#]")
+_KEY = re.compile(r":(?: |$)")
+_LONGEST_SHOWN, _LINES_ABOVE = 40, 50
+_FORBIDDEN = re.compile(
+    r"[^\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)"
+)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A value with its place: a mapping, a list, a text, a finite number, a truth value or null.
+
+    `text` is a scalar as written, `keys` the places of a mapping's keys, `pieces` (index into the text, place) pairs
+    where the characters of the text do not follow one another in the file.
+    """
+
+    value: dict[str, Node] | list[Node] | str | float | bool | None
+    place: Place
+    path: str = ""
+    text: str = ""
+    keys: dict[str, Place] = field(default_factory=dict)
+    pieces: tuple[tuple[int, Place], ...] = ()
+
+
+@dataclass
+class Places:
+    """The places of all keys and values of some files, by dotted path."""
+
+    values: dict[str, Place] = field(default_factory=dict)
+    keys: dict[str, Place] = field(default_factory=dict)
+
+    def without(self, sections: Collection[str]) -> Places:
+        """Places outside of some sections."""
+
+        def kept(places: dict[str, Place]) -> dict[str, Place]:
+            return {path: place for path, place in places.items() if path.partition(".")[0] not in sections}
+
+        return Places(kept(self.values), kept(self.keys))
+
+    def add(self, node: Node) -> None:
+        """Add a node and everything inside it; what is there already stays behind what comes later."""
+        self.values[node.path] = node.place
+        if isinstance(node.value, dict):
+            self.keys |= {child.path: node.keys[key] for key, child in node.value.items()}
+        if isinstance(node.value, dict | list):
+            for child in node.value.values() if isinstance(node.value, dict) else node.value:
+                self.add(child)
+
+    def around(self, path: str) -> Place | None:
+        """Give the place of a value, or of the nearest value around it."""
+        while path and path not in self.values:
+            path = path.rpartition(".")[0]
+        return self.values.get(path)
+
+
+def load(path: str | Path) -> Node:
+    """Read a YAML file; raises `DeclarationError` with every problem found."""
+    return decode(read_bytes(path), str(path))
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Read a file of bounded size.
+
+    Raises:
+        DeclarationError: it is not there, cannot be read, or is too large.
+    """
+    path, start = Path(path), Place(str(path), 1, 1)
+    if not path.is_file():
+        raise DeclarationError(Problem(start, "", "there is no such file"))
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise DeclarationError(Problem(start, "", f"cannot be read: {error.strerror}")) from None
+    if len(data) > LARGEST_FILE:
+        raise DeclarationError(Problem(start, "", f"the file is larger than {LARGEST_FILE} bytes"))
+    return data
+
+
+def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
+    """Read YAML from the bytes of a file.
+
+    Args:
+        data: content of the file.
+        file: its name.
+        refused: as in `loads`.
+
+    Raises:
+        DeclarationError: it is not UTF-8, or as for `loads`.
+    """
+    try:
+        return loads(data.decode("utf-8"), file, refused)
+    except UnicodeDecodeError as error:
+        before = data[: error.start].decode("utf-8").split("\n")
+        place = Place(file, len(before), len(before[-1]) + 1)
+        raise DeclarationError(Problem(place, "", "the file is not UTF-8", "save it as UTF-8")) from None
+
+
+def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
+    """Read YAML from a text.
+
+    Args:
+        text: YAML.
+        file: its name in messages.
+        refused: takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
+            such a list they are raised as any other.
+
+    Raises:
+        DeclarationError: lists every problem with its place.
+    """
+    text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
+    if len(text) > LARGEST_FILE:
+        raise DeclarationError(Problem(Place(file, 1, 1), "", f"the text is larger than {LARGEST_FILE} characters"))
+    if forbidden := _FORBIDDEN.search(text):
+        before = text[: forbidden.start()].split("\n")
+        place = Place(file, len(before), len(before[-1]) + 1)
+        name = "a tab" if forbidden[0] == "\t" else f"the character U+{ord(forbidden[0]):04X}"
+        raise DeclarationError(Problem(place, "", f"{name} is not allowed", "use spaces" if name == "a tab" else ""))
+    builder = _Builder(text, file)
+    node = builder.build()
+    if refused is None and builder.problems:
+        raise DeclarationError(builder.problems)
+    if refused is not None:
+        refused += builder.problems
+    return node
+
+
+def _position(mark: Any) -> tuple[int, int]:  # noqa: ANN401  (PyYAML has two classes of marks, one in C)
+    """Give the line and column of a mark, both from 0."""
+    return mark.line, mark.column
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))
+
+
+@dataclass
+class _Level:
+    """A mapping or a list that is still open; `key` is the key that waits for its value."""
+
+    value: dict[str, Node] | list[Node]
+    place: Place
+    path: str
+    keys: dict[str, Place] = field(default_factory=dict)
+    key: str | None = None
+
+    def child_path(self) -> str:
+        name = self.key if isinstance(self.value, dict) else str(len(self.value))
+        if name is None:
+            return self.path
+        return f"{self.path}.{name}" if self.path else str(name)
+
+    def add(self, node: Node) -> None:
+        if isinstance(self.value, dict):
+            self.value[str(self.key)] = node
+            self.key = None
+        else:
+            self.value.append(node)
+
+
+class _Builder:
+    """Turns the events of one document into nodes, with a stack of open levels and no recursion."""
+
+    def __init__(self, text: str, file: str) -> None:
+        self.text, self.file, self.lines = text, file, text.split("\n")
+        self.levels: list[_Level] = []
+        self.root: Node | None = None
+        self.problems: list[Problem] = []
+
+    def build(self) -> Node:
+        documents = 0
+        try:
+            for event in yaml.parse(self.text, Loader=_Loader):
+                if isinstance(event, yaml.DocumentStartEvent):
+                    documents += 1
+                    if documents > 1:
+                        self.stop(event, "a second document is not allowed", "keep one document in a file")
+                    if event.version or event.tags:
+                        self.stop(event, "a directive is not allowed")
+                self.take(event)
+        except yaml.YAMLError as error:
+            raise DeclarationError([*self.problems, self.not_yaml(error)]) from None
+        except RecursionError:
+            self.report(Place(self.file, 1, 1), f"nested deeper than {DEEPEST_NESTING}")
+            raise DeclarationError(self.problems) from None
+        if self.root is None or (self.root.value is None and not self.root.text):
+            raise DeclarationError(Problem(Place(self.file, 1, 1), "", "the file is empty"))
+        return self.root
+
+    def not_yaml(self, error: yaml.YAMLError) -> Problem:
+        """Describe what PyYAML stopped at, with the mend of the mistakes that people make."""
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        line, column = _position(mark) if mark else (0, 0)
+        message = getattr(error, "problem", None) or str(error)
+        text = self.lines[line] if line < len(self.lines) else ""
+        mend, start = "", getattr(error, "context_mark", None)
+        if "expected ':'" in message and start:
+            return self.without_colon(*_position(start))
+        if re.search("mapping values|unexpected ':'|expected key", message):
+            if _NO_SPACE.search(text):
+                mend = "write a space after ':'"
+            elif "mapping values" in message:
+                above = [i for i in range(max(0, line - _LINES_ABOVE), line) if _CONTENT.match(self.lines[i])]
+                key = next((i for i in reversed(above) if _KEY.search(self.lines[i])), -1)
+                follow = [i for i in above if i > key]
+                if follow and (key < 0 or self.lines[key].rstrip().endswith(":")):
+                    return self.without_colon(follow[0], _indent(self.lines[follow[0]]))
+                is_deeper = key >= 0 and len(text[:column].split()) == 1 and _indent(text) > _indent(self.lines[key])
+                mend = "begin it in the column of the line above" if is_deeper else "quote a text that holds ': '"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", mend)
+
+    def without_colon(self, line: int, column: int) -> Problem:
+        """Describe a line that should be 'key: value' and has no colon with a space after it."""
+        text = self.lines[line][column:].strip()
+        name = re.match(r"[^\s:]*", text)
+        key = name[0] if name else ""
+        shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+        what, mend = f"no ':' after '{shown}'", f"write {key}: ..."
+        if _NO_SPACE.search(text):
+            what, mend = f"no space after ':' in '{shown}'", "write a space after ':'"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", mend)
+
+    def take(self, event: yaml.Event) -> None:
+        """Add one event to the tree."""
+        if isinstance(event, yaml.AliasEvent):
+            self.stop(event, "an alias is not allowed", "write the value out")
+        if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+            self.stop(event, "an anchor is not allowed", "write the value out where it is used")
+        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
+            self.stop(event, f"the tag {event.tag} is not allowed", "leave it away")
+        awaits_key = bool(self.levels) and isinstance(self.levels[-1].value, dict) and self.levels[-1].key is None
+        if isinstance(event, yaml.CollectionStartEvent):
+            if awaits_key:
+                self.stop(event, "a key is not a text", "write a plain name as key")
+            if len(self.levels) >= DEEPEST_NESTING:
+                self.stop(event, f"nested deeper than {DEEPEST_NESTING}")
+            value: dict[str, Node] | list[Node] = {} if isinstance(event, yaml.MappingStartEvent) else []
+            self.levels.append(_Level(value, self.place(event), self.path()))
+        elif isinstance(event, yaml.CollectionEndEvent):
+            level = self.levels.pop()
+            self.add(Node(level.value, level.place, level.path, keys=level.keys))
+        elif isinstance(event, yaml.ScalarEvent):
+            if awaits_key:
+                self.take_key(event)
+            else:
+                self.add(self.scalar(event))
+
+    def take_key(self, event: yaml.ScalarEvent) -> None:
+        level, key, place = self.levels[-1], event.value, self.place(event)
+        node = self.scalar(event)
+        if key == "<<" and not event.style:
+            self.stop(event, "a merge key is not allowed", "write the values out")
+        if not isinstance(node.value, str):
+            self.report(place, f"the key {key or 'null'} is not a text", "quote it or give it a name")
+        level.key = key
+        if key in level.keys:
+            message = f"the key '{key}' stands here twice"
+            self.report(place, message, f"the first is in line {level.keys[key].line}")
+        level.keys.setdefault(key, place)
+
+    def scalar(self, event: yaml.ScalarEvent) -> Node:
+        """Read a scalar; a plain one may be null, true, false or a number, any other is a text."""
+        text: str = event.value
+        value: str | float | bool | None = text
+        if not event.style:
+            if text in {"", "~", "null", "Null", "NULL"}:
+                value = None
+            elif text in {"true", "True", "TRUE", "false", "False", "FALSE"}:
+                value = text.lower() == "true"
+            elif _NUMBER.fullmatch(text) and not _LEADING_ZERO.match(text):
+                value = self.number(text, event)
+            else:
+                for pattern, meaning, mend in _AMBIGUOUS:
+                    if pattern.fullmatch(text):
+                        self.report(self.place(event), f"'{text}' {meaning}", mend)
+                        break
+        return Node(value, self.place(event), self.path(), text, pieces=self.pieces(event))
+
+    def number(self, text: str, event: yaml.ScalarEvent) -> float:
+        value = float(text)
+        if math.isinf(value):
+            self.report(self.place(event), f"{text} is not a finite number", "write a finite number")
+        elif value == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0]):
+            self.report(self.place(event), f"{text} is too small for a float", "write 0")
+        return value
+
+    def pieces(self, event: yaml.ScalarEvent) -> tuple[tuple[int, Place], ...]:
+        """Find each word of a text that is folded over lines or holds doubled quotes."""
+        line, column, last = *_position(event.start_mark), _position(event.end_mark)[0]
+        folded = last > line
+        if not folded and not (event.style == "'" and "'" in event.value):
+            return ()
+        pieces: list[tuple[int, Place]] = []
+        for word in re.finditer(r"'|[^\s']+", event.value):
+            raw = "''" if event.style == "'" and word[0] == "'" else word[0]
+            column += event.style == "'" and not pieces
+            while (found := self.lines[line].find(raw, column)) < 0 and line < last:
+                line, column = line + 1, 0
+                if line >= len(self.lines):
+                    return tuple(pieces)
+            if found < 0:
+                return tuple(pieces)
+            pieces.append((word.start(), Place(self.file, line + 1, found + 1)))
+            column = found + len(raw)
+        return tuple(pieces)
+
+    def add(self, node: Node) -> None:
+        if self.levels:
+            self.levels[-1].add(node)
+        else:
+            self.root = node
+
+    def path(self) -> str:
+        return self.levels[-1].child_path() if self.levels else ""
+
+    def place(self, event: yaml.Event) -> Place:
+        """Give where the content of an event begins, inside the quotes of a quoted text."""
+        quoted = isinstance(event, yaml.ScalarEvent) and event.style in {"'", '"'}
+        line, column = _position(event.start_mark)
+        return Place(self.file, line + 1, column + 1 + quoted)
+
+    def report(self, place: Place, message: str, mend: str = "") -> None:
+        self.problems.append(Problem(place, self.path(), message, mend))
+
+    def stop(self, event: yaml.Event, message: str, mend: str = "") -> None:
+        """Report what the rest of the file cannot be read after."""
+        raise DeclarationError([*self.problems, Problem(self.place(event), self.path(), message, mend)])

@@ -1,0 +1,254 @@
+"""A model's equations lowered into a graph, and printed as a module of compiled functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
+
+from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.linear_systems import health, solve
+from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
+from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
+from masking.compile.numerics.controller_sizes import lane_work
+from masking.compile.numerics.rig_sizes import LANES
+from masking.model.modelling.equations import Equations
+from masking.model.modelling.scales import Units
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+    from masking.compile.numerics import delayed, events, integrators, lanes, taylor_integrator
+else:
+    delayed = lazy.load("masking.compile.numerics.delayed", suppress_warning=True)
+    events = lazy.load("masking.compile.numerics.events", suppress_warning=True)
+    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    lanes = lazy.load("masking.compile.numerics.lanes", suppress_warning=True)
+    taylor_integrator = lazy.load("masking.compile.numerics.taylor_integrator", suppress_warning=True)
+
+
+@dataclass
+class LoweredEquations:
+    """The symbols of a model as nodes, and its accelerations and the rates of its internal states.
+
+    Of delayed expressions, `lagged` is what they are now, and `delays` is by how long they are delayed. Of events,
+    `conditions` are the conditions, and then the values that jump.
+
+    `loads` and `joined` tell for each symbol's text how a function reads it from its arguments: q and v apart, where
+    the internal states follow the velocities in v, or one state vector y = [q, v, s].
+    """
+
+    equations: Equations
+    graph: Graph
+    symbols: dict[sp.Symbol, Node]
+    accelerations: list[Node]
+    health: Node
+    rates: list[Node] = field(default_factory=list)
+    lagged: list[Node] = field(default_factory=list)
+    delays: list[Node] = field(default_factory=list)
+    conditions: list[Node] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls, equations: Equations, graph: Graph, prefix: str = "", known: Mapping[sp.Symbol, Node] | None = None
+    ) -> LoweredEquations:
+        """Lower a model's equations into a graph.
+
+        Args:
+            equations: the equations.
+            graph: the graph to add to.
+            prefix: put before the text of each new symbol, so that several models share a graph.
+            known: nodes that stand for symbols of the model; the others become new symbols.
+        """
+        s = equations.symbols
+        nodes = dict(known or {})
+        kinds = [("", (s.t,), True), ("q_", s.q, True), ("v_", s.v, True), ("u_", s.u, False), ("p_", s.p, False)]
+        kinds += [("s_", s.s, True), ("w_", tuple(lag.symbol for lag in equations.lags), True)]
+        for kind, symbols, varying in kinds:
+            for symbol in symbols:
+                if symbol not in nodes:
+                    text = kind + prefix + symbol.name.rstrip("'")
+                    nodes[symbol] = graph.symbol(text, varying=varying)
+        if equations.coordinates:
+            mass = [[graph.lower(e, nodes) for e in row] for row in equations.mass.tolist()]
+            force = [[graph.lower(e, nodes) for e in row] for row in equations.force.tolist()]
+            solution, divisors = solve(graph, mass, force)
+        else:
+            solution, divisors = [], []
+        accelerations = [row[0] for row in solution]
+        nodes.update(zip(s.a, accelerations, strict=True))
+        rates = [graph.lower(rate, nodes) for rate in equations.rates]
+        lagged = [graph.lower(lag.value, nodes) for lag in equations.lags]
+        delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
+        happening = equations.events
+        conditions = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
+        return cls(equations, graph, nodes, accelerations, health(graph, divisors), rates, lagged, delays, conditions)
+
+    def lower(self, expression: sp.Expr) -> Node:
+        """Node of an expression in symbols of the model, accelerations included."""
+        return self.graph.lower(expression, self.symbols)
+
+    def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """How each symbol is read.
+
+        Args:
+            q: text of a coordinate, with `{i}` for its index.
+            v: text of a velocity, likewise.
+            u: name of the inputs.
+            p: name of the parameters.
+            offset: of the first parameter.
+        """
+        s = self.equations.symbols
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, q, 0), (s.v, v, 0), (behind, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """How each symbol is read where `y` names the whole state vector [q, v, s], and what is delayed.
+
+        Args:
+            y: name of the state vector.
+            u: name of the inputs.
+            p: name of the parameters.
+            offset: of the first parameter.
+        """
+        s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, y, 0), (s.v, y, n), (behind, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
+        texts = {}
+        for symbols, pattern, first in parts:
+            for i, symbol in enumerate(symbols, first):
+                operation = self.graph.operations[self.symbols[symbol]]
+                if operation[0] == "symbol":
+                    texts[str(operation[1])] = pattern.format(i=i)
+        return texts
+
+
+def module(equations: Equations) -> Module:
+    """Generated module of a model."""
+    lowered = LoweredEquations.of(equations, Graph())
+    graph, n = lowered.graph, len(equations.coordinates)
+    s = equations.symbols
+    time = lowered.symbols[s.t]
+    states = [lowered.symbols[x] for x in (*s.q, *s.v, *s.s)]
+    derivatives = [*states[n : 2 * n], *lowered.accelerations, *lowered.rates]
+    size, lags, inputs = len(states), len(lowered.lagged), len(s.u)
+    products = cost(graph, derivatives)
+    order = taylor_order(products)
+    use_taylor = (
+        size > 0
+        and not lags
+        and not lowered.conditions
+        and is_analytic(graph, derivatives)
+        and not hides_a_switch(graph, derivatives)
+        and products <= LARGEST_TAYLOR_COST
+        and degree(graph, derivatives) < order
+    )
+    energy = equations.energy
+    outputs = {name: equations.output(name) for name in equations.declaration.outputs}
+    meta = {
+        "kind": "model",
+        "coordinates": list(equations.coordinates),
+        "states": list(equations.declaration.states),
+        "inputs": list(equations.declaration.inputs),
+        "parameters": list(equations.declaration.parameters),
+        "outputs": list(outputs),
+        "method": "taylor" if use_taylor else "runge_kutta",
+        "has_energy": energy is not None,
+        "lags": lags,
+        "events": list(equations.events.names),
+        "targets": list(equations.events.targets),
+        "units": Units.of(equations.declaration).to_meta(),
+    }
+    module = Module(equations.name, meta)
+    split = lowered.loads("q[{i}]", "v[{i}]")
+    joined = lowered.joined()
+    results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
+    module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
+    module.add(
+        "derivative(t: float, y, u, p, dy)",
+        graph,
+        [(f"dy[{i}]", d) for i, d in enumerate(derivatives)],
+        joined,
+        returns=lowered.health,
+    )
+    lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
+    module.add("outputs(t: float, q, v, u, p, out)", graph, lowered_outputs, split)
+    if energy is not None:
+        module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
+    if use_taylor:
+        module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
+        module.add_factory(
+            "solve_taylor", taylor_integrator.taylor, "coefficients", order, size, work=(order + 1, size)
+        )
+        counts = (order, size, inputs, len(s.p), LANES)
+        linked = ("lane_coefficients", "lane_terms", "lane_states")
+        module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))
+    added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
+    add_runge_kutta(module, graph, added, joined, (size, inputs))
+    return module
+
+
+@dataclass(frozen=True)
+class Added:
+    """What stands beside the derivatives: nodes of delays and of events.
+
+    Args:
+        lagged: what the delayed expressions are now.
+        delays: by how long they are delayed.
+        conditions: conditions of events, and values that jump.
+        targets: for each of these, the index of its event and that of the state.
+    """
+
+    lagged: Sequence[Node]
+    delays: Sequence[Node]
+    conditions: Sequence[Node]
+    targets: tuple[tuple[int, int], ...]
+
+    @property
+    def events(self) -> int:
+        """Number of events."""
+        return len(self.conditions) - len(self.targets)
+
+
+def add_runge_kutta(
+    module: Module,
+    graph: Graph,
+    added: Added,
+    loads: Mapping[str, str],
+    sizes: tuple[int, int],
+) -> None:
+    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays and events, if there are any.
+
+    Args:
+        module: to add to.
+        graph: that holds the nodes.
+        added: delays and events.
+        loads: how symbols are read from the state vector.
+        sizes: number of states that are integrated, and of inputs.
+    """
+    size, inputs = sizes
+
+    def add(signature: str, nodes: Sequence[Node]) -> None:
+        module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
+
+    if added.conditions:
+        add("conditions(t: float, y, p, w)", added.conditions)
+        module.add_factory("jump", events.jumps, "conditions", added.events, added.targets, events.AT_ONCE)
+        given = ("derivative", "conditions", size, added.events, inputs)
+        shape = events.work_shape(size, len(added.conditions), inputs)
+        module.add_factory("solve_runge_kutta", events.runge_kutta, *given, work=shape)
+        return
+    if not added.lagged:
+        module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+        return
+    add("lagged(t: float, y, p, w)", added.lagged)
+    add("delays(p, w)", added.delays)
+    counts = (size, len(added.lagged), inputs)
+    made = (delayed.runge_kutta, "derivative", "lagged", "delays", *counts)
+    module.add_factory("solve_runge_kutta", *made, work=delayed.history_shape(*counts))

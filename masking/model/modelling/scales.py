@@ -1,0 +1,196 @@
+"""Units of a model's quantities: conversion to SI, and to the scales that the model declares.
+
+Equations that are dimensionally homogeneous keep their form when every quantity is measured in other coherent
+units. A model becomes dimensionless, then, by measuring its parameters in its declared scales: a quantity whose
+dimension is the product of scale_k to the power e_k is divided by that product.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
+
+from masking.errors import DeclarationError, ModelError, Problem, nearest
+from masking.model.declaration import schema
+from masking.model.declaration.checks import bounded
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.units import Conversion, conversion
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
+PLAIN = "1"
+SECOND = "s"
+
+
+@dataclass(frozen=True)
+class Units:
+    """The conversions of a model's units, and its parameters converted.
+
+    Args:
+        declaration: the model's declaration.
+        conversions: by the text of each unit that the model uses.
+    """
+
+    declaration: schema.ModelDeclaration
+    conversions: Mapping[str, Conversion]
+
+    @classmethod
+    def of(cls, declaration: schema.ModelDeclaration) -> Units:
+        """Derive the conversions of all units of a model.
+
+        Raises:
+            ModelError: the declared scales cannot express a unit that the model uses.
+        """
+        scales = {name: scale.unit for name, scale in declaration.scales.items()}
+        found = {PLAIN: Conversion(1.0, {}, PLAIN)}
+        with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
+            found[SECOND] = conversion(SECOND, scales)
+        for what, unit in _units(declaration).items():
+            if unit not in found:
+                try:
+                    found[unit] = conversion(unit, scales)
+                except DeclarationError as error:
+                    raise ModelError(f"{declaration.name}: {what} [{unit}]: {error}") from None
+        return cls(declaration, found)
+
+    @classmethod
+    def from_meta(cls, declaration: schema.ModelDeclaration, meta: Mapping[str, Any]) -> Units:
+        """Conversions that a generated module remembers."""
+        return cls(declaration, {unit: Conversion(*parts) for unit, parts in meta.items()})
+
+    def to_meta(self) -> dict[str, Any]:
+        """Conversions in a form that a generated module can hold."""
+        return {unit: (c.factor, dict(c.exponents), c.si) for unit, c in self.conversions.items()}
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the model uses no units at all."""
+        return all(unit == PLAIN for what, unit in _units(self.declaration).items() if not what.startswith("scales."))
+
+    def parameter_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, float]:
+        """Every parameter, in SI units or in the declared scales.
+
+        Args:
+            overrides: values that replace the declared ones, in the declared units.
+            dimensionless: whether to divide by the scales.
+
+        Raises:
+            DeclarationError: an override names no parameter, or a value is out of its bounds.
+        """
+        values = self._si_values(overrides)
+        values = {name: values[name] for name in self.declaration.parameters}
+        if not dimensionless:
+            return values
+        scales = self.scale_values(overrides)
+        return {
+            name: value / self.conversions[self.declaration.parameters[name].unit].scale(scales)
+            for name, value in values.items()
+        }
+
+    def exact_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, sp.Expr]:
+        """Every parameter exactly: as the decimals that are written, and expressions of these.
+
+        Args:
+            overrides: values that replace the declared ones, in the declared units.
+            dimensionless: whether to divide by the scales.
+        """
+        parameters, found = self.declaration.parameters, dict[str, sp.Expr]()
+        for name in self._si_values(overrides):
+            parameter = parameters[name]
+            found[name] = self._exact(overrides.get(name, parameter.value), parameter.unit, found)
+        if dimensionless:
+            scales = {n: self._exact(s.value, s.unit, found) for n, s in self.declaration.scales.items()}
+            for name, parameter in parameters.items():
+                powers = self.conversions[parameter.unit].exponents
+                found[name] /= math.prod(scales[n] ** _rational(power) for n, power in powers.items())
+        return {name: found[name] for name in parameters}
+
+    def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Declared scales in SI units; all must be positive.
+
+        Raises:
+            DeclarationError: one is not.
+        """
+        values = self._si_values(overrides)
+        found = {}
+        for name, scale in self.declaration.scales.items():
+            si = self._si(scale.value, scale.unit, values)
+            if not si > 0.0:
+                message = f"the scale is {si:g} {scale.unit}; a scale must be positive"
+                raise DeclarationError(Problem(self.declaration.place(f"scales.{name}"), f"scales.{name}", message))
+            found[name] = si
+        return found
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Refuse names that are not parameters.
+
+        Raises:
+            DeclarationError: says which name was probably meant.
+        """
+        for name in names:
+            if name not in self.declaration.parameters:
+                message = f"{self.declaration.name} has no parameter '{name}'"
+                raise DeclarationError(Problem(None, name, message, nearest(name, self.declaration.parameters)))
+
+    def size(self, unit: str, overrides: Mapping[str, float]) -> float:
+        """Return what the scales make of a unit's dimension, in SI units; 1 where there are no scales for it."""
+        known = self.conversions.get(unit)
+        return known.scale(self.scale_values(overrides)) if known is not None else 1.0
+
+    def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Every parameter in SI units, each after those that its expression holds."""
+        parameters = self.declaration.parameters
+        self.check_names(overrides)
+        found: dict[str, float] = {}
+        pending = dict(parameters)
+        while pending:  # the declaration has been checked for cycles
+            for name, parameter in list(pending.items()):
+                value = overrides.get(name, parameter.value)
+                if isinstance(value, Expression) and value.names & pending.keys():
+                    continue
+                found[name] = self._si(value, parameter.unit, found)
+                del pending[name]
+                value = found[name] / self.conversions[parameter.unit].factor
+                unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+                shown = f"{name} = {value:g}{unit}"
+                if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
+                    raise DeclarationError(problems)
+        return found
+
+    def _exact(self, value: float | Expression, unit: str, values: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Declared value in SI units, exactly."""
+        factor = sp.Rational(repr(float(self.conversions[unit].factor)))
+        if isinstance(value, Expression):
+            return value.to_sympy(values) * (1 if value.names else factor)
+        return sp.Rational(repr(float(value))) * factor
+
+    def _si(self, value: float | Expression, unit: str, values: Mapping[str, float]) -> float:
+        """Declared value in SI units; an expression of parameters is one of their SI values."""
+        if isinstance(value, Expression):
+            computed = value.evaluate(values)
+            return computed if value.names else computed * self.conversions[unit].factor
+        return value * self.conversions[unit].factor
+
+
+def _rational(power: float) -> sp.Rational:
+    return sp.Rational(Fraction(power).limit_denominator(60))
+
+
+def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:
+    """Unit text of every quantity of a model, by its path in the declaration."""
+    return {
+        **{f"coordinates.{n}": c.unit for n, c in declaration.coordinates.items()},
+        **{f"states.{n}": s.unit for n, s in declaration.states.items()},
+        **{f"inputs.{n}": i.unit for n, i in declaration.inputs.items()},
+        **{f"parameters.{n}": p.unit for n, p in declaration.parameters.items()},
+        **{f"scales.{n}": s.unit for n, s in declaration.scales.items()},
+    }

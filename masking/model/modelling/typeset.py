@@ -1,0 +1,69 @@
+"""Equations typeset in MathML, which browsers and notebooks show by themselves."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable
+from typing import Any, Final
+
+import sympy as sp
+from markupsafe import Markup
+from sympy.printing.mathml import MathMLPresentationPrinter
+
+from masking.display.symbols import GREEK, split
+
+_DOTS: Final = {1: "\N{DOT ABOVE}", 2: "\N{DIAERESIS}"}
+LONGEST: Final = 400  # operations of an expression that is typeset
+_CELL: Final = Markup('<mtd style="text-align:{};padding:.25em .2em">{}</mtd>')
+_TABLE: Final = Markup(
+    '<div style="overflow-x:auto;margin:.5em 0"><math><mtable displaystyle="true">{}</mtable></math></div>'
+)
+
+
+def equations(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> Markup:
+    """Equations below each other, aligned at their equals signs; derivatives of coordinates carry dots.
+
+    Args:
+        pairs: left-hand and right-hand sides.
+    """
+    rows = [
+        Markup("<mtr>{}{}{}</mtr>").format(
+            _CELL.format("right", side(left)),
+            _CELL.format("center", Markup("<mo>=</mo>")),
+            _CELL.format("left", side(right)),
+        )
+        for left, right in pairs
+    ]
+    return _TABLE.format(Markup().join(rows)) if rows else Markup()
+
+
+def side(expression: sp.Expr) -> Markup:
+    """Return one side of an equation; an ellipsis stands for what is very long."""
+    if sp.count_ops(expression) > LONGEST:
+        return Markup("<mo>\N{HORIZONTAL ELLIPSIS}</mo>")
+    return Markup(_Printer()._print(expression).toxml())  # noqa: S704  # made of a checked expression
+
+
+class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy has no types
+    """Prints names as the rest of the package typesets them, and primes as dots."""
+
+    def _print_Symbol(self, symbol: sp.Symbol) -> Any:  # noqa: ANN401, N802  # a node of minidom; sympy's own name
+        name = symbol.name.rstrip("'")
+        letters, index = split(name)
+        base = self._leaf("mi", html.unescape(f"&{letters};") if letters in GREEK else letters)
+        if len(letters) > 1 and letters not in GREEK:
+            base.setAttribute("style", "font-style:italic")
+        if dots := _DOTS.get(len(symbol.name) - len(name)):
+            base = self._node("mover", base, self._leaf("mo", dots))
+        return self._node("msub", base, self._leaf("mn", index)) if index else base
+
+    def _leaf(self, tag: str, text: str) -> Any:  # noqa: ANN401
+        made = self.dom.createElement(tag)
+        made.appendChild(self.dom.createTextNode(text))
+        return made
+
+    def _node(self, tag: str, *parts: Any) -> Any:  # noqa: ANN401
+        made = self.dom.createElement(tag)
+        for part in parts:
+            made.appendChild(part)
+        return made

@@ -1,0 +1,168 @@
+"""Faults 1 to 8: of sensors, of the motion and of the controller, in lockstep over UDP on a twin that is served."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from masking.compile.numerics.arrays import Array
+from masking.lab.plants.safety_chain import Chain
+from tests.campaigns.bench import Bench, Ended
+from tests.campaigns.table import Fault, Judgement
+from tests.campaigns.twins import RATE, rules, small
+
+_AT: Final = 250  # tick of the fault
+_SENSORS: Final = 3
+_JUMP: Final = 0.4  # V, 2 mm
+_SPEED: Final = 0.1  # m/s
+_PHASES: Final = (200, 235, 270, 305, 340)  # ticks at which a sensor sticks
+_HEATED: Final = 0.8  # V that an actuator may take where its heat is tested
+_POWER, _HEATING, _ASKED = 8.0, 45.35, 12.0  # W, W/V**2, W
+_WINDOW: Final = 10_000  # ticks, 10 s
+
+
+def _inputs(ended: Ended) -> Array:
+    return np.asarray(ended.own.array("input"))
+
+
+def _at_zero(ended: Ended, judgement: Judgement) -> None:
+    """Demand that the plant got finite commands alone, and zero from the tick of the trip on."""
+    tick, inputs = ended.own["tick"], _inputs(ended)
+    judgement.need(np.isfinite(inputs).all(), "the plant got a command that is not finite")
+    judgement.need(not inputs[tick >= ended.tick].any(), "the plant got a command after the trip")
+
+
+def _trips(ended: Ended, cause: str, within: int, judgement: Judgement, at: int = _AT) -> None:
+    """Demand a trip for a cause within a number of ticks of the fault."""
+    later = ended.tick - at
+    judgement.need(ended.cause == cause, f"ended as {ended.cause or ended.run.reason}, not {cause}")
+    judgement.need(0 <= later <= within, f"{later} ticks after the fault, more than {within}")
+    _at_zero(ended, judgement)
+    judgement.say(f"{ended.cause} {later} ticks after it")
+
+
+def _not_finite(bench: Bench, judgement: Judgement) -> None:
+    for value in ("nan", "inf", "-inf"):
+        damage = {"what": "set", "channel": 1, "at": _AT, "value": value}
+        _trips(bench.run(damage=damage), "SENSOR_NONFINITE", 0, judgement)
+
+
+def _moving(channel: int, tick: int, _: Array) -> Array:
+    """Answer a tick as a controller does that moves what a sensor measures by about 3 mm."""
+    largest = np.where(np.arange(_SENSORS) == channel, (0.05, 0.05, 0.3)[channel], 0.0)
+    return np.asarray(largest * np.sin(2.0 * np.pi * 3.0 * tick / RATE))
+
+
+def _stuck(bench: Bench, judgement: Judgement) -> None:
+    for channel in range(_SENSORS):
+        later = []
+        for at in _PHASES:
+            ended = bench.run(
+                partial(_moving, channel), damage={"what": "hold", "channel": channel, "at": at}, samples=600
+            )
+            later.append(ended.tick - at)
+            judgement.need(ended.cause == "SENSOR_STUCK", f"s{channel + 1}: {ended.cause or ended.run.reason}")
+            _at_zero(ended, judgement)
+        judgement.need(max(later) <= 0.05 * RATE, f"s{channel + 1}: {max(later)} ms")
+        judgement.say(f"s{channel + 1}: {min(later)} to {max(later)} ms")
+    seconds = 60 if bench.is_quick else 3600
+    chain, random = Chain(rules()), np.random.default_rng(4)
+    step, command = 20.0 / 65536.0, np.zeros(_SENSORS)
+    for second in range(seconds):
+        # a third of the time without noise, between two steps; else with less of it than a step
+        noise = 1e-4 * random.standard_normal((int(RATE), _SENSORS)) * (second >= seconds // 3)
+        for k, reading in enumerate(np.round(noise / step) * step):
+            chain.watch(second * int(RATE) + k, reading)
+            chain.guard(second * int(RATE) + k, command)
+    judgement.need(chain.trip is None, f"false trip at rest: {chain.trip}")
+    judgement.say(f"no false trip in {seconds} s of quantised rest" if chain.trip is None else "a false trip")
+
+
+def _jump(bench: Bench, judgement: Judgement) -> None:
+    for channel in range(_SENSORS):
+        damage = {"what": "add", "channel": channel, "at": _AT, "value": _JUMP}
+        _trips(bench.run(damage=damage), "SENSOR_JUMP", 1, judgement)
+
+
+def _rail(bench: Bench, judgement: Judgement) -> None:
+    for value in (10.0, -10.0):
+        damage = {"what": "set", "channel": 0, "at": _AT, "value": value}
+        _trips(bench.run(damage=damage), "SENSOR_RANGE", 1, judgement)
+
+
+def _unstable(largest: float) -> tuple[list[Array], partial[Array]]:
+    """Return a controller that makes the rig move as an oscillator with negative damping, and what it remembers."""
+    past: list[Array] = []
+    return past, partial(_negative_damping, past, largest)
+
+
+def _negative_damping(past: list[Array], largest: float, tick: int, readings: Array) -> Array:
+    past.append(readings.copy())
+    rate = (readings - past[max(0, len(past) - 11)]) * RATE / 10.0
+    wanted = 0.03 * rate + 0.1 * (tick < 100)
+    wanted[2] = 0.0
+    return np.clip(wanted, -largest, largest)
+
+
+def _excess(bench: Bench, judgement: Judgement, *, speed: float) -> None:
+    _, step = _unstable(0.2)
+    ended = bench.run(step, samples=20_000, held=rules(speed=speed) if speed else None)
+    cause = "VELOCITY_LIMIT" if speed else "POSITION_LIMIT"
+    judgement.need(ended.cause == cause, f"ended as {ended.cause or ended.run.reason}, not {cause}")
+    _at_zero(ended, judgement)
+    own = ended.own
+    where = [np.abs(own[f"plant.x{i}"] - own["plant.x3"]) for i in (1, 2)]
+    rates = [np.abs(own[f"plant.x{i}'"] - own["plant.x3'"]) for i in (1, 2)]
+    looked = rates if speed else where
+    changes = [np.abs(np.diff(rate)).max() * RATE for rate in rates] if speed else [rate.max() for rate in rates]
+    limit, unit, scale = (speed, "mm/s", 1e3) if speed else (0.005, "mm", 1e3)
+    peak = max(float(x.max()) for x in looked)
+    most = limit + max(changes) * 2.0 / RATE
+    judgement.need(peak <= most, f"peak {peak * scale:.4g} {unit}, more than {most * scale:.4g}")
+    judgement.say(f"{ended.cause}: peak {peak * scale:.4g} {unit}, at most {most * scale:.4g}")
+
+
+def _heat(bench: Bench, judgement: Judgement) -> None:
+    amplitude = np.sqrt(2.0 * _ASKED / _HEATING)
+
+    def step(tick: int, _: Array) -> Array:
+        return np.array([0.0, 0.0, amplitude * np.sin(2.0 * np.pi * 100.0 * tick / RATE)])
+
+    ended = bench.run(step, samples=2 * _WINDOW, held=rules("linear_rig", largest=_HEATED), plant="linear_rig")
+    power = _HEATING * ended.own["input.V3"] ** 2
+    padded = np.concatenate([power, np.zeros(_WINDOW)])
+    mean = float(np.convolve(padded, np.full(_WINDOW, 1.0 / _WINDOW), mode="valid").max())
+    judgement.need(ended.cause == "THERMAL", f"ended as {ended.cause or ended.run.reason}, not THERMAL")
+    judgement.need(mean <= _POWER * 1.02, f"the mean over 10 s is {mean:.3f} W")
+    _at_zero(ended, judgement)
+    judgement.say(f"{ended.cause} after {ended.tick / RATE:.2f} s, largest mean over 10 s {mean:.3f} W")
+
+
+def _controller(bench: Bench, judgement: Judgement) -> None:
+    for value in (np.nan, np.inf, 1e300):
+
+        def step(tick: int, readings: Array, value: float = value) -> Array:
+            return np.full(_SENSORS, value) if tick >= _AT else small(tick, readings)
+
+        ended = bench.run(step)
+        if np.isfinite(value):
+            most = float(np.abs(_inputs(ended)).max())
+            judgement.need(most <= 0.42, f"the plant got {most:g} V")
+            judgement.say(f"1e300 is finite: at most {most:g} V reaches the plant")
+            judgement.need(np.isfinite(_inputs(ended)).all(), "the plant got a command that is not finite")
+        else:
+            _trips(ended, "CONTROLLER_NONFINITE", 0, judgement)
+
+
+FAULTS: Final = (
+    Fault(1, "sensor NaN / Inf", "SENSOR_NONFINITE in the same tick; never reaches write()", _not_finite),
+    Fault(2, "sensor stuck", "SENSOR_STUCK within 50 ms; none in 1 h of quantised rest", _stuck),
+    Fault(3, "sensor jumps by 2 mm in a sample", "SENSOR_JUMP within 1 tick", _jump),
+    Fault(4, "sensor at its rail", "SENSOR_RANGE within 1 tick", _rail),
+    Fault(5, "excess motion", "POSITION_LIMIT; peak <= limit + v * 2 ticks", partial(_excess, speed=0.0)),
+    Fault(6, "excess speed", "VELOCITY_LIMIT; peak <= limit + a * 2 ticks", partial(_excess, speed=_SPEED)),
+    Fault(7, "12 W RMS asked of 8 W", "8 W, then THERMAL; mean over 10 s <= 8 W + 2 %", _heat),
+    Fault(8, "controller emits NaN / Inf / 1e300", "CONTROLLER_NONFINITE; finite in every tick", _controller),
+)

@@ -1,0 +1,123 @@
+"""Exported FMUs: valid by fmpy, compiled from their sources, and the same numbers as the compiled kernels."""
+
+import platform
+import re
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import masking
+from masking.control.exports import fmu_unit
+from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.fmu_unit import has_binary, write
+from masking.control.exports.plants import twin_unit
+from masking.lab.runs.experiment import Experiment
+from masking.model.declaration import catalogue
+from tests.benchmarks import exported
+from tests.control.exports.test_controllers import by_kernel
+from tests.support.compiled_unit import GCC
+
+fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'masking[fmu]'")
+validation = pytest.importorskip("fmpy.validation")
+Slave = pytest.importorskip("tests.support.fmu_slave").Slave
+pytestmark = [
+    pytest.mark.skipif(not has_binary(), reason=f"FMUs get no binary on {platform.system()} {platform.machine()}"),
+    pytest.mark.filterwarnings("ignore"),  # fmpy's own
+]
+EXACT = 1e-12
+CASES = [("huygens_rig", "experiment"), ("duffing", "experiment"), ("tue_rig", "plant"), ("huygens", "model")]
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_an_fmu_is_valid_and_its_sources_give_its_binary(name, kind, tmp_path):
+    for path in masking.export(name, to="fmu", kind=kind, out=tmp_path).files:
+        assert validation.validate_fmu(str(path)) == []
+        result = fmpy.simulate_fmu(str(path), stop_time=0.01, step_size=0.001, output_interval=0.001)
+        assert all(np.all(np.isfinite(result[name])) for name in result.dtype.names)
+        with zipfile.ZipFile(path) as archive:
+            sources = [n for n in archive.namelist() if n.endswith(".c")]
+            archive.extractall(tmp_path / path.stem)
+        files = [tmp_path / path.stem / source for source in sources]
+        strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only"]
+        subprocess.run([GCC, *strict, *files], check=True)
+        assert len(sources) == 2
+
+
+@pytest.mark.parametrize("name", [name for name in catalogue.names("experiment") if exported.is_exported(name)])
+def test_every_exported_controller_is_a_valid_fmu(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        fmu_unit, "has_binary", lambda: False
+    )  # which gcc makes in its time, and fmpy does not look into
+    experiment = Experiment.load(name)
+    case = exported.Sampled if experiment.has_observer else exported.Law
+    for path in write(case(experiment, name).unit, tmp_path):
+        assert validation.validate_fmu(str(path)) == []
+
+
+@pytest.mark.parametrize("name", ["cart_felt", "cart_felt_observer"])
+def test_an_fmu_feels_the_push_that_the_kernel_feels(name, tmp_path):
+    case = exported.Sampled(Experiment.load(name), name)
+    case.samples = 300
+    for path in write(case.unit, tmp_path):
+        assert case.of_fmu(Slave(path, tmp_path / path.stem)) <= EXACT
+
+
+@pytest.mark.skipif(not shutil.which("nm"), reason="there is no nm")
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_has_every_function_of_the_standard(version, tmp_path):
+    text = (Path(fmpy.__path__[0]) / "c-code" / f"fmi{version}FunctionTypes.h").read_text()
+    declared = set(re.findall(rf"\b(fmi{version}\w+)TYPE\b", text))
+    path = masking.export("duffing", to="fmu", out=tmp_path).files[version - 2]
+    with zipfile.ZipFile(path) as archive:
+        (binary,) = [n for n in archive.namelist() if n.endswith(".so")]
+        archive.extract(binary, tmp_path)
+    shown = subprocess.run(["nm", "-D", tmp_path / binary], capture_output=True, text=True, check=True).stdout
+    there = {line.split()[-1] for line in shown.splitlines()}
+    missing = declared - there
+    exchange = ("Event", "Continuous", "NewDiscrete", "Completed", "SetTime", "GetDerivatives", "Nominals")
+    assert {name for name in missing if not (version == 2 and any(word in name for word in exchange))} == set()
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_fmus_of_controller_and_rig_move_as_the_twin_under_the_kernel(version, tmp_path):
+    experiment = Experiment.load("huygens_rig")
+    made, twin, count = experiment.sampled, experiment.twin, 6000
+    _, commands, _ = by_kernel(experiment, count)
+    units = (sampled_unit(made, "controller", 0.02), twin_unit(twin, "rig", made.rate))
+    control, rig = (Slave(write(unit, tmp_path)[version - 2], tmp_path / f"{unit.name}{version}") for unit in units)
+    generator, h = np.random.default_rng(experiment.declaration.seed), 1.0 / made.rate
+    rig.begin([0.0, 0.0, 0.0, *generator.standard_normal(3)])
+    control.begin(rig.get())
+    worst = 0.0
+    for index in range(count):
+        control.set(rig.get())
+        control.step(index * h, h)
+        worst = max(worst, np.max(np.abs(control.get() - commands[index])))
+        rig.set([*control.get(), *generator.standard_normal(3)])
+        rig.step(index * h, h)
+    assert np.max(np.abs(commands)) > 1e-3
+    assert worst <= EXACT * np.max(np.abs(commands))
+
+
+def test_a_step_that_is_no_multiple_of_the_period_is_refused(tmp_path):
+    path = masking.export("huygens_rig", to="fmu", out=tmp_path).files[0]
+    with pytest.raises(Exception, match="fmi2DoStep"):
+        fmpy.simulate_fmu(str(path), stop_time=0.01, step_size=0.0015, output_interval=0.0015)
+
+
+def test_the_state_of_an_fmu_can_be_kept_and_set(tmp_path):
+    slave = Slave(masking.export("tue_rig", to="fmu", out=tmp_path).files[0], tmp_path / "rig")
+    slave.begin(np.zeros(6))
+    slave.set([0.2, 0.0, 0.1, 0.0, 0.0, 0.0])
+    for k in range(20):
+        slave.step(k * 1e-3, 1e-3)
+    kept = slave.fmu.getFMUstate()
+    slave.step(0.02, 0.005)
+    first = slave.get()
+    slave.fmu.setFMUstate(kept)
+    slave.step(0.02, 0.005)
+    assert np.array_equal(slave.get(), first)

@@ -1,0 +1,80 @@
+"""Following: the force of a law with a state along a known motion, whose state settles many times between samples.
+
+The truth is Dahl's friction in closed form: along a straight piece of the motion, z = s + (z0 - s) exp(-|x - x0|/l).
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from masking.control.rig.twin import Twin
+from masking.inference.discovery import compiled_laws, latent_force
+from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+
+FORCE, LENGTH, RATE = 3.0, 2e-6, 100.0
+MODEL = """
+name: slide
+coordinates: {x: {unit: m}}
+inputs: {f: {unit: N}}
+parameters: {m: {value: 1, unit: kg}}
+equations: {m*x'': f}
+elements: {guide: {displacement: x, unit: N, acts: {x: -1}}}
+"""
+PLANT = "name: slide\nmodel: model.yaml\nsensors: {x: {measures: x, unit: m}}\n"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("slide")
+    (folder / "model.yaml").write_text(MODEL)
+    (folder / "plant.yaml").write_text(PLANT)
+    twin = Twin.load(folder / "plant.yaml")
+    return AugmentedModel(twin, twin.equation_parameters())
+
+
+def zigzag():
+    """Return a displacement of 1 mm back and forth, 20 samples each way, and its rate (m,)."""
+    x = 5e-4 * np.abs((np.arange(201) / 10.0 + 1.0) % 4.0 - 2.0) - 5e-4
+    return x, np.gradient(x) * RATE
+
+
+def dahl(x, length):
+    """Return the friction along straight pieces between samples (m,)."""
+    z = np.zeros(len(x))
+    for i, step in enumerate(np.diff(x)):
+        z[i + 1] = np.sign(step) + (z[i] - np.sign(step)) * np.exp(-abs(step) / length)
+    return FORCE * z
+
+
+@pytest.mark.parametrize("samples", [20, 40, 80, 160])
+def test_a_force_is_followed_as_well_where_a_turn_has_more_samples(rig, samples):
+    turns = np.pi * np.arange(10 * samples + 1) / samples
+    x, rate = 5e-4 * (1.0 - np.cos(turns)), 5e-4 * np.pi / samples * RATE * np.sin(turns)
+    assert 1 <= compiled_laws.pieces(x, rate, 1.0 / RATE) <= compiled_laws.MOST_PIECES
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, 100 * LENGTH), ())
+    force = rig.along(instance, x, rate, 1.0 / RATE)[:, 0]
+    slides = np.abs(np.sin(turns)) > 1e-6
+    assert np.abs(force - dahl(x, 100 * LENGTH))[slides].max() < 0.01 * FORCE
+
+
+@pytest.mark.parametrize("length", [LENGTH, 100 * LENGTH])
+def test_a_force_that_builds_up_over_any_length_is_followed_in_steps_of_samples(rig, length):
+    turns = np.pi * np.arange(201) / 20.0
+    x, rate = 5e-4 * (1.0 - np.cos(turns)), 5e-4 * np.pi / 20.0 * RATE * np.sin(turns)
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, length), (0,))
+    force, slope = rig.along(instance, x, rate, 1.0 / RATE, (0,)).T
+    slides = np.abs(np.sin(turns)) > 1e-6  # where it turns, the force depends on the rate's last digit
+    assert np.abs(force - dahl(x, length))[slides].max() < 0.01 * FORCE
+    np.testing.assert_allclose(slope, force / FORCE, atol=1e-9)
+
+
+def test_the_map_of_a_friction_is_drawn_along_the_motion_in_stable_steps(rig):
+    x, rate = zigzag()
+    instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
+    found = SimpleNamespace(rig=rig, problem=SimpleNamespace(dt=1.0 / RATE, substeps=1))
+    force = latent_force.along(found, instance, x, rate)
+    assert np.abs(force).max() < 1.001 * FORCE  # no step of it runs away
+    sliding = np.abs(rate) > 0.9 * np.abs(rate).max()
+    np.testing.assert_allclose(np.median(force[sliding & (rate > 0.0)]), FORCE, rtol=1e-3)
+    np.testing.assert_allclose(np.median(force[sliding & (rate < 0.0)]), -FORCE, rtol=1e-3)
