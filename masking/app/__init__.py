@@ -2,5 +2,5 @@
 
 In: files, arguments.
 Out: files, text or JSON, an exit status.
-Imports: compile, model, analysis, control, lab, inference, reports.
+Imports: compile, display, model, analysis, control, lab, inference, reports.
 """

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from masking.control.rig.twin import Twin
+from masking.display.json_text import json_text
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Named
 from masking.inference.discovery.places import identifier
-from masking.lab.records.json_text import json_text
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import equation_of
 from masking.model.declaration.schema import ModelDeclaration, Parameter

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from masking.display.json_text import json_text
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.innovations import KalmanFit
-from masking.lab.records.json_text import json_text
 from masking.model.declaration import registry
 from masking.reports import html, model_files
 

@@ -17,10 +17,10 @@ import lazy_loader as lazy
 import markupsafe
 from markupsafe import Markup
 
+from masking.display.json_text import json_text
 from masking.display.symbols import is_symbol
 from masking.display.symbols import markup as symbol
 from masking.errors import RecordError
-from masking.lab.records.json_text import json_text
 
 if TYPE_CHECKING:  # drawing is loaded by what draws
     import jinja2

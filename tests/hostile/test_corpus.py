@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from tests.hostile.corpus import EXECUTE, MARKER, MODELS, NUMBERS, SYNTAX, YAML
 
 from masking.errors import DeclarationError, Place, RecordError
 from masking.lab.records import readers
@@ -12,6 +11,7 @@ from masking.model.declaration import registry
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.strict_yaml import loads
 from tests.hostile import corpora, judge
+from tests.hostile.corpus import EXECUTE, MARKER, MODELS, NUMBERS, SYNTAX, YAML
 
 FORBIDDEN = (
     "os.system",

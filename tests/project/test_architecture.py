@@ -57,10 +57,21 @@ FLOORS: dict[str, set[str]] = {
         *("discovery", "procedures"),
     },
     "workflows": {
-        *("numerics", "declaration", "effects", "modelling", "records", "signals", "analysis", "rig", "control"),
+        *(
+            "numerics",
+            "declaration",
+            "display",
+            "effects",
+            "modelling",
+            "records",
+            "signals",
+            "analysis",
+            "rig",
+            "control",
+        ),
         *("plants", "exports", "runs", "estimation", "discovery", "procedures", "reports"),
     },
-    "cli": {"declaration", "records", "rig", "plants", "runs", "reports", "workflows"},
+    "cli": {"declaration", "display", "records", "rig", "plants", "runs", "reports", "workflows"},
 }
 
 # Packages from outside, and the folders that may import them; all others are free.

@@ -75,7 +75,7 @@ def answer(wanted: bool | str, content: object, text: object) -> int:
         content: as JSON can hold it, or JSON already.
         text: for people.
     """
-    from masking.lab.records.json_text import json_text
+    from masking.display.json_text import json_text
 
     numbers = content if isinstance(content, str) else json_text(content)
     if wanted is True:

@@ -13,12 +13,12 @@ from masking.app.workflows import calibration_records
 from masking.app.workflows.calibration_records import Progress, Say
 from masking.app.workflows.output_folders import check_folder
 from masking.control.rig.twin import Twin
+from masking.display.json_text import json_text
 from masking.errors import ModelError
 from masking.inference.discovery import prior
 from masking.inference.estimation.fit import fit, independent
 from masking.inference.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
 from masking.lab.plants.interface import Plant
-from masking.lab.records.json_text import json_text
 from masking.reports import calibration_page, fit_files
 
 __all__ = ["Calibration", "Stage", "calibrate"]

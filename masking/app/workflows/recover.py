@@ -12,9 +12,9 @@ import numpy as np
 
 from masking.app.workflows.output_folders import RUN, check_folder
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import stream, stream_content
-from masking.lab.records.json_text import json_text
 from masking.lab.records.recorder import CLOSED
 from masking.lab.records.recording import Recording
 from masking.lab.records.ring import RingReader

@@ -17,13 +17,13 @@ from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
+from masking.display.json_text import json_text
 from masking.errors import DeclarationError, IntegrationError, ModelError, Problem, SingularityError
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.discovery_stages import discover
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.search import Tell
-from masking.lab.records.json_text import json_text
 from masking.lab.records.recording import Recording
 from masking.lab.runs.error_budget import in_full
 from masking.lab.runs.experiment import Experiment

@@ -17,9 +17,9 @@ import numpy as np
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
 from masking.app.workflows.sweep_work import work
+from masking.display.json_text import json_text
 from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import table_chunks
-from masking.lab.records.json_text import json_text
 from masking.lab.records.parquet import replacing
 from masking.lab.records.table_chunks import Columns
 from masking.lab.runs import manifest, sweep_variation

@@ -24,10 +24,10 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
 from masking.lab.records import thinned_columns
 from masking.lab.records.columns_on_disk import StoredColumns, read
-from masking.lab.records.json_text import json_text
 from masking.lab.records.time_slice import Part
 
 if TYPE_CHECKING:

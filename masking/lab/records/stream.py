@@ -20,8 +20,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import json_text
 from masking.errors import NO_PLACE, RecordError
-from masking.lab.records.json_text import json_text
 from masking.lab.records.stream_pages import (
     CHAIN,
     CONTENT,

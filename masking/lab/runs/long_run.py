@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from masking.display.json_text import json_text
 from masking.errors import ModelError, RecordError
 from masking.lab.records import parquet
 from masking.lab.records.columns_on_disk import LARGE
-from masking.lab.records.json_text import json_text
 from masking.lab.records.recording import FORMAT, Recording, writing
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import CHUNK, Run, TwinRun, cut

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from masking.analysis.masking_error import masking_error
+from masking.display.json_text import json_text
 from masking.errors import RecordError
-from masking.lab.records.json_text import json_text
 from masking.lab.records.recording import FORMAT, Recording
 
 T = np.array([0.0, 0.1, 0.2, 0.30000000000000004])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import masking
+from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import columns_on_disk, readers, thinned_columns
-from masking.lab.records.json_text import json_text
 from masking.lab.records.recording import Recording
 from masking.lab.runs import long_run, offline
 from masking.lab.runs.experiment import Experiment
