@@ -127,6 +127,10 @@ class IntegrationError(MaskingError):
     """An integrator could not go on."""
 
 
+class RootError(MaskingError):
+    """Newton's method reached no root; says where it ended."""
+
+
 class RecordError(MaskingError):
     """A recording cannot be read or written."""
 

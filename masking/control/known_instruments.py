@@ -10,17 +10,14 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
-from masking.compile.numerics.equilibrium import equilibrium
+from masking.compile.numerics.newton import STEP, equilibrium, jacobian
 from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.control.rig.allocation import allocation
 from masking.control.rig.twin import Twin
-from masking.errors import ActuationError, ModelError
+from masking.errors import ActuationError, ModelError, RootError
 from masking.model.declaration import schema
 from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.model import Model
-
-# Step of a difference quotient, relative to the size of what varies.
-_STEP = 1e-5
 
 
 @dataclass(frozen=True)
@@ -154,34 +151,24 @@ class Instruments:
         dry friction at rest is that of its smoothed sign, far beyond its mean over a motion.
         """
         model, n = self.model, len(self.model.coordinates)
-        p, kernels = model.values(), model.kernels
-        size, inputs = 2 * n + len(model.declaration.states), len(model.inputs)
-        lengths = model.lengths
+        p, internal = model.values(), np.zeros(len(model.declaration.states))
 
-        def slope(y: Array, u: Array) -> Array:
-            out = np.empty(size)
-            kernels.derivative(0.0, y, u, p, out)
+        def slope(q: Array, v: Array, u: Array) -> Array:
+            out = np.empty(2 * n + len(internal))
+            model.kernels.derivative(0.0, np.concatenate([q, v, internal]), u, p, out)
             return out[: 2 * n]
 
-        dynamics, driven = np.empty((2 * n, 2 * n)), np.empty((n, inputs))
-        steps = [*(_STEP * lengths), *lengths]
-        for i in range(2 * n):
-            if i == n:
-                fastest = float(np.sqrt(np.abs(np.linalg.eigvals(dynamics[n:, :n])).max()))
-                steps[n:] = (fastest or 1.0) * lengths
-            step = np.zeros(size)
-            step[i] = steps[i]
-            dynamics[:, i] = (slope(step, np.zeros(inputs)) - slope(-step, np.zeros(inputs))) / (2.0 * step[i])
-        for i in range(inputs):
-            u = np.zeros(inputs)
-            u[i] = 1.0
-            driven[:, i] = 0.5 * (slope(np.zeros(size), u) - slope(np.zeros(size), -u))[n:]
-        return dynamics, driven
+        still, off = np.zeros(n), np.zeros(len(model.inputs))
+        by_place = jacobian(lambda q: slope(q, still, off), still, STEP * model.lengths)
+        fastest = float(np.sqrt(np.abs(np.linalg.eigvals(by_place[n:])).max())) or 1.0
+        by_rate = jacobian(lambda v: slope(still, v, off), still, fastest * model.lengths)
+        driven = jacobian(lambda u: slope(still, still, u), off, np.ones(len(off)))
+        return np.hstack([by_place, by_rate]), driven[n:]
 
     def sensing(self) -> Array:
         """Readings per unit of [q, v] (sensors, 2 n) at rest."""
         names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
-        steps = _STEP * np.tile(self.model.lengths, 2)
+        steps = STEP * np.tile(self.model.lengths, 2)
         found = np.empty((len(self.sensors), len(names)))
         values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
         for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
@@ -225,10 +212,10 @@ class Instruments:
             model.kernels.derivative(0.0, np.concatenate([q, np.zeros(n), internal]), inputs, p, out)
             return out[n : 2 * n].copy()
 
-        found = equilibrium(accelerations, model.lengths)
-        if found is None:
+        try:
+            return equilibrium(accelerations, model.lengths)
+        except RootError as error:
             raise ModelError(
                 f"{model.name} does not rest near its zero without inputs, where controller.rest measures the sensors' "
                 "offsets; leave rest out"
-            )
-        return found
+            ) from error

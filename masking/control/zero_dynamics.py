@@ -16,13 +16,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.equilibrium import STEP, equilibrium
+from masking.compile.numerics.newton import STEP, Root, equilibrium, jacobian, root
 from masking.control.blocks import Transform
-from masking.errors import ModelError
+from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
 
 MARGINAL: Final = 1e-6  # real part, relative to the largest eigenvalue, up to which motion neither decays nor grows
-_NEWTON: Final = 50
 _CONVERGED: Final = 1e-12
 
 
@@ -117,29 +116,32 @@ class Held:
         eta, jacobian = (np.array(m.subs(at).evalf().tolist(), dtype=float) for m in self._symbolic)
         return eta.ravel(), jacobian / self.lengths
 
-    def placed(self, z: Array) -> tuple[Array, Array]:
-        """Rig coordinates (n,) at passive ones z (m,), and the slope [J; passive] there (n, n).
+    def placed(self, z: Array) -> Root:
+        """Rig coordinates (n,) at passive ones z (m,), with the slope [J; passive] there (n, n).
 
         Raises:
             ModelError: there are none.
         """
         n = len(self.lengths)
-        q = np.zeros(n)
-        q[self.passive] = z
-        for _ in range(_NEWTON):
-            eta, jacobian = self.mapped(q)
-            slope = np.concatenate([jacobian, np.eye(n)[self.passive]])
-            error = np.concatenate([self.eta - eta, z - q[self.passive]])
-            if np.abs(error).max() <= _CONVERGED * (1.0 + np.abs(self.eta).max(initial=0.0)):
-                return q, slope
-            q = q + np.linalg.lstsq(slope, error, rcond=None)[0]
-        raise ModelError(f"transform: no rig position gives {self.eta} beside the passive coordinates {z}")
+        start = np.zeros(n)
+        start[self.passive] = z
+
+        def system(q: Array) -> tuple[Array, Array]:
+            eta, slope = self.mapped(q)
+            rows = np.concatenate([slope, np.eye(n)[self.passive]])
+            return np.concatenate([eta - self.eta, q[self.passive] - z]), rows
+
+        try:
+            return root(system, start, error=_CONVERGED * (1.0 + np.abs(self.eta).max(initial=0.0)))
+        except RootError as error:
+            where = f"no rig position gives {self.eta} beside the passive coordinates {z}"
+            raise ModelError(f"transform: {where}") from error
 
     def accelerations(self, z: Array, rates: Array) -> Array:
         """Accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
         plant, n = self.plant, len(self.lengths)
         q, slope = self.placed(z)
-        jacobian = slope[: len(self.eta)]
+        rows = slope[: len(self.eta)]
         v = np.linalg.lstsq(slope, np.concatenate([np.zeros(len(self.eta)), rates]), rcond=None)[0]
         internal = [state.initial for state in plant.declaration.states.values()]
         p, out = plant.values(), np.empty(2 * n + len(internal))
@@ -151,7 +153,7 @@ class Held:
         inputs = np.eye(len(plant.inputs))
         free = rig(np.zeros(len(inputs)))
         driven = np.array([rig(u) - free for u in inputs]).T
-        u = np.linalg.lstsq(jacobian @ driven, -jacobian @ free, rcond=None)[0]
+        u = np.linalg.lstsq(rows @ driven, -rows @ free, rcond=None)[0]
         return np.asarray((free + driven @ u)[self.passive], dtype=np.float64)
 
     def zero_dynamics(self) -> ZeroDynamics:
@@ -165,19 +167,16 @@ class Held:
         """
         lengths, m = self.plant.lengths[self.passive], len(self.passive)
         still = np.zeros(m)
-        rest = equilibrium(lambda z: self.accelerations(z, still), lengths)
         names = tuple(self.plant.coordinates[i] for i in self.passive)
-        if rest is None:
+        try:
+            rest = equilibrium(lambda z: self.accelerations(z, still), lengths)
+        except RootError as error:
             raise ModelError(
                 f"{', '.join(names)}: passive, and without a rest near zero while the virtual coordinates are held; "
                 f"say where the run begins, such as 'initial: {{{names[0]}: 0}}'"
-            )
-        stiffness, damping = np.empty((m, m)), np.empty((m, m))
-        for i, step in enumerate(np.diag(STEP * lengths)):
-            change = self.accelerations(rest + step, still) - self.accelerations(rest - step, still)
-            stiffness[:, i] = change / (2.0 * step[i])
+            ) from error
+        stiffness = jacobian(lambda z: self.accelerations(z, still), rest, STEP * lengths)
         fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
-        for i, step in enumerate(np.diag(fastest * lengths)):
-            damping[:, i] = (self.accelerations(rest, step) - self.accelerations(rest, -step)) / (2.0 * step[i])
+        damping = jacobian(lambda rates: self.accelerations(rest, rates), still, fastest * lengths)
         matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
         return ZeroDynamics(names, rest, np.linalg.eigvals(matrix).astype(np.complex128))

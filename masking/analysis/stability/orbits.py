@@ -8,7 +8,8 @@ import numpy as np
 
 from masking.analysis.stability.variational_equations import Variational
 from masking.compile.numerics.arrays import Array, Complex
-from masking.errors import IntegrationError, ModelError
+from masking.compile.numerics.newton import root
+from masking.errors import IntegrationError, ModelError, RootError
 from masking.model.modelling.model import Model
 
 _MOST_STEPS = 30
@@ -70,28 +71,32 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
             "two states of the model"
         )
     made = Variational(model)
-    y, time = np.array(state, dtype=float), float(period)
-    rate = np.empty(made.size)
-    size = float(np.max(np.abs(y))) or 1.0
-    for _ in range(_MOST_STEPS):
-        end, phi = made.flow(y, time, tolerance)
-        miss = end - y
-        error = float(np.max(np.abs(miss))) / size
-        model.kernels.derivative(0.0, end, np.zeros(len(model.inputs)), model.values(), rate)
-        if float(np.max(np.abs(rate))) * time < _STILL * size:
-            break
-        if error <= _ERROR:
-            values = np.linalg.eigvals(phi)
-            order = np.argsort(-np.abs(values))
-            return Orbit(y, time, np.asarray(values[order], dtype=np.complex128), error)
-        jacobian = np.column_stack([phi - np.eye(made.size), rate])
-        # Directions in which the orbit goes on to be one, such as along itself, are left as they are.
-        step = np.linalg.lstsq(jacobian, -miss, rcond=1e-7)[0]
-        y, time = y + step[:-1], time + float(step[-1])
-        size = max(float(np.max(np.abs(y))), 1e-12)
+
+    def size(x: Array) -> float:
+        return max(float(np.max(np.abs(x[:-1]))), 1e-12)
+
+    def system(x: Array) -> tuple[Array, Array]:
+        y, time, rate = x[:-1], float(x[-1]), np.empty(made.size)
         if not 0.2 * period < time < 5.0 * period:
-            break
-    raise IntegrationError(
-        f"no periodic orbit of {model.name} is found near the period {period:g} (an equilibrium is none): give a "
-        "state and a period nearer to one, such as the last state of a long simulation"
-    )
+            raise RootError(f"the period became {time:g}")
+        end, phi = made.flow(y, time, tolerance)
+        model.kernels.derivative(0.0, end, np.zeros(len(model.inputs)), model.values(), rate)
+        if float(np.max(np.abs(rate))) * time < _STILL * size(x):
+            raise RootError("the motion came to rest")
+        return end - y, np.column_stack([phi - np.eye(made.size), rate])
+
+    try:
+        # Directions in which the orbit goes on to be one, such as along itself, are left as they are.
+        x, _ = root(
+            system, np.append(state, period), error=lambda x: _ERROR * size(x), singular=1e-7, rounds=_MOST_STEPS
+        )
+    except RootError as error:
+        raise IntegrationError(
+            f"no periodic orbit of {model.name} is found near the period {period:g} (an equilibrium is none): give a "
+            "state and a period nearer to one, such as the last state of a long simulation"
+        ) from error
+    end, phi = made.flow(x[:-1], float(x[-1]), tolerance)
+    values = np.linalg.eigvals(phi)
+    order = np.argsort(-np.abs(values))
+    miss = float(np.max(np.abs(end - x[:-1])))
+    return Orbit(x[:-1], float(x[-1]), np.asarray(values[order], dtype=np.complex128), miss / size(x))

@@ -20,9 +20,9 @@ from masking.compile.codegen.compiled_functions import Kernels, steps_between
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.equilibrium import equilibrium
+from masking.compile.numerics.newton import equilibrium
 from masking.control.rig.allocation import allocation
-from masking.errors import DeclarationError, Problem, nearest
+from masking.errors import DeclarationError, Problem, RootError, nearest
 from masking.model.declaration import couplings, registry, schema, units
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Attachment, Effect, attach_all, dictionary, expressions
@@ -372,8 +372,10 @@ class Twin:
             self.kernels.twin_derivative(0.0, self.rest(q), u, p, out)
             return out[n : 2 * n].copy()
 
-        found = equilibrium(accelerations, self._lengths)
-        return self.rest(np.zeros(n) if found is None else found)
+        try:
+            return self.rest(equilibrium(accelerations, self._lengths))
+        except RootError:
+            return self.rest(np.zeros(n))
 
     def rest(self, coordinates: Array) -> Array:
         """State (states,) at rest in given coordinates (n,), with internal states as declared."""
@@ -425,13 +427,11 @@ class LoweredTwin:
     """A twin as nodes of a graph: `readings` of the sensors and `derivatives` of the state, with their `loads`."""
 
     def __init__(self, twin: Twin) -> None:
-        graph, self.twin = Graph(), twin
-        self.graph = graph
-        equations = twin.model.equations
-        count, channels = len(equations.declaration.parameters), len(twin.actuators)
-        inputs = len(equations.declaration.inputs)
+        self.twin, self.graph = twin, Graph()
+        graph, equations = self.graph, twin.model.equations
+        channels, inputs = len(twin.actuators), len(equations.declaration.inputs)
         self.loads: dict[str, str] = {}
-        self._next = count
+        self._next = len(equations.declaration.parameters)
 
         wires = [[self._parameter(f"w_{i}_{j}") for j in range(channels)] for i in range(inputs)]
         gains = [self._parameter(f"gain_{name}") for name in twin.sensors]

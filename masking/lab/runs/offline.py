@@ -5,6 +5,7 @@ Each is run whole, or in chunks of rows whose state is handed on: together they 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -15,10 +16,11 @@ import numpy as np
 
 from masking.compile.codegen.compiled_functions import Kernels, steps_between
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.newton import root
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import Controller
 from masking.control.sampled_controller import SampledLoop
-from masking.errors import ModelError
+from masking.errors import ModelError, RootError
 from masking.lab.runs.stopping import check_status
 from masking.model.modelling.input_series import Schedule, integrate
 
@@ -342,10 +344,16 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
     generator = np.random.default_rng(0)
     guesses = [np.zeros(len(lengths))] if guess is None else [guess]
     guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+
+    def system(q: Array) -> tuple[Array, Array]:
+        value, slope = _map(loop, q)
+        return value - whole, slope
+
+    error = 1e-13 * (1.0 + float(np.max(np.abs(whole))))
     for start in guesses:
-        q = _newton(loop, start, whole, lengths)
-        if q is not None:
-            return np.concatenate([q, np.linalg.lstsq(_map(loop, q)[1], rates, rcond=None)[0]])
+        with contextlib.suppress(RootError):
+            q, slope = root(system, start, error=error, lengths=lengths, longest=2.0)
+            return np.concatenate([q, np.linalg.lstsq(slope, rates, rcond=None)[0]])
     names = loop.controller.virtual.coordinates
     wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
     raise ModelError(
@@ -364,21 +372,6 @@ def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
     """
     internal = [state.initial for state in loop.plant.declaration.states.values()]
     return np.concatenate([rig, internal, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
-
-
-def _newton(loop: Mapped, q: Array, eta: Array, lengths: Array) -> Array | None:
-    q = np.array(q, dtype=float)
-    for _ in range(50):
-        value, jacobian = _map(loop, q)
-        error = eta - value
-        if not np.all(np.isfinite(error)) or not np.all(np.isfinite(jacobian)):
-            return None
-        if np.max(np.abs(error)) <= 1e-13 * (1.0 + np.max(np.abs(eta))):
-            return q
-        step = np.linalg.lstsq(jacobian, error, rcond=None)[0]
-        largest = float(np.max(np.abs(step) / lengths))
-        q = q + step * min(1.0, 2.0 / largest) if largest > 0.0 else q
-    return None
 
 
 def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
