@@ -1,5 +1,5 @@
 # make demo   run the Duffing experiment, write its report and its animation; a second time replaces the first
-# make test   format, lint, types and tests: the gate
+# make test   format, lint, types and tests: the gate; real-time tests come last, alone on the machine
 # make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
 # make docs-check  every number in README and docs against the code: minutes; OPTIONS=--write writes them anew
 # make docs   build the documentation and the reference of the package into site/
@@ -23,6 +23,9 @@ QUICK := project/test_architecture project/test_vocabulary project/test_document
 	model/declaration/test_expression model/modelling/test_model model/modelling/test_scales \
 	compile/codegen/test_linear_systems model/effects/test_element_effects
 
+# A file is one worker's, the longest first (tests/processor_time.py).
+BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
+
 .PHONY: demo test quick searches soak docs docs-check dist bench bench-discovery clean
 
 # Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
@@ -36,15 +39,16 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadfile -m "not search"
+	$(BIN)/pytest $(BY_FILE) -m "not search and not realtime"
+	$(BIN)/pytest -m realtime
 
 searches: $(READY)
-	$(BIN)/pytest -n 2 --dist loadfile -m search
+	$(BIN)/pytest $(BY_FILE) -m search
 
 quick: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/pytest -n 2 --dist loadfile $(QUICK:%=tests/%.py)
+	$(BIN)/pytest $(BY_FILE) $(QUICK:%=tests/%.py)
 
 soak: $(READY)
 	$(BIN)/python -m tests.campaigns faults

@@ -1,22 +1,28 @@
 """What all tests share: one cache of compiled models, and models declared in place."""
 
-import gc
 import os
 import shutil
 import signal
 import tempfile
-import warnings
 
 import hypothesis
 import pytest
 
 from masking.model.declaration.schema import ModelDeclaration
 from masking.model.modelling.model import Model
+from tests.processor_time import ProcessorTime
 
 # The gate draws the same examples every time; `HYPOTHESIS_PROFILE=explore` draws new ones.
 hypothesis.settings.register_profile("gate", derandomize=True)
 hypothesis.settings.register_profile("explore", derandomize=False)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
+
+
+PRIORITY = pytest.StashKey[str]()
+
+
+def pytest_addoption(parser):
+    parser.addoption("--write-durations", action="store_true", help="write tests/durations.json")
 
 
 def pytest_configure(config):
@@ -30,14 +36,23 @@ def pytest_configure(config):
     if "MASKING_CACHE" not in os.environ:  # workers inherit the folder from the process that starts them
         os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
+    config.pluginmanager.register(ProcessorTime(config))
+    if config.getoption("markexpr") == "realtime":
+        put_first(config)
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item):
-    """Free what a failed try of a test has left open, such as a socket, before another test is blamed for it."""
-    if getattr(item, "execution_count", 1) > 1:
-        with warnings.catch_warnings(action="ignore", category=ResourceWarning):
-            gc.collect()
+def put_first(config):
+    """Put real-time tests, and the processes that they start, before other programs, where that is permitted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))  # below the loops of `masking`, which take more
+        config.stash[PRIORITY] = "real-time priority: other programs keep no test waiting"
+    except (AttributeError, OSError):
+        config.stash[PRIORITY] = "no real-time priority here: tests may fail while other programs keep the cores busy"
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if said := config.stash.get(PRIORITY, ""):
+        terminalreporter.write_line(said)
 
 
 def declare(**parts) -> Model:

@@ -13,7 +13,7 @@ import yaml
 from masking.app.cli import parser
 from masking.lab.runs.experiment import Experiment
 from masking.model.effects import EFFECTS
-from tests.project.test_architecture import FLOORS
+from tests.project.test_architecture import FLOORS, WINGS
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -83,22 +83,19 @@ def test_commands_are_found():
     assert sum(len(commands(page)) for page in PAGES) > 30
 
 
-def floors() -> str:
-    """Return the folders of the package by floor, the highest first."""
-    level: dict[str, int] = {}
-    for folder, imports in FLOORS.items():
-        level[folder] = 1 + max((level[name] for name in imports), default=0)
-    rows = [(n, [folder for folder in FLOORS if level[folder] == n]) for n in sorted(set(level.values()), reverse=True)]
-    return "\n".join(f"{n:>4}   {'   '.join(folders)}" for n, folders in rows)
+def wings() -> str:
+    """Return the wings of the package with their folders, the highest first."""
+    rows = [f"{wing:<13}{'   '.join(folders)}".rstrip() for wing, folders in WINGS.items()]
+    return "\n".join(reversed(rows))
 
 
-def test_the_picture_of_the_floors_is_that_of_the_tested_table():
-    assert floors() in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"), f"paste this:\n{floors()}"
+def test_the_picture_of_the_wings_is_that_of_the_tested_table():
+    assert wings() in (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"), f"paste this:\n{wings()}"
 
 
-def test_every_folder_is_described():
+def test_every_wing_and_folder_is_described():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    assert not [folder for folder in FLOORS if f"| `{folder}" not in text]
+    assert not [folder for folder in [*WINGS, *FLOORS] if f"| `{folder}` |" not in text]
 
 
 def test_pages_of_the_site_are_those_of_the_folder():
