@@ -32,7 +32,7 @@ BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
 
 demo: $(READY)
-	$(BIN)/masking run examples/duffing.yaml --out results/duffing --overwrite
+	$(BIN)/masking run examples/oscillators/duffing.yaml --out results/duffing --overwrite
 	$(BIN)/masking animate results/duffing
 
 test: $(READY)

@@ -1,4 +1,4 @@
-"""Processor time of the tests: which files come first, what a test and a file may use, and the slowest files at the end.
+"""Processor time of the tests: the order of files, what a test and a file may use, and the slowest files at the end.
 
 `tests/durations.json` holds the processor seconds of each file with kept machine code, written by
 `pytest --write-durations`. Files are run longest first, so that no worker ends with a long one while the other is idle.

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Rig = Callable[[Array, Array, float], tuple[Array, Array]]
 Virtual = Callable[[float, Array, Array, float], Array]
 
-FILE = Path(__file__).parents[2] / "examples" / "cart_reference.csv"
+FILE = Path(__file__).parents[2] / "examples" / "carts" / "cart_reference.csv"
 RATE, SAMPLES, CUTOFF = 500.0, 2, 100.0  # Hz, samples of delay, Hz of the filter of differences
 
 

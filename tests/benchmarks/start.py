@@ -31,7 +31,7 @@ def compile(function):
     timers[f"{len(timers) + 1}. {function.name}"] = time.perf_counter() - begin
     return code
 NativeFunction._compile = compile
-experiment = Experiment.load("examples/duffing.yaml")
+experiment = Experiment.load("examples/oscillators/duffing.yaml")
 experiment.plant.kernels, experiment.virtual.kernels, experiment.loop.kernels
 parts["equations to source"] = lap()
 experiment.run()
@@ -71,7 +71,7 @@ def listing(cache: str) -> Row:
 
 def warm(cache: str, out: Path) -> Iterator[Row]:
     """Measure `masking run` from the cache: the whole, and what is neither simulation nor report."""
-    arguments = ["run", "examples/duffing.yaml", "--overwrite", "--out", str(out)]
+    arguments = ["run", "examples/oscillators/duffing.yaml", "--overwrite", "--out", str(out)]
     walls = timed([*script(), *arguments], cache)
     overheads, reports = [], []
     for _ in range(ROUNDS):

@@ -22,7 +22,7 @@ from tests.benchmarks import hand_written as hand
 from tests.benchmarks.hand_written import Array, HandWritten, Rig, Virtual
 from tests.support.compiled_unit import GCC, CompiledUnit
 
-GAPS = np.linspace(0.0, 3.0, 50)  # mm, of examples/14_sweep.py, with its drive, damping and duration
+GAPS = np.linspace(0.0, 3.0, 50)  # mm, of examples/scripts/14_sweep.py, with its drive, damping and duration
 DRIVE, DAMPING, SWEPT, AFTER = 18.5, 0.1, 40.0, 25.0  # rad/s, 1, s, s
 REGULAR = 3  # a motion repeats after fewer periods of the drive
 

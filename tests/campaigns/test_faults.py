@@ -30,7 +30,10 @@ def test_the_guide_has_the_table():
     assert rows[2:] == [(str(fault.number), fault.injected, fault.expected) for fault in FAULTS]
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: str(fault.number))
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param(f, id=str(f.number), marks=pytest.mark.realtime if f.in_real_time else ()) for f in FAULTS],
+)
 def test_a_fault_is_survived(bench, fault):
     found = examine(fault, bench)
     assert found.broken == (), found.measured

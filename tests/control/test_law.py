@@ -315,7 +315,7 @@ def test_input_is_cancellation_plus_drive(identical, state):
 
 def without(name, *inputs):
     """The text of a packaged model without some inputs and their gains."""
-    text = (catalogue.folder("model") / f"{name}.yaml").read_text()
+    text = catalogue.files("model")[name].read_text()
     for number in (name[1:] for name in inputs):
         text = re.sub(rf"\n  [uc]{number}: .*", "", text)
         text = re.sub(rf"(mu{number}\*)?c{number}\*u{number}", "0", text)

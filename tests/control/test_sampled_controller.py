@@ -385,7 +385,7 @@ def test_compiled_loop_is_that_of_python():
 
 @pytest.mark.parametrize("plant", ["linear_rig", "tue_rig"])
 def test_the_compiled_step_gets_the_declared_allocation_and_its_inverse(plant):
-    written = yaml.safe_load((catalogue.folder("plant") / f"{plant}.yaml").read_text())
+    written = yaml.safe_load(catalogue.files("plant")[plant].read_text())
     rows = sp.Matrix([sp.sympify(written["allocation"][name]) for name in ("u1", "u2", "u3")])
     declared = np.array(rows.jacobian(sp.symbols(["V1", "V2", "V3"])), dtype=float)
     found = experiment(plant=plant)

@@ -218,9 +218,9 @@ def clocks_in_anti_phase(points: str, starts: str) -> str:
 
 @value
 def fastest_damping() -> str:
-    """Return the damping at which the sum of the discs decays fastest, as `examples/15_sweeps.py` finds it."""
+    """Return the damping at which the sum of the discs decays fastest, as `examples/scripts/15_sweeps.py` finds it."""
     with contextlib.redirect_stdout(io.StringIO()):
-        return f"{runpy.run_path(str(ROOT / 'examples' / '15_sweeps.py'))['damping']():.2f}"
+        return f"{runpy.run_path(str(ROOT / 'examples' / 'scripts' / '15_sweeps.py'))['damping']():.2f}"
 
 
 # Identification.
@@ -247,12 +247,12 @@ def measured(procedure: str) -> str:
 @cache
 def _refined() -> dict[str, object]:
     with contextlib.redirect_stdout(io.StringIO()):
-        return runpy.run_path(str(ROOT / "examples" / "10_discover_and_refine.py"))
+        return runpy.run_path(str(ROOT / "examples" / "scripts" / "10_discover_and_refine.py"))
 
 
 @slow_value
 def refined(*parts: str) -> str:
-    """Return what `examples/10_discover_and_refine.py` prints: what was found, what the masking gains, or both."""
+    """Return what `10_discover_and_refine.py` prints: what was found, what the masking gains, or both."""
     text = str(_refined()["found"]).splitlines()
     begin = next(i for i, line in enumerate(text) if line.startswith("With "))
     table = next(i for i, line in enumerate(text) if line.strip().startswith("masking error chi"))

@@ -10,10 +10,11 @@ from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted((EXAMPLES / "scripts").glob("*.py"))
 SHORT = 30.0  # longer than the slowest period of any of them
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", catalogue.files("experiment").values(), ids=lambda path: path.stem)
 def test_experiment_runs(path):
     declaration = registry.load_experiment(path)
     short = declaration.model_copy(update={"duration": min(SHORT, declaration.duration)})
@@ -24,20 +25,22 @@ def test_experiment_runs(path):
 
 
 def test_each_experiment_is_found_by_its_name():
-    assert set(catalogue.names("experiment")) == {path.stem for path in EXAMPLES.glob("*.yaml")}
+    assert set(catalogue.names("experiment")) == {
+        path.stem for path in EXAMPLES.glob("*/*.yaml") if path.parent.name not in ("batches", "many", "measured")
+    }
 
 
 @pytest.mark.parametrize(
     "path",
     [
         pytest.param(path, id=path.stem, marks=pytest.mark.search if path.stem == "10_discover_and_refine" else ())
-        for path in sorted(EXAMPLES.glob("*.py"))
+        for path in SCRIPTS
     ],
 )
 def test_script_runs(path):
     runpy.run_path(str(path), run_name="__main__")
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_script_ends_in_an_assertion(path):
     assert path.read_text().rstrip().splitlines()[-1].startswith("assert ")

@@ -47,7 +47,7 @@ def test_wheel_has_all_that_the_package_reads_and_nothing_else(distributions):
     (wheel,) = distributions.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     for folder in DECLARATIONS:
-        shipped = {path.name for path in (ROOT / folder).glob("*.yaml")}
+        shipped = {path.relative_to(ROOT / folder).as_posix() for path in (ROOT / folder).rglob("*.yaml")}
         assert shipped
         assert {f"masking/shipped/{folder}/{name}" for name in shipped} <= names
     package = [path for path in (ROOT / "masking").rglob("*") if path.is_file() and "__pycache__" not in path.parts]
@@ -75,4 +75,4 @@ def test_command_line_works_from_the_wheel(away):
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_examples_work_from_the_wheel(away, name):
-    away(str(away.site / "masking" / "shipped" / "examples" / name))
+    away(str(away.site / "masking" / "shipped" / "examples" / "scripts" / name))

@@ -37,7 +37,7 @@ FILES = sorted(
         "masking/**/*.html",
         "*.md",
         "docs/*.md",
-        "examples/*",
+        "examples/*/*",
         "models/*",
         "plants/*",
         "dictionaries/*",

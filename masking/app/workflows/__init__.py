@@ -2,6 +2,6 @@
 
 In: names of files and settings.
 Out: results and files: each verb as a function.
-Imports: numerics, declaration, display, effects, modelling, records, signals, analysis, rig, control, plants, exports, runs,
-    estimation, discovery, procedures, reports.
+Imports: numerics, declaration, display, effects, modelling, records, signals, analysis, rig, control, plants, exports,
+    runs, estimation, discovery, procedures, reports.
 """

@@ -14,8 +14,13 @@ from masking.model.declaration import strict_yaml
 from masking.model.declaration.strict_yaml import Node
 
 _PACKAGE = Path(__file__).resolve().parents[2]
-_FOLDERS = {"model": "models", "plant": "plants", "experiment": "examples", "dictionary": "dictionaries"}
-_FOLDERS |= {"batch": "examples/batches"}
+_FOLDERS: dict[str, tuple[str, ...]] = {
+    "model": ("models",),
+    "plant": ("plants",),
+    "experiment": tuple(f"examples/{shown}" for shown in ("oscillators", "clocks", "discs", "carts")),
+    "dictionary": ("dictionaries",),
+    "batch": ("examples/batches",),
+}
 KINDS = tuple(_FOLDERS)
 _ENDINGS = (".yaml", ".yml")
 _ARTICLE = {
@@ -76,15 +81,17 @@ def catalogue() -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def folder(kind: str) -> Path:
-    """Give the folder of packaged files of a kind: inside the installed package, else beside it in a checkout."""
-    installed = _PACKAGE / "shipped" / _FOLDERS[kind]
-    return installed if installed.is_dir() else _PACKAGE.parent / _FOLDERS[kind]
+def files(kind: str) -> dict[str, Path]:
+    """Packaged files of a kind, one of `KINDS`, by name: inside the installed package, else beside it in a checkout."""
+    shipped = _PACKAGE / "shipped"
+    root = shipped if shipped.is_dir() else _PACKAGE.parent
+    found = [path for folder in _FOLDERS[kind] for path in (root / folder).glob("*.yaml")]
+    return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}
 
 
 def names(kind: str) -> list[str]:
-    """List the names of the packaged files of a kind, one of `KINDS`."""
-    return sorted(path.stem for path in folder(kind).glob("*.yaml"))
+    """Names of the packaged files of a kind, one of `KINDS`."""
+    return [*files(kind)]
 
 
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
@@ -100,19 +107,19 @@ def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWH
     """
     text = str(name_or_path)
     for some in [kind] if kind else _FOLDERS:
-        if text in names(some):
-            return folder(some) / f"{text}.yaml"
+        if text in (packaged := files(some)):
+            return packaged[text]
     is_name = isinstance(name_or_path, str) and not text.endswith(_ENDINGS) and "/" not in text
     try:
         path = Path(text).expanduser()
     except RuntimeError:  # ~ of somebody who is not here
         path = Path(text)
     candidates = [reference.folder / path, path] if reference.folder else [path]
-    if not is_name and (files := [candidate for candidate in candidates if _is(candidate, Path.is_file)]):
-        if files[0].resolve().suffix not in _ENDINGS:  # whose lines no message shows
+    if not is_name and (there := [candidate for candidate in candidates if _is(candidate, Path.is_file)]):
+        if there[0].resolve().suffix not in _ENDINGS:  # whose lines no message shows
             message = f"{text} is no declaration: its name does not end in .yaml"
             raise DeclarationError(Problem(reference.place, reference.path, message, "name a .yaml file"))
-        return files[0]
+        return there[0]
     if is_name and kind:
         for other in _FOLDERS:
             if other != kind and text in names(other):

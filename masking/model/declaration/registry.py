@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from masking.errors import DeclarationError, Place, Problem, nearest
 from masking.model.declaration import strict_yaml
-from masking.model.declaration.catalogue import NOWHERE, Reference, find, folder, kind_of_keys, wrong_kind
+from masking.model.declaration.catalogue import NOWHERE, Reference, files, find, kind_of_keys, wrong_kind
 from masking.model.declaration.checks import check_model
 from masking.model.declaration.composition import Part, compose
 from masking.model.declaration.cross_checks import check_experiment, check_plant
@@ -161,9 +161,9 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
     Without a folder to start from it is the whole path.
     """
     file = Path(next(iter(declaration.files), declaration.name)).resolve()
-    packaged = folder(declaration.kind_name).resolve()
-    if file.is_relative_to(packaged):
-        return file.relative_to(packaged).with_suffix("").as_posix()
+    packaged = files(declaration.kind_name).get(file.stem)
+    if packaged is not None and packaged.resolve() == file:
+        return file.stem
     return str(file) if start is None else os.path.relpath(file, start.resolve())
 
 

@@ -27,8 +27,6 @@ from masking.model.declaration import catalogue
 from tests.campaigns.bench import Bench
 from tests.campaigns.twins import PLANT
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
-
 EXPERIMENT = {
     "name": "Duffing oscillators",
     "plant": PLANT,

@@ -27,8 +27,6 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import StreamedRows
 from tests.lab.runs.test_hardware import compiled, recovered, written
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
-
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory):

@@ -24,7 +24,7 @@ __all__ = ["experiment", "folder"]  # fixtures
 
 pytest.importorskip("serial", reason="pyserial is not installed: pip install 'masking[serial]'")
 pytestmark = [
-    pytest.mark.flaky(reruns=2),
+    pytest.mark.realtime,
     pytest.mark.skipif(not (arduino.COMPILER and arduino.EMULATOR), reason=arduino.MISSING),
 ]
 AFTER = 250  # samples since the release

@@ -30,7 +30,7 @@ from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from tests.support import nidaqmx_stub
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 MASS, STIFFNESS, DAMPING = 0.5, 200.0, 0.4
 RATE = 500.0

@@ -20,7 +20,7 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs.realtime import run_rig
 from tests.lab.plants.test_wire import LOCKSTEP, RUN, MassSpring, damped, line, served
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 SECRET, OTHER = b"a key for the tests of the rig", b"another key, which nobody has here"
 PEER = ("10.0.0.1", 5)

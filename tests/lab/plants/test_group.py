@@ -22,7 +22,7 @@ from masking.model.declaration.composition import Part, compose
 from masking.model.modelling.model import Model
 from tests.lab.runs.test_hardware import serving
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 W0, WC, FIRST = 10.0, 3.0, 0.01
 

@@ -24,8 +24,6 @@ from masking.lab.runs.realtime import run_rig
 from masking.lab.runs.self_test import self_test
 from tests.lab.runs.test_hardware import serving
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
-
 ROOT = Path(__file__).parents[3]
 X, V = 0, 1  # of the cart
 

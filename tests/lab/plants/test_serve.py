@@ -33,7 +33,7 @@ from masking.model.declaration import catalogue
 from tests.lab.plants.test_wire import LOCKSTEP, NOWHERE, RUN, MassSpring, forged, line, opened, process, served
 from tests.lab.runs.test_hardware import serving
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 RATE, WATCHDOG = 1000.0, 0.02
 OLDEST = WATCHDOG + 2.0 / RATE  # s, of a command that may be in force

@@ -35,7 +35,7 @@ from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
 from masking.lab.runs.realtime import run_rig
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 LOCKSTEP = Settings(rate=1000.0, lockstep=True)
 NOWHERE = "udp://127.0.0.1:0"

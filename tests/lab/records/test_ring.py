@@ -11,7 +11,7 @@ import pytest
 from masking.errors import RecordError
 from masking.lab.records.ring import Ring, RingReader
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 WRITER = """
 import os, sys, time

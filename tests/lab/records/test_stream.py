@@ -19,7 +19,7 @@ from masking.errors import RecordError
 from masking.lab.records import recorder, ring, stream, stream_content, stream_pages
 from masking.lab.records.recorder import Recorder
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 WIDTH = 5
 TABLE = np.random.default_rng(3).standard_normal((400, WIDTH))

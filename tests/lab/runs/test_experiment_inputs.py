@@ -16,8 +16,6 @@ from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from tests.lab.runs.test_hardware import serving
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
-
 HELD = {"rate": "500 Hz", "observer": "disturbance", "homing": 1}
 FELT = {**HELD, "external": "felt"}
 SEEN = ("sensor", "input", "demanded", "virtual_input", "ideal")

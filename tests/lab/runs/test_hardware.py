@@ -37,8 +37,6 @@ from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry
 from tests.control.test_sampled_controller import LENGTH, OMEGA, ideal, relative
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
-
 RATE = 1000.0
 WATCHDOG = 20  # ms
 LIMIT = 0.42  # V
@@ -399,6 +397,7 @@ def offset(found: Recording, own: Recording, first: int) -> int:
     raise AssertionError("the controller recorded readings that the plant did not show")
 
 
+@pytest.mark.realtime
 @both
 def test_in_real_time_the_rig_moves_as_offline_within_the_noise(offline, plant, tmp_path):
     path, experiment, expected = offline(plant)
@@ -503,6 +502,7 @@ def applied(own: Recording) -> np.ndarray:
     return np.column_stack([own[f"plant.applied.V{i}"] for i in (1, 2, 3)])
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("seconds", [0.35, 1.3, 2.2], ids=["in the homing", "after the release", "later"])
 def test_a_controller_that_is_killed_leaves_the_rig_at_zero(tmp_path, seconds):
     cut = cut_short(tmp_path, seconds, signal.SIGKILL)
@@ -549,6 +549,8 @@ def recovered(folder: Path):
             time.sleep(0.05)
 
 
+@pytest.mark.realtime
+@pytest.mark.realtime
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_a_controller_that_is_told_to_stop_leaves_the_rig_at_zero_and_keeps_its_record(tmp_path, number):
     cut = cut_short(tmp_path, 1.8, number)
@@ -611,6 +613,7 @@ class Refusing:
         self.calls.append("deactivate")
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("sensors", "actuators", "said"),
     [
@@ -680,6 +683,7 @@ def test_an_experiment_that_no_rig_can_run_is_refused_before_the_plant_is_touche
     assert plant.calls == []
 
 
+@pytest.mark.realtime
 def test_without_an_observer_a_rig_is_estimated_with_its_disturbances(tmp_path):
     experiment = Experiment.load(written(tmp_path, controller={"observer": None}, duration=1))
     found = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
@@ -694,6 +698,7 @@ def test_where_nobody_listens_it_is_said_what_to_start(offline, tmp_path, capsys
     assert capsys.readouterr().err == f"masking: no plant answers at {address}; {mend}\n"
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("address", ["127.0.0.1:5005", "udp://127.0.0.1", "udp://127.0.0.1:99999", ""])
 def test_an_address_that_is_none_is_refused(offline, address, tmp_path, capsys):
     path, _, _ = offline("linear_rig")
@@ -708,6 +713,7 @@ def test_a_host_that_does_not_exist_is_named(offline):
         hardware.run(experiment, UdpPlant("udp://rig.invalid:5005", patience=0.1))
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(("served", "wanted"), [("lockstep", "real"), ("real", "lockstep")])
 def test_both_sides_must_have_the_same_clock(offline, served, wanted):
     _, experiment, _ = offline("linear_rig")

@@ -15,7 +15,7 @@ from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from tests.lab.runs.test_hardware import assert_same_run, serving
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 PLANT, SEED = "linear_rig", 3
 CONTROLLER = {"rate": "1 kHz", "observer": {"kind": "disturbance", "noise": 1e-7}, "homing": 1}

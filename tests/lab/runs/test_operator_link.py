@@ -33,7 +33,7 @@ from tests.benchmarks.operator_page import run
 from tests.lab.plants.test_wire import MassSpring, damped
 from tests.support import chromium
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 RUN = {"rate": 1000.0, "limits": np.array([0.2, 0.4])}
 

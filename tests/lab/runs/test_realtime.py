@@ -13,7 +13,7 @@ from masking.lab.plants.safety_chain import Cause
 from masking.lab.runs.realtime import run_rig
 from tests.lab.plants.test_wire import MassSpring, damped
 
-pytestmark = pytest.mark.flaky(reruns=2)  # real time, on machines that may keep any process waiting
+pytestmark = pytest.mark.realtime
 
 RUN = {"rate": 1000.0, "samples": 50, "limits": np.array([0.2, 0.4]), "lockstep": True}
 

@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import json
 import math
+from pathlib import Path
 
 import pytest
 
@@ -221,12 +222,12 @@ def test_all_problems_of_a_file_at_once(folder):
     ("load", "name", "path", "before"),
     [
         (registry.load_plant, "plants/linear_rig", "allocation", "wiring"),
-        (registry.load_experiment, "examples/huygens_rig", "controller.homing", "controller.approach"),
+        (registry.load_experiment, "examples/clocks/huygens_rig", "controller.homing", "controller.approach"),
     ],
 )
 def test_a_key_that_was_renamed_is_refused_with_its_new_name(folder, load, name, path, before):
     now, old = path.split(".")[-1], before.split(".")[-1]
-    text = (catalogue.folder("plant").parent / f"{name}.yaml").read_text().replace(f"{now}:", f"{old}:")
+    text = (Path(__file__).parents[3] / f"{name}.yaml").read_text().replace(f"{now}:", f"{old}:")
     with pytest.raises(DeclarationError, match=f"{before}: the key '{old}' is not known; it is called '{now}' now"):
         load(write(folder, "old.yaml", text))
 
@@ -308,7 +309,8 @@ def test_cyclic_extends(folder):
 
 
 def test_names_of_the_registry(folder, monkeypatch):
-    monkeypatch.setattr(catalogue, "folder", lambda kind: folder)
+    there = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    monkeypatch.setattr(catalogue, "files", lambda kind: there)
     assert catalogue.names("model") == ["pair", "rig", "run"]
     assert registry.load_model("pair").name == "Pair"
     assert problems(registry.load_model, "piar") == [": there is no model 'piar'; did you mean 'pair'?"]

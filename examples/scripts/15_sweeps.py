@@ -1,6 +1,6 @@
 """Three sweeps: how fast discs synchronise, in which way Huygens' clocks do, and how sure that is on an imperfect rig.
 
-`python examples/15_sweeps.py whole` makes them in full, on all cores.
+`python examples/scripts/15_sweeps.py whole` makes them in full, on all cores.
 """
 
 import sys

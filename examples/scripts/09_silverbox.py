@@ -38,7 +38,7 @@ name: Silverbox
 model: circuit.yaml
 sensors: {s: {measures: y, gain: 1, unit: V}}
 """
-FILE = Path(os.environ.get("SILVERBOX", Path(__file__).parents[2] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"))
+FILE = Path(os.environ.get("SILVERBOX", Path(__file__).parents[3] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"))
 RATE = 1e7 / 2**14  # samples per second
 FIRST = 50  # samples that tell the initial state
 TRAIN = slice(40650, 57034)  # a quarter of what is given to fit
