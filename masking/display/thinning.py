@@ -1,8 +1,8 @@
-"""Series with fewer samples that look the same when they are drawn."""
+"""Series with fewer samples that look the same when they are drawn: in memory, and from a long recording on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -29,7 +29,7 @@ def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Se
 
 
 def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]:
-    """Keep the ends and, of each stretch, the least and the greatest sample in their order: a line looks the same.
+    """Series with its ends and, of each stretch, the least and the greatest sample in their order.
 
     Args:
         tau: times (m,).
@@ -39,9 +39,52 @@ def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]
     if len(tau) <= 4 * bins:
         return tau, series
     length = len(tau) // bins
-    body = series[: length * bins].reshape(bins, length)
-    offset = np.arange(bins) * length
-    extremes: Callable[..., NDArray[np.intp]] = np.concatenate
-    rest = np.arange(length * bins, len(tau))
-    keep = np.unique(extremes([[0], offset + body.argmin(1), offset + body.argmax(1), rest, [len(tau) - 1]]))
+    kept = _extremes(series[: length * bins].reshape(bins, length)) + length * np.arange(bins)[:, None]
+    keep = np.unique(np.concatenate([[0], kept.ravel(), np.arange(length * bins, len(tau)), [len(tau) - 1]]))
     return tau[keep], series[keep]
+
+
+def _extremes(stretches: Series) -> NDArray[np.intp]:
+    """Places (k, 2) of the least and the greatest sample of stretches (k, m), in their order."""
+    return np.sort(np.column_stack([stretches.argmin(axis=1), stretches.argmax(axis=1)]), axis=1)
+
+
+def step_for(samples: int, most: int) -> int:
+    """Power of two, of which one sample is kept so that at most a number of them are."""
+    return 1 << max(0, -(-samples // most) - 1).bit_length()
+
+
+def thinned(chunks: Iterable[Mapping[str, Series]], step: int, sampled: Collection[str]) -> dict[str, Series]:
+    """Columns with two samples of each stretch of 2 `step`: the first and the middle one, at their times.
+
+    Columns that are not sampled have the least and the greatest of the stretch there, in the order in which they come.
+
+    Args:
+        chunks: columns by name, one stretch of time after the other.
+        step: samples from one that is kept to the next.
+        sampled: names of the columns that are sampled, the clock among them.
+    """
+    parts, rest = list[dict[str, Series]](), dict[str, Series]()
+    for chunk in chunks:
+        whole = {name: np.concatenate([rest[name], column]) if rest else column for name, column in chunk.items()}
+        length = len(next(iter(whole.values()))) // (2 * step) * 2 * step
+        parts.append({name: _kept(column[:length], step, name in sampled) for name, column in whole.items()})
+        rest = {name: column[length:].copy() for name, column in whole.items()}
+    if rest and len(next(iter(rest.values()))):
+        parts.append({name: _last(column, step, name in sampled) for name, column in rest.items()})
+    # Column by column, so that a long record is not in memory twice.
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+
+
+def _kept(column: Series, step: int, is_sampled: bool) -> Series:
+    if is_sampled:
+        return column[::step].copy()
+    stretches = column.reshape(-1, 2 * step)
+    return np.take_along_axis(stretches, _extremes(stretches), axis=1).ravel()
+
+
+def _last(column: Series, step: int, is_sampled: bool) -> Series:
+    """Samples kept of too few for a stretch; the largest, where that is a single one."""
+    if is_sampled:
+        return column[::step].copy()
+    return column[_extremes(column[None])[0]] if len(column) > step else column[[np.abs(column).argmax()]]

@@ -1,7 +1,8 @@
-"""Safety of a rig, sample by sample: whether readings can be those of a sound rig, and what may be commanded.
+"""Safety kernels: are the readings of a sample those of a sound rig, and which command may be written.
 
-Everything is in the units of the plant's channels, in arrays that are made ahead. A kernel returns 0, or the number of
-a cause, as `plants.safety_chain.Cause` has it, and writes the channel, the value and the limit into `report`.
+`plants.safety_chain` binds them to its tables, whose columns `safety_tables` names. Everything is in the units of the
+plant's channels, in arrays that are made ahead. A kernel returns 0, or the number of a cause, as
+`plants.safety_chain.Cause` has it, and writes the channel, the value and the limit into `report`.
 """
 # ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
 # The types are numba's to infer.

@@ -1,4 +1,7 @@
-"""Guard: what stands between a controller's commands and a plant that is served, whoever the controller is."""
+"""Guard of a served plant: `plants.serve` passes each command through it, whoever the controller is.
+
+`PlantLimits` does so by a `safety_chain.Chain` of the plant file's limits, which `runs.safety_limits` makes.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""What a run asks of the machine: time, priority, and the signals that end it; each system's ways are here alone.
+"""Time, priority and signals to end that `runs.realtime` and `plants.serve` ask of the operating system.
 
+It decides nothing: late ticks go to `safety_chain.Chain.time`, the operator's stop comes by `records.stop_switch`.
 Linux is tested. Windows and macOS are not tested: there a wait ends in a short loop, since a sleep may be late.
 """
 

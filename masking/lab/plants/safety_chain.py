@@ -1,8 +1,9 @@
-"""Safety chain of a rig: what stands between a controller and every write, whoever runs the plant.
+"""Safety chain: checks each reading and clamps each command of a run, by kernels of `numerics.safety_kernels`.
 
+Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `command_guard` in a server.
 In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
-answered: is the command finite, clamped, not too warm. The first cause that is found trips the chain: from then on
-every command is zero, until a new chain is made for the next run.
+answered: is the command finite, clamped, not too warm. The first cause trips the chain: from then on every command is
+zero, until a new chain is made for the next run.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class Trip:
         return f"tick {self.tick}: {self.cause.name}: {said}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything as JSON can hold it; a value that is not finite as text."""
+        """Trip as JSON can hold it; a value that is not finite as text."""
         value: float | str = self.value if np.isfinite(self.value) else str(self.value)
         entry = {"cause": self.cause.name, "number": int(self.cause), "channel": self.channel, "tick": self.tick}
         return entry | {"value": value, "limit": self.limit, "sentence": str(self), "detail": self.detail}

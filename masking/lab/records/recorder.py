@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, final
 
+from masking.display.json_text import Result
 from masking.errors import RecordError
 from masking.lab.records import stream
+from masking.lab.records.child_process import Child, Supervisor
 from masking.lab.records.ring import Ring, RingReader
 
 FLUSH: Final = 0.02  # s between pages
@@ -32,7 +32,7 @@ KILLED: Final = "killed"
 WATCHING: Final = "recorder"  # name of the thread that waits for the end of a recorder
 _NICE: Final = 5
 _HELD: Final = 16.0  # s of rows in memory
-_READY: Final = b"ready\n"
+_READY: Final = "ready"
 _END: Final = 10.0  # s at most for the last rows
 
 
@@ -62,8 +62,7 @@ def _record(reader: RingReader, folder: str) -> None:
     """Record rows until none follows."""
     writer = stream.StreamWriter(folder)
     reader.next = writer.next
-    sys.stdout.buffer.write(_READY)
-    sys.stdout.flush()
+    print(_READY, flush=True)
     most, synced, lost = max(1, MOST // (8 * len(reader.columns))), time.monotonic(), 0
     while True:
         # Asked before the rows are taken: none follows those then.
@@ -87,16 +86,13 @@ def _is_writing(process: int) -> bool:
 
 
 @final
-class Recorder:
+class Recorder(Result):
     """The recorder of a run, as the process sees it that writes the rows.
 
-    It is there, and the manifest on disk, once this is made. A thread waits for its end, which costs the loop nothing,
-    and replaces it.
+    It is there, and the manifest on disk, once this is made.
 
     Attributes:
         ring: for the rows.
-        ended: how many recorders have ended before the rows did.
-        is_full: whether no place is left for rows.
         lost: rows that were put and are in no part of the stream, counted by `close`.
 
     Args:
@@ -110,6 +106,8 @@ class Recorder:
         RecordError: the folder holds a stream already, or cannot be written.
     """
 
+    json_names = ("ended", "lost", "note")
+
     def __init__(
         self,
         folder: str | Path,
@@ -118,7 +116,7 @@ class Recorder:
         spare: str | Path,
         **more: Any,  # noqa: ANN401
     ) -> None:
-        self.folder, self.ended, self.lost, self.is_full, self._starts = Path(folder), 0, 0, False, 0
+        self.folder, self.lost = Path(folder), 0
         units = {name: entry["unit"] for name, entry in columns.items()}
         number = os.urandom(8).hex()
         self.ring = Ring([*columns], rate, units, round(_HELD * rate), number=number)
@@ -126,30 +124,40 @@ class Recorder:
         content |= {"spare": str(Path(spare).absolute()), "ring": str(self.ring.path)}
         try:
             stream.begin(folder, {**content, **more})
-            self._process: subprocess.Popen[bytes] | None = self._start()
-            if self._process.stdout is None or self._process.stdout.readline() != _READY:
-                self._process.wait()
+            first = self._start()
+            if first.line() != _READY:
+                first.wait()
                 stream.remove(folder)
                 raise RecordError(f"{folder}: the recorder could not begin; it said why")
         except BaseException:
             self.ring.close()
             raise
-        self._thread = threading.Thread(target=self._attend, name=WATCHING, daemon=True)
-        self._thread.start()
+        self._supervisor = Supervisor(first, self._start, most=STARTS, final=[FULL], name=WATCHING)
 
     @property
     def process(self) -> int | None:
         """Number of the process that records; None where none does any more."""
-        return None if self._process is None else self._process.pid
+        child = self._supervisor.child
+        return None if child is None else child.pid
+
+    @property
+    def ended(self) -> int:
+        """How many recorders ended before the rows did."""
+        return len(self._supervisor.failures)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no place is left for rows."""
+        return FULL in self._supervisor.failures
 
     @property
     def is_lost(self) -> bool:
         """Whether rows are not recorded any more."""
-        return self._process is None
+        return self._supervisor.child is None
 
     @property
     def note(self) -> str:
-        """Say what did not go as it should; empty where all did."""
+        """What did not go as it should; empty where all did."""
         many, said = f"{self.ended} recorders were" if self.ended != 1 else "1 recorder was", list[str]()
         if self.is_full:
             said = ["no place was left for the stream of the run: it was stopped"]
@@ -159,39 +167,15 @@ class Recorder:
             said = [f"{many} killed and replaced"]
         return "; ".join([*said, *([f"{self.lost} rows were not streamed"] if self.lost else [])])
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return what did not go as it should, as JSON can hold it."""
-        return {"ended": self.ended, "lost": self.lost, "note": self.note}
-
     def close(self) -> None:
         """Let the recorder take the last rows and end the stream; wait for it, and count what is missing."""
         self.ring.close(remove=False)
-        self._thread.join(_END)
+        self._supervisor.join(_END)
         self.lost = self.ring.count - stream.written(self.folder)
         self.ring.path.unlink(missing_ok=True)
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        """Start a recorder in a session of its own, which no signal of the terminal reaches."""
-        self._starts += 1
-        command = [sys.executable, "-m", "masking.lab.records.recorder", str(self.ring.path), str(self.folder)]
-        return subprocess.Popen(  # noqa: S603  # this program itself
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
-        )
-
-    def _attend(self) -> None:
-        """Wait for the end of one recorder after the other."""
-        while self._process is not None:
-            status = self._process.wait()
-            if self._process.stdout is not None:
-                self._process.stdout.close()
-            if status == 0:
-                return
-            self.is_full = status == FULL
-            self.ended += 1
-            try:
-                self._process = self._start() if not self.is_full and self._starts < STARTS else None
-            except OSError:  # no process can be started
-                self._process = None
+    def _start(self) -> Child:
+        return Child("masking.lab.records.recorder", [str(self.ring.path), str(self.folder)])
 
 
 if __name__ == "__main__":

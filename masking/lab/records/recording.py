@@ -24,9 +24,9 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.display import thinning
 from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
-from masking.lab.records import thinned_columns
 from masking.lab.records.columns_on_disk import StoredColumns, read
 from masking.lab.records.time_slice import Part
 
@@ -181,10 +181,10 @@ class Recording:
                 of time are kept, as a picture shows them.
             names: of the columns, the clock among them; by default all.
         """
-        step = thinned_columns.step_for(len(self), most)
+        step = thinning.step_for(len(self), most)
         if step == 1 and not self.is_on_disk:
             return self
-        return replace(self, columns=thinned_columns.thinned(self.chunks(names), step, {"t", *sampled}))
+        return replace(self, columns=thinning.thinned(self.chunks(names), step, {"t", *sampled}))
 
     @property
     def coordinates(self) -> tuple[str, ...]:

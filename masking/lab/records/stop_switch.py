@@ -1,7 +1,7 @@
-"""Switch: the emergency stop of a running loop, and the presence of its operator, in memory that processes share.
+"""Stop switch: the emergency stop of a running loop, and the presence of its operator, in memory of all processes.
 
-The loop makes it and looks at it in each tick, for less than a microsecond; whoever has opened it presses it. It also
-holds what the loop says of its state, as JSON, since rows of a `Ring` are numbers only.
+`runs.operator_link` makes it, looks at it in each tick, for less than a microsecond, and trips `plants.safety_chain`;
+whoever has opened it presses it. It also holds the state of the loop as JSON, since rows of a `Ring` are numbers only.
 
     "MASKSTOP"  process  pressed  acknowledged  seen  versions begun  versions whole  bytes of text     each 8 bytes
     text        JSON

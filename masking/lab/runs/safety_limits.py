@@ -1,4 +1,4 @@
-"""Protection of a rig: the rules of the safety chain, from the limits, the sensors and the model of a plant file.
+"""Safety limits: the `Rules` that `plants.safety_chain` holds a rig to, from a plant file and the model of the rig.
 
 What is limited is an expression of coordinates. Where the sensors determine it, it is computed from their readings,
 else from the controller's estimate. How fast a reading may change, and how it answers commands, follows from the

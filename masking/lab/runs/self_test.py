@@ -1,7 +1,7 @@
-"""Self-test of a rig before it is armed: a small pulse of each actuator, compared with what the twin reads under it.
+"""Self-test of a rig before it is armed: a small pulse of each actuator, compared with the readings of the twin.
 
-The commands are those of `runs.realtime.run_rig` with the pulse as the largest command: more never reaches the
-plant. The twin is at rest when the test begins; so must the rig be.
+It runs by `runs.realtime` under the rules of `runs.safety_limits`, with the pulse as the largest command: more never
+reaches the plant. The twin is at rest when the test begins; so must the rig be.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
+from masking.display.json_text import Result
 from masking.errors import MaskingError, PlantError, PlantMismatchError
 from masking.lab.plants.interface import Plant
 from masking.lab.plants.safety_chain import Rules, Trip
@@ -71,8 +72,8 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class SelfTest:
-    """What a self-test found.
+class SelfTest(Result):
+    """Outcome of a self-test.
 
     Args:
         answers: of each sensor to each actuator.
@@ -93,12 +94,6 @@ class SelfTest:
         """
         if self.findings:
             raise PlantError(f"the self-test refuses to arm: {'; '.join(self.findings)}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything as JSON can hold it."""
-        keys = ("actuator", "sensor", "predicted", "noise", "at_rest", "gain")
-        answers = [{key: getattr(answer, key) for key in keys} for answer in self.answers]
-        return {"answers": answers, "findings": list(self.findings)}
 
 
 def self_test(

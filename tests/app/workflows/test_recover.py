@@ -19,7 +19,7 @@ from masking.errors import PlantLostError, RecordError
 from masking.lab.plants import operating_system
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.records import recorder, stream
+from masking.lab.records import child_process, recorder, stream
 from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import histogram
 from masking.lab.runs import hardware, loop_rows
@@ -163,7 +163,7 @@ def test_full_disks_end_the_run_in_order(experiment, tmp_path, monkeypatch):
     def popen(command, **more):
         return start(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), **more)
 
-    monkeypatch.setattr(recorder.subprocess, "Popen", popen)
+    monkeypatch.setattr(child_process.subprocess, "Popen", popen)
     made = experiment.changed(duration=10_000)
     folder = tmp_path / "run"
     found = hardware.run(made, SimulatedPlant(made.twin), lockstep=True, stream=folder, spare=tmp_path / "spare")

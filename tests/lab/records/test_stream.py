@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
-from masking.lab.records import recorder, ring, stream, stream_content, stream_pages
+from masking.lab.records import child_process, recorder, ring, stream, stream_content, stream_pages
 from masking.lab.records.recorder import Recorder
 
 pytestmark = pytest.mark.realtime
@@ -258,7 +258,7 @@ def limited(monkeypatch, size):
     def popen(command, **more):
         return start(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)), **more)
 
-    monkeypatch.setattr(recorder.subprocess, "Popen", popen)
+    monkeypatch.setattr(child_process.subprocess, "Popen", popen)
 
 
 def test_where_the_disk_is_full_the_rest_goes_to_the_second_place(tmp_path, monkeypatch):

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import masking
+from masking.display import thinning
 from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
-from masking.lab.records import columns_on_disk, readers, thinned_columns
+from masking.lab.records import columns_on_disk, readers
 from masking.lab.records.recording import Recording
 from masking.lab.runs import long_run, offline
 from masking.lab.runs.experiment import Experiment
@@ -117,14 +118,14 @@ def test_thinned_columns_keep_samples_or_extremes():
     x = generator.standard_normal(10_007)
     times, values = np.array_split(np.arange(10_007.0), 7), np.array_split(x, 7)
     chunks = [{"t": t, "x": y, "y": y} for t, y in zip(times, values, strict=True)]
-    found = thinned_columns.thinned(chunks, 4, {"t", "y"})
+    found = thinning.thinned(chunks, 4, {"t", "y"})
     np.testing.assert_array_equal(found["t"], np.arange(0.0, 10_007.0, 4.0))
     np.testing.assert_array_equal(found["y"], x[::4])
     pairs, stretches = found["x"][:2500].reshape(-1, 2), x[:10_000].reshape(-1, 8)
     np.testing.assert_array_equal(np.sort(pairs), np.column_stack([stretches.min(axis=1), stretches.max(axis=1)]))
     assert len(found["x"]) == len(found["t"])
-    assert thinned_columns.step_for(1000, 1000) == 1
-    assert thinned_columns.step_for(1001, 1000) == 2
+    assert thinning.step_for(1000, 1000) == 1
+    assert thinning.step_for(1001, 1000) == 2
 
 
 def test_a_recording_on_disk_is_studied_as_in_memory(recorded, on_disk, monkeypatch):
