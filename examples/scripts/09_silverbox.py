@@ -16,7 +16,7 @@ import numpy as np
 from scipy import io
 
 from masking.control.rig.twin import Twin
-from masking.inference.estimation.extended_kalman import extended_kalman
+from masking.inference.estimation.extended_kalman import FilterSettings, extended_kalman
 from masking.inference.estimation.fit import fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.sensitivity import Sensitivity
@@ -56,8 +56,8 @@ def part(record: Data, samples: slice) -> Data:
 
 def error(twin: Twin, test: Data) -> float:
     """Return the rms error of a free simulation in mV."""
-    wide = {"measurement": 1e-6, "process": 0.0, "initial": (1e-2, 1e3)}  # V^2, (V/s)^2
-    start = extended_kalman(twin, test.first(FIRST / RATE), (), start=np.zeros(2), **wide).states[-1]
+    wide = FilterSettings(measurement=1e-6, process=0.0, initial=(1e-2, 1e3))  # V^2, (V/s)^2
+    start = extended_kalman(twin, test.first(FIRST / RATE), (), wide, start=np.zeros(2)).states[-1]
     settings = {"rate": RATE, "substeps": twin.substeps(RATE), "hold": test.hold}
     simulated = Sensitivity(twin, ()).simulate(np.empty(0), start, test.commands[FIRST - 1 :], **settings)
     return 1e3 * float(np.sqrt(np.mean((test.readings[FIRST:] - simulated[1:]) ** 2)))

@@ -17,7 +17,8 @@ from masking.errors import RecordError
 class Result:
     """A frozen dataclass that JSON can hold: its fields by their names, in the order of their declaration.
 
-    A class that shows less, more (a property) or another order lists the names of attributes in `json_names`.
+    A class that shows less, more (a property) or another order lists the names of attributes in `json_names`; one whose
+    JSON has another shape has its own `as_dict`.
     """
 
     json_names: ClassVar[tuple[str, ...]] = ()
@@ -40,7 +41,7 @@ def json_text(content: Any) -> str:  # noqa: ANN401  # a tree of values
 
 
 def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tree of values
-    """A tree of values as JSON can hold it: results as mappings, arrays as lists, infinities as text.
+    """A tree of values as JSON can hold it: results and named tuples as mappings, arrays as lists, infinities as text.
 
     Args:
         value: as that of `json_text`.
@@ -51,6 +52,10 @@ def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tre
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    elif hasattr(value, "as_dict"):
+        value = value.as_dict()
+    elif hasattr(value, "_asdict"):  # a named tuple
+        value = value._asdict()
     match value:
         case None | bool() | int() | str():
             return value

@@ -17,7 +17,7 @@ from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.discovery_result import Discovery, Named
+from masking.inference.discovery.discovery_result import Discovery, Estimate, Named
 from masking.inference.discovery.places import identifier
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import equation_of
@@ -317,7 +317,7 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     for instance in found.written.hypothesis.instances:
         free = {name: float(next(deviations)) for name in instance.names}
         if instance in known:
-            values = dict.fromkeys(instance.entry.parameters, (0.0, 0.0))
+            values = dict.fromkeys(instance.entry.parameters, Estimate(0.0, 0.0))
             units = discovery_text.plain_units(found, Named(instance.effect, instance.at, values, 1.0))
             made |= {f"{known[instance]}_{name}": (free.get(name, 0.0), units[name]) for name in values}
     return made

@@ -123,8 +123,8 @@ def withheld(found: Discovery) -> str:
     """Say what is not reported since it is worse on unseen data than the model as declared; '' if nothing is."""
     if found.withheld is None:
         return ""
-    before, after = found.simulation_error.validation[0], found.withheld.error
-    causes = [labelled(found, *one) for one in found.withheld.names]
+    before, after = found.simulation_error.validation[0], found.withheld.validation_error
+    causes = [labelled(found, *one) for one in found.withheld.causes]
     what = f"{listed(causes)} would explain more of this record, but" if causes else "With adjusted parameters,"
     if after is None:
         return f"{what} the motion on unseen data would no longer be finite, so it is not reported"
@@ -363,7 +363,7 @@ def gap(found: Discovery) -> str:
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     if not found.effects:
         before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
-    alone = found.simulation_error.alone
+    alone = found.simulation_error.fitted_alone
     both = f", fitted to both records, since a fit to one alone leaves {percent(alone[name])}" if alone else ""
     return (
         f"The validation error of {name} is {percent(before[name])} {how} and {percent(after[name])} {what}{both}; "

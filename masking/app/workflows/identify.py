@@ -69,9 +69,8 @@ def identify(
     train, held_out = ([Data.read(path, twin, hold, columns, dt) for path in paths] for paths in (records, validation))
     found: fits.Fit | KalmanFit
     if method == "kalman":
-        found = extended_kalman.extended_kalman(
-            twin, train[0], names, validation=held_out, square_root=square_root, iterated=iterated, progress=progress
-        )
+        form = extended_kalman.FilterSettings(square_root=square_root, iterated=iterated)
+        found = extended_kalman.extended_kalman(twin, train[0], names, form, validation=held_out, progress=progress)
     else:
         found = fits.fit(
             twin, train, names, validation=held_out, shooting_interval=shooting_interval, progress=progress

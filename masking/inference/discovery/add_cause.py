@@ -1,4 +1,4 @@
-"""Addition: fits with one or two more effects than an explanation has, from the parameters that suit them best."""
+"""One or two more causes: fits with more effects than an explanation has, from the parameters that suit them best."""
 
 from __future__ import annotations
 
@@ -23,13 +23,7 @@ ENOUGH = 0.5  # of the gain in a screen: values that take so much off the cost a
 
 @dataclass(frozen=True)
 class Addition:
-    """More effects in an explanation.
-
-    Args:
-        problem: the record and the rig.
-        now: the explanation.
-        screen: of what it leaves.
-    """
+    """More effects in an explanation."""
 
     problem: EstimationProblem
     now: Explanation
@@ -70,7 +64,6 @@ class Addition:
     def _begun(
         self, scores: Sequence[Score], instances: Sequence[EffectInstance], at: tuple[Array, Array], rival: float
     ) -> Explanation:
-        """Fit from parameters and initial states."""
         every = (*self.now.hypothesis.instances, *instances)
         found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
         names = (*self.now.names, *(score.candidate.key for score in scores))

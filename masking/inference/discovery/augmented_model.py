@@ -208,7 +208,7 @@ class AugmentedModel:
 
     @cached_property
     def degrees(self) -> tuple[str, ...]:
-        """Return what forces move: coordinates, internal states, or outputs of a component."""
+        """Degrees of freedom that forces move: coordinates, internal states, or outputs of a component."""
         return degrees(self.twin.base)
 
     @property
@@ -254,7 +254,7 @@ class AugmentedModel:
 
     @cached_property
     def _forces(self) -> tuple[float, ...]:
-        """Return what a unit at each seat is as a force at its place, to first order at rest."""
+        """Force at its place of a unit at each seat, to first order at rest."""
         _, by = self._slopes_at_rest
         columns, many = self._ports[1], len(self.places)
         found = [1.0] * many
@@ -317,11 +317,6 @@ class AugmentedModel:
         by = {place.coordinate: i for i, place in enumerate(self.places) if place.coordinate}
         return tuple(by[name] for name in self.degrees)
 
-    @property
-    def coordinate_places(self) -> tuple[int, ...]:
-        """For each coordinate the index of the place that it is."""
-        return self.degree_places[: len(self.coordinates)]
-
     @cached_property
     def equations(self) -> Kernels:
         """Compiled equations, readings and places of the rig with ports, and their derivatives."""
@@ -378,7 +373,7 @@ class AugmentedModel:
 
     @cached_property
     def mobilities(self) -> dict[str, float]:
-        """Return what a unit of force adds to the acceleration of each place at rest, or of a flow to its rate."""
+        """Acceleration of each place at rest per unit of force, or its rate per unit of a flow."""
         moved, by = self._slopes_at_rest
         pushed = np.split(moved @ by[:, list(self._ports[1])], 2)
         return {place.name: abs(float(pushed[place.has_rate][i, i])) for i, place in enumerate(self.places)}
@@ -387,10 +382,15 @@ class AugmentedModel:
     def _slopes_at_rest(self) -> tuple[Array, Array]:
         """How seats and their rates depend on the state (2 seats, n), and its rate on affected entries."""
         n, many, u = len(self._opened[0].state_names), len(self._seats), np.zeros(len(self.twin.actuators))
-        by_state, by_entry = np.zeros((2 * many, n)), np.zeros((n, self.affected))
-        p, _ = self.basis(self.start)
+        by_state, (p, _) = np.zeros((2 * many, n)), self.basis(self.start)
         self.equations.placed(0.0, self.rest, u, p, np.zeros(2 * many), by_state)
-        self.equations.slopes(0.0, self.rest, u, p, np.zeros(n), np.zeros((n, n)), by_entry)
+        return by_state, self.slopes(self.start)[1]
+
+    def slopes(self, theta: Array) -> tuple[Array, Array]:
+        """How rates of states at rest depend on states (n, n) and on affected parameters and ports (n, a)."""
+        n, u = len(self.twin.state_names), np.zeros(len(self.twin.actuators))
+        by_state, by_entry = np.zeros((n, n)), np.zeros((n, self.affected))
+        self.equations.slopes(0.0, self.rest, u, self.basis(theta)[0], np.zeros(n), by_state, by_entry)
         return by_state, by_entry
 
     def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
@@ -398,7 +398,7 @@ class AugmentedModel:
         return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
-        """Return what the sensors read in a state (sensors,), and how that depends on it (sensors, states).
+        """Readings in a state (sensors,), and their derivatives by the state (sensors, states).
 
         Args:
             theta: parameters (k,).
@@ -464,7 +464,7 @@ class AugmentedModel:
         return Instances(table, found, read, support, used_ports, late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
-        """Return what an effect gives along a known motion, and its derivatives by some parameters (m, 1 + c).
+        """Force or value of an effect along a known motion, and its derivatives by some parameters (m, 1 + c).
 
         Of one in series with an element or in its place, the force that it adds to the element's, to first order.
 

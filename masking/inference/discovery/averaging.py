@@ -1,4 +1,4 @@
-"""Thinning: samples over which motions and readings are averaged before a screen compares them."""
+"""Averaging: means over samples of motions and readings, which a screen compares."""
 
 from __future__ import annotations
 

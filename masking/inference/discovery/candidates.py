@@ -51,7 +51,7 @@ class Candidate:
 
 
 def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], period: float) -> Iterator[Candidate]:
-    """Give every candidate.
+    """Every candidate.
 
     Args:
         rig: the rig.
@@ -99,7 +99,7 @@ def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidat
 
 
 def _candidate(effect: Effect, trial: Trial, at: str, span: Span) -> Iterator[Candidate]:
-    """Give an effect at a place as a trial fits it; nothing if the record has no start for it."""
+    """Effect at a place as a trial fits it; nothing if the record has no start for it."""
     names = trial.factors or effect.factors
     factors = effect.indices(names)
     free = tuple(sorted((*factors, *effect.indices(trial.free))))

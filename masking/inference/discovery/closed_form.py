@@ -14,10 +14,10 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from scipy import optimize
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.least_squares import Box, minimise_residuals
 from masking.inference.discovery import explanation, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
@@ -66,18 +66,13 @@ class Form:
 
     @property
     def of(self) -> set[str]:
-        """Return what it is of: displacement `d`, rate `v`."""
+        """Its variables: displacement `d`, rate `v`."""
         return {of for atom in self.atoms for of, shape in atom.shapes if "{u}" in shape.text}
 
 
 @dataclass(frozen=True)
 class _Known:
-    """The free law as forms are compared with it.
-
-    Args:
-        law: the free law.
-        penalty: for each number of a form.
-    """
+    """The free law as forms are compared with it."""
 
     law: FreeLaw
     penalty: float
@@ -105,7 +100,7 @@ class _Known:
 
     @cached_property
     def _whitening(self) -> Array:
-        """Return what makes deviations from the free law at the samples independent, of variance 1 (m, m)."""
+        """Whitening of deviations from the free law at the samples (m, m): independent then, of variance 1."""
         sizes, vectors = decompositions.symmetric(self.spread)
         return np.asarray((vectors / np.sqrt(np.maximum(sizes, ROUNDING * sizes[-1]))).T)
 
@@ -148,22 +143,14 @@ class _Known:
         def left(x: Array) -> Array:
             return self.solved(form.atoms, [part.tolist() for part in np.split(x, sizes)])[1]
 
-        start = np.concatenate([np.array(values) for values in form.values])
-        low, high = np.array(bounds).T
-        found = optimize.least_squares(
-            left, start, bounds=(low, high), x_scale=np.maximum(np.abs(start), 0.1), max_nfev=30
-        )
-        better = self.form(form.atoms, [part.tolist() for part in np.split(found.x, sizes)])
+        start, (low, high) = np.concatenate([np.array(values) for values in form.values]), np.array(bounds).T
+        best = minimise_residuals(left, start, Box(low, high), sizes=np.maximum(np.abs(start), 0.1)).x
+        better = self.form(form.atoms, [part.tolist() for part in np.split(best, sizes)])
         return min(form, better, key=lambda one: one.cost)
 
 
 def forms(law: FreeLaw, readings: int) -> list[Form]:
-    """Forms that deviate least from a free law, the best first; none where it ran away.
-
-    Args:
-        law: the free law.
-        readings: of the record.
-    """
+    """Forms that deviate least from a free law, the best first; none where it ran away."""
     known, place = _Known(law, float(np.log(readings))), law.place
     if not np.isfinite(known.spread).all():
         return []
@@ -220,7 +207,6 @@ def _with_another(
 
 
 def _fits(terms: Sequence[Atom]) -> bool:
-    """Whether an effect has room for the parameters of terms."""
     of = {of for atom in terms for of, shape in atom.shapes if "{u}" in shape.text}
     return len(terms) + sum(atom.count for atom in terms) + len(of) <= MOST_PARAMETERS
 
@@ -237,7 +223,6 @@ def _distinct(found: Sequence[Form], many: int) -> list[Form]:
 
 
 def _best(found: Sequence[Form]) -> list[Form]:
-    """Best form of each set of terms, the best first."""
     kept = dict[tuple[str, ...], Form]()
     for form in sorted(found, key=lambda one: one.cost):
         kept.setdefault(tuple(sorted(atom.name for atom in form.atoms)), form)

@@ -1,4 +1,4 @@
-"""Laws: the effects of a dictionary as compiled functions with derivatives, distinguished by a number.
+"""Compiled laws: the effects of a dictionary as functions with derivatives, distinguished by a number.
 
 Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
 an inertia, or the value of a sensor or actuator), its internal state and its parameters, and gives a row for the force

@@ -41,7 +41,7 @@ def share_a_place(causes: Sequence[Key], rig: AugmentedModel) -> bool:
 
 
 def _seat(rig: AugmentedModel, name: str) -> str:
-    """Element that a coordinate is of alone; what is no such coordinate itself."""
+    """The only element a coordinate belongs to; other names unchanged."""
     if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):
         return name
     elements = [(p.name, p.element.displacement) for p in rig.places if p.declared]
@@ -50,7 +50,7 @@ def _seat(rig: AugmentedModel, name: str) -> str:
 
 
 def _kind(effect: Effect) -> str:
-    """Return what the force of an element follows; '' where it follows neither displacement nor rate."""
+    """Variables that the force of an element follows; '' for neither displacement nor rate."""
     if effect.where != "element" or effect.absorbed_by:
         return ""
     if effect.states:

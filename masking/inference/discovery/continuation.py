@@ -30,11 +30,7 @@ SEEN = 10.0  # deviations of the noise: where a motion is smaller, its phase is 
 
 
 def stages(problem: EstimationProblem) -> Iterator[EstimationProblem]:
-    """Give the problem in short intervals, the shortest first, without that of its own intervals.
-
-    Args:
-        problem: the record and the rig.
-    """
+    """Problem in short intervals, the shortest first, without that of its own intervals."""
     samples = max(FEWEST, round(_period(problem) * problem.record.rate))
     while 2 * samples <= problem.interval_samples:
         yield replace(problem, interval=samples)
@@ -42,11 +38,7 @@ def stages(problem: EstimationProblem) -> Iterator[EstimationProblem]:
 
 
 def parts(stage: EstimationProblem) -> Iterator[EstimationProblem]:
-    """Give a problem in parts of its record with as many intervals as are fitted at once.
-
-    Args:
-        stage: the problem, in short intervals.
-    """
+    """Problem in parts of its record with as many intervals as are fitted at once."""
     record, count = stage.record, MOST * stage.interval_samples
     for begin in range(0, len(record), count):
         yield replace(stage, record=record.part(begin, begin + count))
@@ -68,11 +60,7 @@ def loses_phase(problem: EstimationProblem, residuals: Array) -> bool:
 
 
 def rings(problem: EstimationProblem) -> bool:
-    """Whether the rig at rest, as it is declared, rings for many periods, so that an error of phase adds up.
-
-    Args:
-        problem: the record and the rig.
-    """
+    """Whether the rig at rest, as it is declared, rings for many periods, so that an error of phase adds up."""
     speeds = decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])
     ringing = np.abs(speeds.imag) > 2.0 * np.pi * problem.rules.ringing_periods * -speeds.real
     return bool((ringing & (speeds.imag != 0.0)).any())

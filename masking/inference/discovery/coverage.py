@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import Result
 from masking.inference.discovery.force_decomposition import CELLS
 
 BINS = 10  # of the range of displacements, and of that of speeds
@@ -33,7 +33,7 @@ class Widest:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class Coverage(Result):
     """Where a record moves a place, and how well a law without a name is known there.
 
     Args:
@@ -52,6 +52,7 @@ class Coverage:
     widest: Widest
     sides: tuple[str, ...]
     visited: float
+    json_names = ("displacement", "rate", "size", "band", "widest", "visited")
 
     @classmethod
     def of(cls, x: Array, rate: Array, force: Array, deviation: Array, sides: Collection[str]) -> Coverage:
@@ -73,11 +74,6 @@ class Coverage:
         visited = _visited(x, rate) if len({*sides} & {"d", "v"}) > 1 else 1.0
         band = 2.0 * float(np.sqrt((deviation**2).mean())) / size
         return cls(ends[0], ends[1], size, band, max(parts, key=lambda part: part.band), tuple(sorted(sides)), visited)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Coverage as JSON can hold it."""
-        made = {name: value for name, value in vars(self).items() if name != "sides"}
-        return {**made, "widest": dict(vars(self.widest))}
 
 
 def _parts(of: str, values: Array, relative: Array) -> list[Widest]:

@@ -1,4 +1,4 @@
-"""Directed places: whether forces that follow something else than the motion they act on are worth a search.
+"""Directed places, whose forces follow something else than the motion they act on: whether they are worth a search.
 
 They are more than all other places together. So the model without causes is screened with them first, to first order.
 """
@@ -22,10 +22,6 @@ def places(problem: EstimationProblem) -> set[str]:
 
 def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
     """Whether a cause at a directed place scores most; between coordinates, it may be one of two.
-
-    Args:
-        problem: the record and the rig, whose directed places are open.
-        base: the model without causes, fitted.
 
     Raises:
         IntegrationError: the motion is not finite.

@@ -1,24 +1,25 @@
-"""Discovery: the verdict, its causes, the simulation errors before and after, and the probability."""
+"""Result of a discovery: verdict, causes with their probabilities, and simulation errors before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from masking.compile.numerics.arrays import Array
 from masking.display import fragments, symbols
+from masking.display.json_text import Result, plain
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.held_out import Withheld
 from masking.inference.discovery.latent_force import Explained
-from masking.inference.discovery.localisation import Localisation, localise
+from masking.inference.discovery.localisation import Localisation, ResidualWhiteness, localise
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import DecisionRules
-from masking.inference.discovery.unit_check import UnitDoubt
+from masking.inference.discovery.unit_check import UnitDoubt, far_off
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.discovery.verdict import at_noise_floor, is_closed
 from masking.inference.estimation.identification_data import Data
@@ -26,70 +27,73 @@ from masking.inference.estimation.whiteness import Whiteness, whiteness
 from masking.model.effects import Effect
 
 
+class Estimate(NamedTuple):
+    """A parameter with its standard deviation."""
+
+    value: float
+    std: float
+
+
+class Alternative(NamedTuple):
+    """A cause that may be instead of another, with its probability."""
+
+    name: str
+    on: str
+    probability: float
+
+
+class Errors(NamedTuple):
+    """Relative error of each sensor, by name, before and after."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+
+
 @dataclass(frozen=True)
-class Named:
+class Named(Result):
     """A cause with its parameters as value and standard deviation, its probability, and what it may be instead."""
 
     name: str
     on: str
-    parameters: dict[str, tuple[float, float]]
+    parameters: dict[str, Estimate]
     probability: float
-    alternatives: tuple[tuple[str, str, float], ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def deviates(self) -> float:
         """Standard deviations by which the surest of its parameters differs from 0."""
         return max((abs(value) / std for value, std in self.parameters.values() if std > 0.0), default=0.0)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Cause as JSON can hold it."""
-        return {
-            "name": self.name,
-            "on": self.on,
-            "parameters": {n: {"value": value, "std": std} for n, (value, std) in self.parameters.items()},
-            "probability": self.probability,
-            "alternatives": [{"name": n, "on": on, "probability": p} for n, on, p in self.alternatives],
-        }
-
 
 @dataclass(frozen=True)
-class SimulationError:
+class SimulationError(Result):
     """Relative error of each sensor, by name: before and after, in both records; and the noise floor.
 
-    `adjusted` is that of the model with its parameters adjusted alone, in the validation record; `alone` that of the
-    causes fitted to the estimation record alone, where they are fitted to both.
+    `adjusted` is that of the model with its parameters adjusted alone, in the validation record; `fitted_alone` that of
+    the causes fitted to the estimation record alone, where they are fitted to both.
     """
 
-    estimation: tuple[dict[str, float], dict[str, float]]
-    validation: tuple[dict[str, float], dict[str, float]]
+    estimation: Errors
+    validation: Errors
     noise_floor: dict[str, float]
     validation_noise_floor: dict[str, float]
     adjusted: dict[str, float]
-    alone: dict[str, float] | None = None
+    fitted_alone: dict[str, float] | None = None
+    json_names = ("estimation", "validation", "fitted_alone", "noise_floor", "validation_noise_floor")
 
     def is_noise(self, readings: int, rules: DecisionRules) -> bool:
         """Whether each sensor is at the noise floor in the validation record, with its number of readings."""
         return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Errors as JSON can hold it."""
-        return {
-            "estimation": {"before": self.estimation[0], "after": self.estimation[1]},
-            "validation": {"before": self.validation[0], "after": self.validation[1]},
-            "fitted_alone": self.alone,
-            "noise_floor": self.noise_floor,
-            "validation_noise_floor": self.validation_noise_floor,
-        }
-
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Discovery(Explained):
-    """What was found.
+    """A discovery.
 
     Args:
         effects: causes, in the order in which they were found.
         simulation_error: before and after.
-        unexplained: fraction of the excess cost that is left in the estimation record.
+        unexplained_fraction: part of the excess cost that is left in the estimation record.
         rivals: the explanations that the one was chosen from, itself first.
         tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
         validation: the estimation problem of the validation record.
@@ -107,7 +111,7 @@ class Discovery(Explained):
 
     effects: tuple[Named, ...]
     simulation_error: SimulationError
-    unexplained: float
+    unexplained_fraction: float
     rivals: tuple[Explanation, ...]
     tempering: float
     validation: EstimationProblem
@@ -163,7 +167,7 @@ class Discovery(Explained):
         first, known = len(rig.names), rig.imperfect(self.written.hypothesis.theta)
         stds = map(float, self.written_deviations[first:])
         pairs = zip(known, stds, strict=False)
-        return [Named(one.effect, one.at, {one.names[0]: (one.estimated[0], std)}, 1.0) for one, std in pairs]
+        return [Named(one.effect, one.at, {one.names[0]: Estimate(one.estimated[0], std)}, 1.0) for one, std in pairs]
 
     @property
     def written(self) -> Explanation:
@@ -172,7 +176,7 @@ class Discovery(Explained):
 
     @property
     def unseen(self) -> Hypothesis:
-        """Return what is written on the validation record: the law without a name where there is one."""
+        """Model as written, on the validation record: with the law without a name where there is one."""
         return self.after if self.law is None else self.law.validated
 
     @cached_property
@@ -209,7 +213,7 @@ class Discovery(Explained):
             return None
         one = self.law.instance
         stds = self.written_deviations[len(self.written_deviations) - len(one.free) :]
-        values = zip(one.estimated, map(float, stds), strict=True)
+        values = map(Estimate, one.estimated, map(float, stds))
         return Named(one.effect, one.at, dict(zip(one.names, values, strict=True)), 1.0)
 
     @cached_property
@@ -223,13 +227,20 @@ class Discovery(Explained):
         before = whiteness_of(self.validation, self.adjusted.residuals)
         after = whiteness_of(self.validation, self.unseen.residuals)
         has_finding = self.effects or self.law
-        pairs = {name: (before[name], after[name] if has_finding else None) for name in self.twin.sensors}
+        pairs = {
+            name: ResidualWhiteness(before[name], after[name] if has_finding else None) for name in self.twin.sensors
+        }
         return localise(self.as_written, pairs, [place.name for place in self.rig.places])
 
     @property
     def is_at_noise_floor(self) -> bool:
         """Whether the validation residual of each sensor is at the noise floor."""
         return self.simulation_error.is_noise(len(self.validation_record), self.problem.rules)
+
+    @property
+    def is_far_off(self) -> bool:
+        """Whether a gain or a parameter of the explanation is several times what is declared."""
+        return bool(far_off(self.problem, self.explanation.hypothesis))
 
     @property
     def shooting_interval(self) -> float | None:
@@ -259,26 +270,13 @@ class Discovery(Explained):
 
     def as_dict(self) -> dict[str, Any]:
         """Discovery as JSON can hold it."""
-        return {
-            "verdict": self.verdict,
-            "closed": self.closed,
-            "effects": [effect.as_dict() for effect in self.effects],
-            "imperfections": [
-                {"name": one.name, "on": one.on, "parameters": one.as_dict()["parameters"]}
-                for one in self.imperfections
-            ],
-            "simulation_error": self.simulation_error.as_dict(),
-            "unexplained_fraction": self.unexplained,
-            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
-            "first_order_hold": self.first_order_hold,
-            "exchanged": self.exchanged,
-            "law": self.law and self.law.as_dict(),
-            "none_of_these": self.none_of_these,
-            "unit": self.unit and self.unit.as_dict(),
-            "withheld": self.withheld and self.withheld.as_dict(),
-            "shooting_interval": self.shooting_interval,
-            "search_ended_early": self.problem.work.is_cut,
-        }
+        small = [{"name": one.name, "on": one.on, "parameters": one.parameters} for one in self.imperfections]
+        names = (
+            *("verdict", "closed", "effects", "simulation_error", "unexplained_fraction", "next_experiment"),
+            *("first_order_hold", "exchanged", "law", "none_of_these", "unit", "withheld", "shooting_interval"),
+        )
+        every = {name: getattr(self, name) for name in names}
+        return dict(plain({**every, "imperfections": small, "search_ended_early": self.problem.work.is_cut}))
 
 
 def whiteness_of(problem: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:

@@ -1,4 +1,4 @@
-"""Settings: all that a discovery is asked with, in one frozen object."""
+"""Settings of a discovery, in one frozen object."""
 
 from __future__ import annotations
 
@@ -47,5 +47,5 @@ class DiscoverySettings:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance < 1.0:
-            mend = "give a part between 0 and 1, such as 0.01"
-            raise DeclarationError(Problem(None, "tolerance", f"the tolerance is {self.tolerance:g}", mend))
+            remedy = "give a part between 0 and 1, such as 0.01"
+            raise DeclarationError(Problem(None, "tolerance", f"the tolerance is {self.tolerance:g}", remedy))

@@ -1,4 +1,4 @@
-"""Discover: from a record and a model to the effect that the model is missing, and how sure that is.
+"""Stages of a discovery: from a record and a model to the effect that the model is missing, and how sure that is.
 
 Source of the method: output-error identification with candidate terms, Ljung (1999), System Identification, chapters 7
 and 16; the terms are physical effects with parameters and states of their own.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -27,12 +27,20 @@ from masking.inference.discovery import (
 )
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.discovery_result import Discovery, Named, SimulationError
+from masking.inference.discovery.discovery_result import (
+    Alternative,
+    Discovery,
+    Errors,
+    Estimate,
+    Named,
+    SimulationError,
+)
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis, by_instance
+from masking.inference.discovery.held_out import Given
 from masking.inference.discovery.name_or_unnamed import beside_names
-from masking.inference.discovery.next_experiment import next_experiment
+from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
 from masking.inference.discovery.prior import prior_of, train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of, steps_of
@@ -96,33 +104,41 @@ def discover(
 
 
 def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: DiscoverySettings, say: Tell) -> Discovery:
-    """Return what one record shows, validated by another."""
     twin, rules = rig.twin, settings.rules
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
     work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
-    whole = EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work)
+    with threadpool_limits(1):
+        whole = centred(EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work))
+    named, substeps, doubt = _in_likeliest_unit(whole, unseen, settings, say)
+    directed = _with_directed(named, substeps, named.validation.record, named.validation.sigma, say)
+    stated = _stated(replace(beside_names(directed, substeps, say), unit=doubt))
+    return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
+
+
+def _in_likeliest_unit(
+    whole: EstimationProblem, unseen: Data, settings: DiscoverySettings, say: Tell
+) -> tuple[Discovery, int, UnitDoubt | None]:
+    """Discovery and integration steps as `_in_unit`, and the unit if it is probably another than declared."""
     say("checking units", 0.0)
     with threadpool_limits(1):
-        whole = centred(whole)
         doubt = unit_check.doubted(whole)
     found, substeps = _in_unit(doubt, whole, unseen, settings, say)
-    if doubt is None and (found.verdict == "unknown" or _far_off(found)):
-        with threadpool_limits(1):
-            other = unit_check.suspected(whole, found.explanation.hypothesis)
-        if other is not None:
-            say(f"once more, with another unit or sign of {' and '.join(other.names)}", 0.0)
-            again, steps = _in_unit(other, whole, unseen, settings, say)
-            if _explains_more(found, again):
-                found, substeps, doubt = again, steps, other
-    found = _with_directed(found, substeps, found.validation.record, found.validation.sigma, say)
-    found = _stated(replace(beside_names(found, substeps, say), unit=doubt))
-    return found if found.is_at_noise_floor else replace(found, first_order_hold=_with_first_order_hold(found))
+    if doubt is not None or not (found.verdict == "unknown" or found.is_far_off):
+        return found, substeps, doubt
+    with threadpool_limits(1):
+        other = unit_check.suspected(whole, found.explanation.hypothesis)
+    if other is not None:
+        say(f"once more, with another unit or sign of {' and '.join(other.names)}", 0.0)
+        again, steps = _in_unit(other, whole, unseen, settings, say)
+        if _explains_more(found, again):
+            return again, steps, other
+    return found, substeps, None
 
 
 def _in_unit(
     doubt: UnitDoubt | None, whole: EstimationProblem, unseen: Data, settings: DiscoverySettings, say: Tell
 ) -> tuple[Discovery, int]:
-    """Return what explains a record, and the integration steps of the model alone.
+    """Discovery in a record whose channels are in some unit, and the integration steps of the model alone.
 
     Args:
         doubt: the unit that the record is taken in; None for those that are declared.
@@ -149,10 +165,6 @@ def _in_unit(
     return found, problem.substeps
 
 
-def _far_off(found: Discovery) -> bool:
-    return bool(unit_check.far_off(found.problem, found.explanation.hypothesis))
-
-
 def _explains_more(found: Discovery, again: Discovery) -> bool:
     """Whether a record is explained in another unit, and less well or in a less likely way as declared."""
     before, after = (
@@ -160,9 +172,9 @@ def _explains_more(found: Discovery, again: Discovery) -> bool:
         for one in (found, again)
         for errors in (one.simulation_error.validation[1],)
     )
-    if _far_off(again) or not after <= unit_check.NO_WORSE * before:
+    if again.is_far_off or not after <= unit_check.NO_WORSE * before:
         return False
-    return _far_off(found) or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
+    return found.is_far_off or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
 
 
 def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:
@@ -201,7 +213,9 @@ def _stated(found: Discovery) -> Discovery:
         except IntegrationError:
             return found
         stated.append(fine.errors(made.squares))
-    estimation, validation = (errors.estimation[0], stated[0]), (errors.validation[0], stated[1])
+    estimation, validation = (
+        each._replace(after=after) for each, after in zip((errors.estimation, errors.validation), stated, strict=True)
+    )
     return replace(found, simulation_error=replace(errors, estimation=estimation, validation=validation))
 
 
@@ -220,13 +234,13 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
 
 
 def _loses_phase(found: Discovery) -> bool:
-    """Whether hardly anything is found by simulating the whole record in one, whose motion is not followed."""
+    """Whether a simulation of the whole record explains hardly anything, and does not follow its motion."""
     left = found.problem.errors(found.search.base.hypothesis.squares)
     return _near(found) is None and max(left.values()) > found.problem.rules.phase_loss
 
 
 def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell) -> Discovery:
-    """Return what explains a record, simulated in steps that are fine enough for what is found."""
+    """Discovery in a record that is simulated in steps fine enough for its causes."""
     found = _found(problem, unseen, noise, say)
     known = _near(found)
     if known is None or problem.work.ends():
@@ -253,8 +267,41 @@ def _near(found: Discovery) -> Hypothesis | None:
     return first.hypothesis if is_near else None
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    """Explanations of a record, compared on the validation record.
+
+    Args:
+        problem: the record, in the rig and the integration steps of the search that counts.
+        validation: the same of the validation record.
+        search: the steps of the search, ordered by both records.
+        declared: the model as declared.
+        before, adjusted: that, and the model with its parameters adjusted, on the validation record.
+        given: the explanation to give, and its rivals.
+        is_demoted: see `verdict.is_demoted`.
+    """
+
+    problem: EstimationProblem
+    validation: EstimationProblem
+    search: SearchResult
+    declared: Explanation
+    before: Hypothesis
+    adjusted: Hypothesis
+    given: Given
+    is_demoted: bool
+
+    def errors(self) -> SimulationError:
+        """Errors of the model as declared and of the explanation, in both records."""
+        problem, validation, chosen = self.problem, self.validation, self.given.explanation.hypothesis
+        return SimulationError(
+            Errors(problem.errors(self.declared.hypothesis.squares), problem.errors(chosen.squares)),
+            Errors(validation.errors(self.before.squares), validation.errors(self.given.after.squares)),
+            problem.noise_floor, validation.noise_floor, validation.errors(self.adjusted.squares), self.given.alone,
+        )  # fmt: skip
+
+
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
-    """Explanation of a record, given the noise of the validation record (sensors,).
+    """Discovery in one search of a record.
 
     Args:
         problem: the record and the rig, in the integration steps of the model alone.
@@ -263,74 +310,59 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         say: called with what is done.
         substeps: integration steps between samples of models with effects; by default as many as those need.
     """
-    rules, size = problem.rules, problem.record.readings.size
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        found, problem = instrument_errors.searched(problem, say, substeps)
-        rig, plain = problem.rig, replace(problem, record=unseen, sigma=noise)
-        declared = Explanation("none", (), fitting.fit(problem, theta=problem.prior.mean, frozen=True))
-        before, adjusted = (fitting.validated(plain, one) for one in (declared.hypothesis, found.base.hypothesis))
-        problem = found.problem or problem
-        validation = replace(plain, substeps=problem.substeps)
-        say("comparing explanations on data that were not used", 0.95)
-        found = replace(found, steps=tuple(_reordered(step, problem, validation) for step in found.steps))
-        rivals = _needed(found, validation, adjusted)
-        tempering = problem.tempering(rivals[0].hypothesis.residuals)
-        is_demoted = verdict.is_demoted(_scored(rivals, problem, tempering), size, rules)
-        if is_demoted:
-            rivals = tuple(sorted(rivals, key=lambda rival: rival.score(tempering)))
-        given = held_out.no_worse((rivals, (found.base,), (declared,)), problem, validation, before)
-        rivals, chosen, after = given.rivals, given.explanation, given.after
-        adjusted = after if rivals[0] is found.base else adjusted
-    tempering = problem.tempering(chosen.hypothesis.residuals)
-    excess, left = (verdict.excess_cost(one.cost, size) for one in (found.base, chosen))
+        compared = _compared(problem, unseen, noise, say, substeps)
+    known, given, rules, size = compared.problem, compared.given, problem.rules, problem.record.readings.size
+    chosen, errors = given.explanation, compared.errors()
+    tempering = known.tempering(chosen.hypothesis.residuals)
+    excess, left = (verdict.excess_cost(one.cost, size) for one in (compared.search.base, chosen))
     unexplained = left / excess if excess > 0.0 else 0.0
-    errors = SimulationError(
-        (problem.errors(declared.hypothesis.squares), problem.errors(chosen.hypothesis.squares)),
-        (validation.errors(before.squares), validation.errors(after.squares)),
-        problem.noise_floor,
-        validation.noise_floor,
-        validation.errors(adjusted.squares),
-        given.alone,
-    )
-    scored = _scored(rivals, problem, tempering)
-    decision = verdict.decide(scored, unexplained, size, rules, composite=are_composite(chosen.names, rig, rules))
-    effects, rounded = (
-        _causes(rig, (chosen, *rivals[1:]), tempering, scored, rules),
-        _rounded(problem, chosen.hypothesis),
-    )
+    scored, composite = _scored(given.rivals, known, tempering), are_composite(chosen.names, known.rig, rules)
+    effects = _causes(known.rig, (chosen, *given.rivals[1:]), tempering, scored, rules)
+    rounded = _rounded(known, chosen.hypothesis)
     answer = verdict.revised(
-        decision,
-        demoted=is_demoted,
+        verdict.decide(scored, unexplained, size, rules, composite=composite),
+        demoted=compared.is_demoted,
         rounded=not effects and any(is_much for _, is_much in rounded),
         at_noise=errors.is_noise(len(unseen), rules),
     )
-    coming = None
-    if answer == "ambiguous":
-        say("looking for an experiment that separates them", 0.95)
-        first, second = rivals[:2]
-        names_of = (_name(first), _name(second))
-        with threadpool_limits(1):
-            coming = next_experiment(problem, first.hypothesis, second.hypothesis, names_of, _limits(rig.twin))
-    causes = (*effects, *(cause for cause, _ in rounded))
     return Discovery(
-        verdict=answer, twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=causes,
-        simulation_error=errors, unexplained=unexplained, rivals=rivals, tempering=tempering, validation=validation,
-        before=before, after=after, adjusted=adjusted, next_experiment=coming, withheld=given.withheld,
+        verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=compared.search,
+        effects=(*effects, *(cause for cause, _ in rounded)), simulation_error=errors,
+        unexplained_fraction=unexplained, rivals=given.rivals, tempering=tempering, validation=compared.validation,
+        before=compared.before, after=given.after, adjusted=compared.adjusted, withheld=given.withheld,
+        next_experiment=_separating(known, given.rivals, say) if answer == "ambiguous" else None,
     )  # fmt: skip
+
+
+def _compared(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int) -> _Comparison:
+    """Search in a record, and comparison of its explanations; arguments as of `_found`."""
+    search, known = instrument_errors.searched(problem, say, substeps)
+    validation = replace(known, record=unseen, sigma=noise)
+    declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
+    before, adjusted = (fitting.validated(validation, one) for one in (declared.hypothesis, search.base.hypothesis))
+    say("comparing explanations on data that were not used", 0.95)
+    ordered = replace(search, steps=tuple(_reordered(step, known, validation) for step in search.steps))
+    needed = _needed(ordered, validation, adjusted)
+    tempering = known.tempering(needed[0].hypothesis.residuals)
+    is_demoted = verdict.is_demoted(_scored(needed, known, tempering), known.record.readings.size, known.rules)
+    rivals = tuple(sorted(needed, key=lambda rival: rival.score(tempering))) if is_demoted else needed
+    given = held_out.no_worse((rivals, (ordered.base,), (declared,)), known, validation, before)
+    plain = given.after if given.rivals[0] is ordered.base else adjusted
+    return _Comparison(known, validation, ordered, declared, before, plain, given, is_demoted)
+
+
+def _separating(problem: EstimationProblem, rivals: Sequence[Explanation], say: Tell) -> NextExperiment | None:
+    say("looking for an experiment that separates them", 0.95)
+    first, second = rivals[:2]
+    with threadpool_limits(1):
+        limits = declared_limits(problem.rig.twin)
+        return next_experiment(problem, first.hypothesis, second.hypothesis, (_name(first), _name(second)), limits)
 
 
 def _name(explanation: Explanation) -> str:
     name, at = explanation.names[-1]
     return f"{name} at {at}" if at else name
-
-
-def _limits(twin: Twin) -> Array | None:
-    """Largest command of each actuator that the plant file declares (actuators,); None where it does not."""
-    declared = twin.declaration.limits.inputs
-    if any(name not in declared for name in twin.actuators):
-        return None
-    ports = twin.declaration.actuators or twin.base.inputs
-    return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
 def _cost(problem: EstimationProblem, hypothesis: Hypothesis) -> float:
@@ -426,20 +458,19 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * problem.sigma[i] ** 2:
-            cause = Named(ROUNDING.name, name, {ROUNDING.quantum: (float(step), 0.0)}, 1.0)
+            cause = Named(ROUNDING.name, name, {ROUNDING.quantum: Estimate(float(step), 0.0)}, 1.0)
             found.append((cause, bool(variance > least * left[i])))
     return found
 
 
-def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) -> list[dict[str, tuple[float, float]]]:
-    """Estimated parameters of each cause: values and standard deviations by name."""
+def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) -> list[dict[str, Estimate]]:
     hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
     if explanation.kind == "parameter":
         indices = {name: rig.names.index(name) for name, _ in explanation.names}
-        return [{name: (float(hypothesis.theta[i]), float(deviations[i]))} for name, i in indices.items()]
+        return [{name: Estimate(float(hypothesis.theta[i]), float(deviations[i]))} for name, i in indices.items()]
     parts = zip(hypothesis.instances, by_instance(hypothesis.instances, deviations[len(rig.start) :]), strict=True)
     return [
-        {name: (float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
+        {name: Estimate(float(x), float(std)) for name, x, std in zip(one.names, one.estimated, stds, strict=True)}
         for one, stds in parts
     ]
 
@@ -453,6 +484,6 @@ def _causes(
     if not estimates:
         return ()
     pairs = zip(rivals[1:], weights[1:], strict=True)
-    others = tuple((*r.names[-1], weight) for r, weight in pairs if weight > LISTED)
+    others = tuple(Alternative(*r.names[-1], weight) for r, weight in pairs if weight > LISTED)
     causes = [Named(*name, values, 1.0) for name, values in zip(chosen.names, estimates, strict=True)]
     return (*causes[:-1], replace(causes[-1], probability=weights[0], alternatives=others))

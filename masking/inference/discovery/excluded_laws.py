@@ -1,4 +1,4 @@
-"""Exclusion: laws that a record rules out by itself, whatever the motion was, and those that belie their names.
+"""Excluded laws: those that a record rules out by itself, whatever the motion was, and those that belie their names.
 
 A sensor reads no more than its law can give: behind a limit nothing exceeds it, and what has no sign is never negative.
 Friction that falls with the rate is no such friction where it grows.
@@ -32,19 +32,14 @@ def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance])
 
 
 def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
-    """Whether a law of a sensor reads the same for several values within the readings.
-
-    Args:
-        problem: the record and the rig.
-        instance: the law.
-    """
+    """Whether a law of a sensor reads the same for several values within the readings."""
     if instance.where != "sensor" or instance.entry.states:
         return False
     return bool((np.diff(given(problem, instance, 1.0)) < 0.0).any())
 
 
 def given(problem: EstimationProblem, instance: EffectInstance, reach: float) -> Array:
-    """Return what a law of a sensor reads over a range of values (v,).
+    """Readings of a law of a sensor over a range of values (v,).
 
     Args:
         problem: the record and the rig.

@@ -80,7 +80,7 @@ Fit = TypeVar("Fit")
 
 
 def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> list[Fit | None]:
-    """Return what fits give, two at once; None where the motion is not finite, or where the work ends before.
+    """Results of fits, two at once; None where the motion is not finite, or where the work ends before.
 
     Args:
         jobs: the fits, the likeliest first.

@@ -1,7 +1,7 @@
 """Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
 
 The parameters of the rig have a normal prior around their declared values; the initial state of each shooting interval
-is estimated. Source: as `masking.inference.estimation.least_squares`.
+is estimated. Source: as `masking.compile.numerics.least_squares`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.least_squares import Box, Damping, Linearised, Patience, System, minimise
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws, continuation, excluded_laws, initial_states
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES, DecisionRules
-from masking.inference.estimation.least_squares import Box, Damping, Linearised, System, minimise
 from masking.inference.estimation.simulation import FIRST_READINGS, PARTS, STUCK
 from masking.model.declaration.expression import Expression
 
@@ -156,7 +156,7 @@ class Begun:
 
     @classmethod
     def at(cls, known: Hypothesis) -> Begun:
-        """Return those of a hypothesis."""
+        """Values of a hypothesis."""
         return cls(known.instances, known.theta, known.start)
 
 
@@ -257,11 +257,6 @@ def together(
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem.
 
-    Args:
-        problem: the record and the rig.
-        known: the hypothesis.
-        rival: as in `fit`.
-
     Raises:
         IntegrationError: the motion is not finite.
     """
@@ -271,11 +266,6 @@ def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.in
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Hypothesis on a validation record: only its initial state is estimated, from growing parts if need be.
-
-    Args:
-        problem: of the record.
-        hypothesis: to validate.
-        rival: as in `fit`.
 
     Raises:
         IntegrationError: the motion is not finite.
@@ -378,7 +368,7 @@ class _LeastSquares:
         return np.tile(initial_states.sizes(self.problem)[self.free], len(self.start))
 
     def resistance(self, matrix: Array) -> Array:
-        """Return what steps add to the diagonal of the normal equations (n,).
+        """Addition of steps to the diagonal of the normal equations (n,).
 
         A speed that friction takes at once hardly shows in the readings: a full step of it would go anywhere, and keep
         the others from theirs.
@@ -416,7 +406,7 @@ class _LeastSquares:
 
         def tolerance(at: Linearised[Equations]) -> float:
             nonlocal enough
-            enough = CONVERGED * rules.indifferent * self.problem.tempering(at.found.residuals)
+            enough = CONVERGED * rules.indifferent * self.problem.tempering(at.extra.residuals)
             return enough
 
         prior, effects = self.problem.prior, bounds(self.instances)
@@ -426,10 +416,10 @@ class _LeastSquares:
         with np.errstate(over="ignore", invalid="ignore"):  # a step that runs away costs more, and is not taken
             made = minimise(
                 self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
-                is_hopeless=is_hopeless, wanted=wanted,
+                patience=Patience(wanted, is_hopeless),
             )  # fmt: skip
         theta, added, _, start = self.parts(made.x)
-        found, shared = made.at.found, self.edges[1]
+        found, shared = made.at.extra, self.edges[1]
         parts = zip(self.instances, by_instance(self.instances, added), strict=True)
         values = [instance.with_values(instance.free, part) for instance, part in parts]
         return Hypothesis(

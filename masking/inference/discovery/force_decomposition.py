@@ -1,4 +1,4 @@
-"""ForceDecomposition: what a force looks like along a motion.
+"""Decomposition of a force along a motion.
 
 Which parts of its energy follow the displacement alone, the rate alone, both together, and neither; how alike it is in
 the two directions; what it takes out of the motion; and where in the travel, in speed and in time it sits. Energy is
@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from scipy import linalg
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import plain
 
 MOST = 10_000  # samples that are looked at; forces change slowly beside the samples of a long record
 STRETCHES, FOLDS = 100, 5  # most into which a record is cut; each fifth of them is held against the others
@@ -38,7 +39,13 @@ ENDS = (0.002, 0.998)  # quantiles of a range
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-Region = tuple[float, float]  # part of the energy that is in it, and part of the time
+
+
+class Region(NamedTuple):
+    """Parts of the energy and of the time that are in a region."""
+
+    energy: float
+    time: float
 
 
 @dataclass(frozen=True)
@@ -92,18 +99,15 @@ class ForceDecomposition:
             "deviation": self.deviation,
             "loss": self.loss,
             "loss_part": self.taken,
-            "energy": None if self.parts is None else self.parts.as_dict(),
-            "regions": {
-                of: {name: {"energy": energy, "time": time} for name, (energy, time) in those.items()}
-                for of, those in self.regions.items()
-            },
+            "energy": plain(self.parts),
+            "regions": plain(self.regions),
         }
 
 
 def decompose(
     x: Array, rate: Array, force: Array, deviation: float = 0.0, cycle: int | None = None
 ) -> ForceDecomposition:
-    """Return what a force looks like along a motion.
+    """Decomposition of a force along a motion.
 
     Args:
         x: displacement (m,).
@@ -198,7 +202,7 @@ def _regions(x: Array, rate: Array, energy: Array) -> dict[str, dict[str, Region
     whole = float(energy.sum())
 
     def region(inside: Mask) -> Region:
-        return min(max(float(energy[inside].sum()) / whole, 0.0), 1.0), float(inside.mean())
+        return Region(min(max(float(energy[inside].sum()) / whole, 0.0), 1.0), float(inside.mean()))
 
     return {
         "displacement": {name: region(third == i) for i, name in enumerate(("low", "middle", "high"))},
@@ -232,7 +236,6 @@ def _knots_of_rate(rate: Array, many: int = KNOTS) -> Array:
 
 
 def _around(x: Array) -> tuple[float, float]:
-    """Ends of a range around 0."""
     high = max(float(np.quantile(np.abs(x), ENDS[1])), 1e-300)
     return -high, high
 
@@ -274,7 +277,7 @@ def _surface(x: Array, rate: Array) -> tuple[Array, Array]:
 
 
 def _held_out(rows: Array, bend: Array, values: Array, stretches: Indices, split: int | None = None) -> Array:
-    """Return what functions of a row make of values where these are left out of the fit: before and after a column.
+    """Values by functions that are fitted without them, of the columns before and after a split (m, 2).
 
     Args:
         rows: functions (m, functions).

@@ -87,12 +87,12 @@ class FreeLaw:
 
     @property
     def words(self) -> str:
-        """Say what the law is made of."""
+        """Phrase for the law: a force that is the sum of its terms."""
         return f"a force that is {' plus '.join(KINDS[term.kind].format(**self.nouns) for term in self.terms)}"
 
     @property
     def nouns(self) -> Mapping[str, str]:
-        """Return what it calls its displacement `d` and its rate `v`."""
+        """Nouns of its displacement `d` and its rate `v`."""
         return NOUNS if self.further is None else self.further.nouns[self.place.name]
 
     @property
@@ -106,7 +106,7 @@ class FreeLaw:
 
     @property
     def follows(self) -> set[str]:
-        """Return what it is of: displacement `d`, rate `v`."""
+        """Its variables: displacement `d`, rate `v`."""
         kinds = {term.kind for term in self.terms}
         return {side for side, other in (("d", OF_RATE), ("v", OF_DISPLACEMENT)) if kinds - other}
 
@@ -125,8 +125,8 @@ class FreeLaw:
         return replace(self, hypothesis=tempered(self.problem, self.hypothesis, self.penalty))
 
     def rows(self, x: Array, rate: Array) -> Array:
-        """Return what the factors are multiplied by at displacements and rates (m, f)."""
-        return rows(self.terms, x, rate)
+        """Basis functions at displacements and rates (m, f)."""
+        return np.hstack([term.values(x, rate) for term in self.terms])
 
     def force(self, x: Array, rate: Array) -> Array:
         """Force at displacements and rates (m,)."""
@@ -163,11 +163,6 @@ KINDS = {
 OF_DISPLACEMENT, OF_RATE = {"free_spring"}, {"free_damping", "free_friction"}  # alone
 
 
-def rows(terms: Sequence[Term], x: Array, rate: Array) -> Array:
-    """Functions of terms along a motion (m, f)."""
-    return np.hstack([term.values(x, rate) for term in terms])
-
-
 def fit(
     found: Explained, known: Sequence[EffectInstance] = (), further: Sequence[FurtherPlaces] = ()
 ) -> FreeLaw | None:
@@ -196,15 +191,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _Ground:
-    """The model without a law: a fit of it, and the motion that is smoothed with its parameters.
-
-    Args:
-        problem: the record and the rig.
-        base: the fit.
-        motion: smoothed.
-        places: names of those where a law may sit.
-        further: the further places that these are.
-    """
+    """The model without a law: a fit of it, and the motion that is smoothed with its parameters."""
 
     problem: EstimationProblem
     base: Hypothesis
@@ -214,7 +201,7 @@ class _Ground:
 
 
 def _grounds(found: Explained) -> Iterator[_Ground]:
-    """Give the model as it was fitted, and as it is declared where the fit went far from that."""
+    """Model as it was fitted, and as it is declared where the fit went far from that."""
     search = found.search
     places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
     for view in views(found.problem, search.base.hypothesis, search.motion, FAR):
@@ -245,13 +232,7 @@ def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectIns
 
 
 def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance]) -> list[_Start]:
-    """Forms of a law at each place where one may sit, fitted to first order.
-
-    Args:
-        ground: the model without a law.
-        theta: its parameters with which latent forces are brought to a place (k,).
-        known: effects elsewhere.
-    """
+    """Forms of a law at each place where one may sit, fitted to first order."""
     rig, screen = ground.problem.rig, Screen(ground.problem, ground.base, ground.motion, known)
     room = MOST_COLUMNS - len(rig.start) - len(fitting.estimated(known)) - 2 * len(rig.twin.state_names)
     starts = list[_Start]()
@@ -324,14 +305,6 @@ def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
 
 def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) -> list[_Start]:
     """Forms of a law at a place, fitted to first order.
-
-    Args:
-        screen: of the record.
-        ground: the model without a law.
-        place: where they sit.
-        at: index of the place.
-        high: the largest latent force there.
-        room: factors that a fit has room for.
 
     Source: Hastie and Tibshirani (1990), Generalized Additive Models, section 3.5, for the effective number of factors.
     """

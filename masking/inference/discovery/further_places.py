@@ -61,13 +61,7 @@ class FurtherPlaces:
         return replace(problem, rig=self.rig, prior=prior)
 
     def hypothesis(self, known: Hypothesis, before: AugmentedModel, seconds: float) -> Hypothesis:
-        """Hypothesis of the rig without further places as one of this rig, with the state at rest.
-
-        Args:
-            known: the hypothesis.
-            before: the rig without further places.
-            seconds: relaxation time.
-        """
+        """Hypothesis of the rig without further places as one of this rig, with the state at rest."""
         if not self.time:
             return known
         names = self.rig.twin.state_names
@@ -132,7 +126,7 @@ def _with_memory(rig: AugmentedModel, place: Place, time: float) -> FurtherPlace
 def _others(
     base: ModelDeclaration, place: Place
 ) -> Iterator[tuple[str, Element, Mapping[str, Parameter], Mapping[str, str]]]:
-    """Give elements that act as a place does and follow another coordinate, by itself or beside its displacement.
+    """Elements that act as a place does and follow another coordinate, by itself or beside its displacement.
 
     With each come its name, its parameters and what a law calls what it follows.
     """

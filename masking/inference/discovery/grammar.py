@@ -124,7 +124,7 @@ class Atom:
         return "*".join(parts)
 
     def words(self, values: Sequence[float], nouns: Mapping[str, str]) -> str:
-        """Say what the force of the term does, with the values of its numbers.
+        """Phrase for the force of the term, with the values of its numbers.
 
         Args:
             values: of the numbers.

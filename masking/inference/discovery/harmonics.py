@@ -1,4 +1,4 @@
-"""Harmonics: how much of a force is at even and at odd multiples of a base that were not excited.
+"""Harmonics of a force: its parts at even and at odd multiples of a base that were not excited.
 
 Under periodic commands that hold odd multiples of a base only, a force that turns round with the motion has odd ones
 only, and one that does not has even ones. This needs no displacement, and sees what has a memory, too.
@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import Result
 
 ALIKE = 1e-6  # of twice the variance: commands that differ by less a period later repeat themselves
 APART = 0.1  # of it: commands have changed since
@@ -28,7 +28,7 @@ LONGEST = 0.75  # of a record: a longer period repeats too little to be found
 
 
 @dataclass(frozen=True)
-class Harmonics:
+class Harmonics(Result):
     """Parts of the mean square of a force under periodic commands, less its noise; the first period is left out.
 
     Args:
@@ -44,10 +44,6 @@ class Harmonics:
     excited: float
     even: float
     odd: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Harmonics as JSON can hold them."""
-        return dict(vars(self))
 
 
 @dataclass(frozen=True)

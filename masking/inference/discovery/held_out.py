@@ -17,30 +17,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.tempered_fits import tempered
-from masking.inference.discovery.verdict import Key
+from masking.inference.discovery.verdict import Cause
 
 
 @dataclass(frozen=True)
-class Withheld:
+class Withheld(Result):
     """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given.
 
     Args:
-        names: (parameter, '') or (effect, place) of each cause; none for adjusted parameters alone.
-        error: relative error of each sensor in the validation record, by name; None where the motion is not finite.
+        causes: (parameter, '') or (effect, place) of each; none for adjusted parameters alone.
+        validation_error: relative error of each sensor in the validation record, by name; None where the motion is not
+            finite.
     """
 
-    names: tuple[Key, ...]
-    error: dict[str, float] | None
-
-    def as_dict(self) -> dict[str, object]:
-        """Return it as JSON can hold it."""
-        return {"causes": [{"name": name, "on": on} for name, on in self.names], "validation_error": self.error}
+    causes: tuple[Cause, ...]
+    validation_error: dict[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -79,10 +77,11 @@ def no_worse(
     withheld, declared = None, float(before.squares @ validation.weights)
     for rivals in offered[:-1]:
         chosen, alone = _tempered(rivals[0], problem), None
+        causes = tuple(Cause(*key) for key in chosen.names)
         try:
             after = fitting.validated(validation, chosen.hypothesis)
         except IntegrationError:
-            withheld = withheld or Withheld(chosen.names, None)
+            withheld = withheld or Withheld(causes, None)
             continue
         made = None
         with suppress(IntegrationError):
@@ -93,7 +92,7 @@ def no_worse(
         cost = float(after.squares @ validation.weights)
         if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
             return Given(rivals, chosen, after, withheld, alone)
-        withheld = withheld or Withheld(chosen.names, validation.errors(after.squares))
+        withheld = withheld or Withheld(causes, validation.errors(after.squares))
     return Given(offered[-1], offered[-1][0], before, withheld)
 
 
@@ -110,12 +109,6 @@ def _pooled(
 
     None where it explains that as well as the estimation record already, a fit to both explains either less
     well, or the residual is not small.
-
-    Args:
-        chosen: the explanation, fitted to the estimation record.
-        after: it on the validation record.
-        problem: of the estimation record.
-        validation: of the validation record.
 
     Raises:
         IntegrationError: the motion of a fit to both is not finite.

@@ -31,11 +31,7 @@ def first(problem: EstimationProblem, theta: Array, samples: int = 20) -> Array:
 
 
 def sizes(problem: EstimationProblem) -> Array:
-    """Sizes of states by the largest readings (states,); 0 of those that no sensor sees.
-
-    Args:
-        problem: the record and the rig.
-    """
+    """Sizes of states by the largest readings (states,); 0 of those that no sensor sees."""
     rig, mean, record = problem.rig, problem.prior.mean, problem.record
     n, (at_rest, jacobian) = len(rig.coordinates), rig.reading(mean, rig.rest, record.acting[0])
     found = np.abs(decompositions.inverse(jacobian)) @ np.abs(record.readings - at_rest).max(axis=0)

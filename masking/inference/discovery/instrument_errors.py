@@ -1,4 +1,4 @@
-"""Imperfections: small errors of gain, zero and time that every rig has, adjusted as its parameters are.
+"""Instrument errors: small errors of gain, zero and time that every rig has, adjusted as its parameters are.
 
 One or two of them beside a missing effect are causes like any other. More of them take up the causes that an
 explanation may have, and laws that resemble them are found in the place of the right one. Where the laws of a first
@@ -109,7 +109,6 @@ def _last(found: SearchResult) -> Explanation:
 
 
 def _beside(problem: EstimationProblem, one: Explanation, rival: float) -> Explanation:
-    """Explanation fitted with imperfections."""
     known = one.hypothesis
     theta = np.concatenate([known.theta, np.zeros(len(problem.rig.imperfections))])
     return replace(one, hypothesis=fitting.fit(problem, known.instances, theta=theta, start=known.start, rival=rival))
@@ -134,7 +133,6 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
 
 
 def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
-    """Whether a search has found an explanation that leaves no more than noise."""
     last = _last(found)
     is_noise = verdict.reaches_noise(last.cost, problem.record.readings.size, problem.rules)
     return is_noise and not are_composite(last.names, problem.rig, problem.rules)
@@ -157,7 +155,7 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
 
 
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:
-    """Give each imperfection with the standard deviation of its prior; inputs that are a measured motion have none."""
+    """Imperfections with the standard deviation of its prior; inputs that are a measured motion have none."""
     twin, record = problem.rig.twin, problem.record
     sensors = zip(twin.sensors, record.readings.T, itertools.repeat(GAINS_AND_ZEROS[:2]))
     actuators = zip(twin.actuators, record.commands.T, itertools.repeat(GAINS_AND_ZEROS[2:]))

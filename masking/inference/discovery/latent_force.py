@@ -1,4 +1,4 @@
-"""Latent forces: what a record shows of a cause at one place, before and after.
+"""Latent force: the force of a cause that a record shows at one place, before and after.
 
 Latent forces of all coordinates are brought to one place by least squares, weighted with their deviations. They are
 those of the model with the parameters that were found beside the causes: the force of a cause lies on them, as in a
@@ -25,7 +25,7 @@ from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.places import is_of_one
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
-from masking.inference.discovery.smoothing import Motion, slopes, smooth
+from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Verdict
 from masking.inference.estimation.identification_data import Data
 from masking.model.declaration.dimensions import dimension_in, displacement_dimension, is_plain, symbol_dimensions
@@ -114,8 +114,22 @@ class Explained:
 
     @cached_property
     def smoothed(self) -> Smoothed:
-        """Latent forces along the record, before and after the causes."""
-        return smoothed(self)
+        """Latent forces along the record, with the parameters found, before and after the causes."""
+        chosen, base, problem = self.explanation.hypothesis, self.search.base.hypothesis, self.problem
+        if self.explanation.kind == "none":
+            motion = self.search.motion if chosen is base else smooth(problem, chosen.theta, chosen.start)
+            return Smoothed(motion, None, chosen.residuals)
+        try:
+            if problem.interval:  # readings without causes would jump between shooting intervals
+                before = smooth(problem, chosen.theta, chosen.start)
+                return Smoothed(before, _without(self, before), base.residuals)
+            without = problem.equations(chosen.theta, chosen.start).simulated
+            cleaned = replace(self.record, readings=np.ascontiguousarray(chosen.residuals + without))
+            records = (self.record, cleaned)
+            before, after = (smooth(replace(problem, record=r), chosen.theta, chosen.start) for r in records)
+        except IntegrationError:
+            return Smoothed(self.search.motion, None, base.residuals)
+        return Smoothed(before, after, self.record.readings - without)
 
 
 def force_at(found: Explained, most: str) -> LatentForce:
@@ -128,7 +142,7 @@ def force_at(found: Explained, most: str) -> LatentForce:
     instances = found.explanation.hypothesis.instances
     if not instances or found.verdict == "unknown":
         return _force(found, "element", most)
-    name = instances[-1].at or _busiest(found)
+    name = instances[-1].at or found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]  # the busiest
     return _sensor(found, name) if instances[-1].where == "sensor" else _force(found, instances[-1].where, name)
 
 
@@ -205,27 +219,7 @@ def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> 
     return np.asarray(found.rig.along(instance, x, rate, found.problem.dt)[:, 0])
 
 
-def smoothed(found: Explained) -> Smoothed:
-    """Latent forces along the record, with the parameters found, before and after the causes."""
-    chosen, base = found.explanation.hypothesis, found.search.base.hypothesis
-    record, problem = found.record, found.problem
-    if found.explanation.kind == "none":
-        motion = found.search.motion if chosen is base else smooth(problem, chosen.theta, chosen.start)
-        return Smoothed(motion, None, chosen.residuals)
-    try:
-        if problem.interval:  # readings without causes would jump between shooting intervals
-            before = smooth(problem, chosen.theta, chosen.start)
-            return Smoothed(before, _without(found, before), base.residuals)
-        without = problem.equations(chosen.theta, chosen.start).simulated
-        cleaned = replace(record, readings=np.ascontiguousarray(chosen.residuals + without))
-        before, after = (smooth(replace(problem, record=r), chosen.theta, chosen.start) for r in (record, cleaned))
-    except IntegrationError:
-        return Smoothed(found.search.motion, None, base.residuals)
-    return Smoothed(before, after, record.readings - without)
-
-
 def _without(found: Explained, motion: Motion) -> Motion:
-    """Motion without the forces of the causes along it."""
     forces = motion.forces.copy()
     for instance in found.explanation.hypothesis.instances:
         if instance.where == "sensor":
@@ -255,15 +249,11 @@ def projected(motion: Motion, by: Array) -> tuple[Array, float]:
 
 
 def directions(rig: AugmentedModel, theta: Array, column: int) -> Array:
-    """Return what a unit in a column of the equations is as forces on each degree (degrees,)."""
-    moved = slopes(rig, theta)[1][len(rig.coordinates) :]
+    """Forces on each degree of a unit in a column of the equations (degrees,)."""
+    moved = rig.slopes(theta)[1][len(rig.coordinates) :]
     moved = np.vstack([moved, rig.direct(theta)]) if rig.twin.is_fed else moved
     ports = moved[:, [rig.columns[1][i] for i in rig.degree_places]]
     return decompositions.least_squares(ports, moved[:, column])
-
-
-def _busiest(found: Explained) -> str:
-    return found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]
 
 
 def command_unit(found: Explained, name: str) -> str:

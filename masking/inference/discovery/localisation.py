@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import plain
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.force_decomposition import SEEN, ForceDecomposition, decompose, followed
 from masking.inference.discovery.harmonics import Harmonics, Periods, cycle
@@ -62,7 +63,7 @@ class LocatedForce:
             "share": self.share,
             "explained": self.explained,
             **self.decomposition.as_dict(),
-            "harmonics": self.harmonics and self.harmonics.as_dict(),
+            "harmonics": plain(self.harmonics),
             "frequency": self.frequency,
             "loss_per_cycle": self.frequency and self.decomposition.loss / self.frequency,
             "units": dict(zip(("force", "displacement", "rate"), self.units, strict=True)),
@@ -93,12 +94,14 @@ class LatentForces:
 
     def as_dict(self) -> dict[str, Any]:
         """Latent forces as JSON can hold them."""
-        return {
-            "coordinates": dict(self.coordinates),
-            "places": {place.name: place.as_dict() for place in self.places},
-            "actuators": dict(self.actuators),
-            "sensors": dict(self.sensors),
-        }
+        return dict(plain({**vars(self), "places": {place.name: place for place in self.places}}))
+
+
+class ResidualWhiteness(NamedTuple):
+    """Whiteness of the residual of a sensor without causes, and with these; None where none is known."""
+
+    before: Whiteness
+    after: Whiteness | None
 
 
 @dataclass(frozen=True)
@@ -108,29 +111,19 @@ class Localisation:
     Args:
         latent: with the parameters that were found beside the causes, but without these.
         residual: with the causes; None where none is known.
-        whiteness: of the validation residual of each sensor: with parameters adjusted alone, and with
-            the causes, which is None where none is known.
+        whiteness: of the validation residual of each sensor.
     """
 
     latent: LatentForces
     residual: LatentForces | None
-    whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]]
+    whiteness: Mapping[str, ResidualWhiteness]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON can hold it."""
-        return {
-            "latent_force": self.latent.as_dict(),
-            "residual_force": self.residual and self.residual.as_dict(),
-            "whiteness": {
-                name: {"before": before.as_dict(), "after": after and after.as_dict()}
-                for name, (before, after) in self.whiteness.items()
-            },
-        }
+        """Localisation as JSON can hold it."""
+        return dict(plain({"latent_force": self.latent, "residual_force": self.residual, "whiteness": self.whiteness}))
 
 
-def localise(
-    found: Explained, whiteness: Mapping[str, tuple[Whiteness, Whiteness | None]], names: Collection[str]
-) -> Localisation:
+def localise(found: Explained, whiteness: Mapping[str, ResidualWhiteness], names: Collection[str]) -> Localisation:
     """Localise the model error of a record.
 
     Args:

@@ -58,7 +58,7 @@ class MotionFeatures:
     kept: Kept
 
     def with_slopes(self, instance: EffectInstance) -> Features:
-        """Return what an instance adds where it acts, with slopes by its free parameters."""
+        """Signal that an instance adds where it acts, with slopes by its free parameters."""
         if instance.effect == compiled_laws.DELAY:
             half = 0.5 / self.record.rate
             late, at = self._late(instance)
@@ -68,7 +68,7 @@ class MotionFeatures:
         return self._followed(instance, instance.free)
 
     def by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
-        """Return what a candidate does, by its factors."""
+        """Signal of a candidate for each of its factors."""
         known = self.kept.features.get((candidate.factors, instance))
         if known is not None:
             return known
@@ -88,7 +88,7 @@ class MotionFeatures:
         return np.ascontiguousarray(features[:, 1:]), at[1:]
 
     def _followed(self, instance: EffectInstance, free: tuple[int, ...] = ()) -> Features:
-        """Return what an instance adds where it acts, with slopes by some of its parameters."""
+        """Signal that an instance adds where it acts, with slopes by some of its parameters."""
         rig, record, motion, thin = self.rig, self.record, self.motion, self.thinning.motion
         where, at, stride = instance.where, rig.index(instance), 1
         nothing = np.zeros(len(record))
@@ -108,7 +108,7 @@ class MotionFeatures:
         return thinned(made, thin // stride), np.full(made.shape[1], float(column))
 
     def _late(self, instance: EffectInstance) -> Features:
-        """Return what a delay changes of each command, and the columns where these act."""
+        """Change of each command by a delay, and the columns where these act."""
         acting, m = self.record.acting, len(self.record)
         early = np.clip(np.arange(m) - instance.values[0] * self.record.rate, 0.0, None)
         low = np.floor(early).astype(int)

@@ -1,4 +1,4 @@
-"""Rival: the law without a name beside the names, and the probability that none of these is right."""
+"""Name or unnamed: the law without a name as the rival of all names, and the probability that none is right."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, none_of_these, verdict
+from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import share_a_place
-from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.discovery_result import Discovery, Errors, Named
 from masking.inference.discovery.search import Tell
 from masking.inference.discovery.unnamed_law import UnnamedLaw, evidence, law_of
 
@@ -28,39 +28,50 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         substeps: integration steps between samples of the model alone.
         say: called with what is done.
     """
-    floor = found.simulation_error.validation_noise_floor
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        is_open = found.verdict == "unknown"
-        law = law_of(found, found.validation, substeps, OPEN) if is_open and not found.is_hidden else None
-        none = 0.0 if not is_open else 1.0 if law is not None and law.reaches(floor) else none_of_these.REFUSED
-        return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
-    law, left, better = None, _left(found), -np.inf
-    size, rules = found.problem.record.readings.size, found.problem.rules
-    is_open = found.verdict == "unknown" or (none_of_these.matters(left) and not found.closed)
+        return _without_names(found, substeps)
+    is_refused, rules = found.verdict == "unknown", found.problem.rules
+    left, size = _left(found), found.record.readings.size
+    is_open = is_refused or (verdict.none_matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
     leaves_more = max(found.explanation.cost / size, _errs(found) ** 2) > 1.0 + rules.screen_resolution
+    law = None
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
-        law = law_of(found, found.validation, substeps, OPEN if found.verdict == "unknown" else NAMED)
-    refused, above = found.verdict == "unknown", 0.0 if found.is_at_noise_floor else _errs(found)
-    explained = not above if law is None else law.reaches(floor)
-    matched = _in_intervals_of(law, found)
-    if law is not None:
+        law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
+    above, matched = 0.0 if found.is_at_noise_floor else _errs(found), _in_intervals_of(law, found)
+    if law is None:
+        explained, better, unexplained = not above, -np.inf, left
+    else:
+        explained = law.reaches(found.simulation_error.validation_noise_floor)
         alone = not matched.is_at_noise_floor and explained
         better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
-        left = law.unexplained(found)
-    none = none_of_these.none_of_these(
-        left if is_open else 0.0, better, refused=refused, shared=are_two, above=above, explained=explained
+        unexplained = law.unexplained(found)
+    none = verdict.none_of_these(
+        unexplained if is_open else 0.0, better, refused=is_refused, shared=are_two, above=above, explained=explained
     )
-    at = len(found.explanation.hypothesis.instances) - 1
-    last = found.effects[at]
-    others = tuple((name, on, part * (1.0 - none)) for name, on, part in last.alternatives)
-    last = replace(last, probability=last.probability * (1.0 - none), alternatives=others)
-    effects = (*found.effects[:at], last, *found.effects[at + 1 :])
-    answer = "unknown" if none > none_of_these.LIKELIER else found.verdict
+    answer = "unknown" if none > verdict.LIKELIER else found.verdict
     is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
     of, kept = (matched, law) if is_written else (found, None)
-    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=effects)
+    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=_effects(found, 1.0 - none))
+
+
+def _without_names(found: Discovery, substeps: int) -> Discovery:
+    """Discovery that names no effect, with the law without a name where something is missing."""
+    if found.verdict != "unknown":
+        return replace(found, law=None, none_of_these=0.0)
+    law = None if found.is_hidden else law_of(found, found.validation, substeps, OPEN)
+    is_right = law is not None and law.reaches(found.simulation_error.validation_noise_floor)
+    return replace(_in_intervals_of(law, found), law=law, none_of_these=1.0 if is_right else verdict.REFUSED)
+
+
+def _effects(found: Discovery, part: float) -> tuple[Named, ...]:
+    """Causes, the probabilities of the last one and of its alternatives multiplied by a part."""
+    at = len(found.explanation.hypothesis.instances) - 1
+    last = found.effects[at]
+    others = tuple(one._replace(probability=part * one.probability) for one in last.alternatives)
+    named = replace(last, probability=part * last.probability, alternatives=others)
+    return (*found.effects[:at], named, *found.effects[at + 1 :])
 
 
 def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
@@ -76,7 +87,7 @@ def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
     except IntegrationError:
         return found
     before, after, adjusted = (validation.errors(one.squares) for one in made)
-    errors = replace(found.simulation_error, validation=(before, after), adjusted=adjusted)
+    errors = replace(found.simulation_error, validation=Errors(before, after), adjusted=adjusted)
     return replace(
         found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors
     )
@@ -124,7 +135,7 @@ def _takes_a_rest(found: Discovery) -> bool:
 
 
 def _left(found: Discovery) -> float:
-    """Return what the names leave in both records, beyond noise, as part of the rms of the model error."""
+    """Part of the rms of the model error that the names leave in both records, beyond noise."""
     pairs = zip(
         (found.search.base.hypothesis, found.adjusted),
         (found.explanation.hypothesis, found.after),

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.control.rig.twin import Twin
+from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, shooting
 from masking.inference.discovery.augmented_model import AugmentedModel
@@ -34,7 +36,7 @@ STEPS = "row of growing steps"
 
 
 @dataclass(frozen=True)
-class NextExperiment:
+class NextExperiment(Result):
     """An excitation that separates two explanations.
 
     Args:
@@ -52,18 +54,12 @@ class NextExperiment:
     between: tuple[str, str]
     commands: Array
     threshold: float = RULES.separation
+    json_names = ("excitation", "settings", "separation", "separates", "between")
 
     @property
     def separates(self) -> bool:
         """Whether it separates them."""
         return self.separation > self.threshold
-
-    def as_dict(self) -> dict[str, Any]:
-        """Experiment as JSON can hold it."""
-        return {
-            "excitation": self.excitation, "settings": self.settings, "separation": self.separation,
-            "separates": self.separates, "between": list(self.between),
-        }  # fmt: skip
 
     @property
     def peaks(self) -> dict[str, float]:
@@ -72,7 +68,7 @@ class NextExperiment:
 
     @property
     def pace(self) -> str:
-        """Say how fast and how long it is: '3 to 12 Hz, 30 s long'."""
+        """Frequencies and length as text: '3 to 12 Hz, 30 s long'."""
         length = f"{self.settings['seconds']:g} s long"
         if "lowest" not in self.settings:
             return length
@@ -111,6 +107,15 @@ def next_experiment(
 
     every = (tried(*one) for one in _possible(problem, size, most, rates))
     return max(every, key=lambda one: one.separation)
+
+
+def declared_limits(twin: Twin) -> Array | None:
+    """Largest command of each actuator that the plant file declares (actuators,); None where it does not."""
+    declared = twin.declaration.limits.inputs
+    if any(name not in declared for name in twin.actuators):
+        return None
+    ports = twin.declaration.actuators or twin.base.inputs
+    return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
 def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
@@ -153,7 +158,7 @@ def _rates(rig: AugmentedModel) -> dict[int, int] | None:
 def _possible(
     problem: EstimationProblem, size: Array, most: Array, rates: Mapping[int, int]
 ) -> Iterator[tuple[str, dict[str, Any], Array]]:
-    """Give the excitations in which each rate is that of its displacement; a step would have none."""
+    """Excitations in which each rate is that of its displacement; a step would have none."""
     for name, settings, commands in _excitations(problem, size, most):
         if rates and name == STEPS:
             continue

@@ -1,4 +1,4 @@
-"""Pairs: two laws that explain a residual together, where either alone takes little.
+"""Pairs of causes: two laws that explain a residual together, where either alone takes little.
 
 They share a place, or are one law in both directions between two coordinates. A free decay that dry friction and drag
 damp looks linear to each of them: what is nearly constant at one amplitude takes from the declared damping what grows
@@ -109,7 +109,7 @@ def pairs_first(
 
 
 def _group(score: Score) -> tuple[str, ...]:
-    """Return what laws of a pair share: a place, or the law and its two coordinates; nothing for other laws.
+    """Key that laws of a pair share: a place, or the law and its two coordinates; empty for other laws.
 
     At one place, laws that are linear, or in which a simpler one is nested, are left to a search step by step.
     """

@@ -78,7 +78,7 @@ class Place:
 
 
 def degrees(model: ModelDeclaration) -> tuple[str, ...]:
-    """Return what forces move: coordinates, internal states, and outputs that elements act on.
+    """Degrees of freedom that forces move: coordinates, internal states, and outputs that elements act on.
 
     An output that elements share with the coordinates, as the reading of a force on them, is none of its own.
     """
@@ -107,9 +107,9 @@ def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, .
             element = _alone(model, name, _force_unit(model, name, forces[name]))
             found.append(_place(model, name, element, name, declared=False))
     if not found:
-        mend = "declare where one may sit, such as 'elements: {strut: {displacement: d, rate: v, acts: {F: 1}}}'"
+        remedy = "declare where one may sit, such as 'elements: {strut: {displacement: d, rate: v, acts: {F: 1}}}'"
         raise DeclarationError(
-            Problem(model.place("outputs"), "elements", f"{model.name} has no place for a force", mend)
+            Problem(model.place("outputs"), "elements", f"{model.name} has no place for a force", remedy)
         )
     between = {_text(e.displacement) for e in model.elements.values()}
     weights = _weights(model)
@@ -128,7 +128,6 @@ def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, .
 
 
 def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -> Iterator[Place]:
-    """Give the directed places: what each follows, the coordinate that it acts on, and what multiplies its force."""
     commands = [name for name in model.inputs if name not in measured_inputs(model)]
     units = {name: x.unit for section in (model.coordinates, model.inputs) for name, x in section.items()}
     for name in model.coordinates:
@@ -148,7 +147,6 @@ def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -
 
 
 def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
-    """Inputs that the model lets act on a coordinate."""
     left = equation_of(model, name)
     acting = [model.forces[name]] if name in model.forces else [model.equations[left]] if left is not None else []
     seen, pending = set[str](), set().union(*(expression.names for expression in acting))
@@ -159,7 +157,7 @@ def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
 
 
 def both_of(place: str) -> tuple[str, ...]:
-    """Return what the force at a directed place follows, and what it acts on: x2 and x1 of "x2 on x1"."""
+    """Both ends of a directed place, followed and acted on: x2 and x1 of "x2 on x1"."""
     return tuple(place.split(ON))
 
 

@@ -1,4 +1,4 @@
-"""Prior: normal distributions of the rig's parameters, with bounds, and the split of a record in two.
+"""Prior of the rig's parameters: normal distributions with bounds; and the split of a record in two.
 
 Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28, for priors in model
 comparison.

@@ -1,4 +1,4 @@
-"""Noise: how much of it there is in each reading of a record, and whether readings are rounded.
+"""Noise of each reading of a record, and steps to which readings are rounded.
 
 Source: Rousseeuw and Croux (1993), J. Am. Stat. Assoc. 88(424), 1273-1283, for the median of magnitudes.
 """
@@ -27,10 +27,6 @@ def noise_of(twin: Twin, record: Data) -> Array:
     noise is that of most readings. That of measured inputs counts with what the readings have of these by linear
     regression. Parameters of the model have no part in it. Rounding to steps q makes q / sqrt(12) at least.
 
-    Args:
-        twin: the rig.
-        record: commands and readings.
-
     Raises:
         RecordError: readings carry no noise, so that nothing can be said to be beyond it.
     """
@@ -51,7 +47,7 @@ def noise_of(twin: Twin, record: Data) -> Array:
 
 
 def _smooth(table: Array) -> Array:
-    """Noise of columns (m, c) that are smooth but for jumps: what is usual of it, if less than its mean."""
+    """Noise of piecewise-smooth columns (m, c): the smaller of the median and the mean estimate."""
     columns = [_measured(column)[:, None] for column in table.T]
     usual = [float(np.median(np.abs(third_differences(column)))) / MEDIAN for column in columns]
     return np.array([min(one, float(white_noise(column)[0])) for one, column in zip(usual, columns, strict=True)])

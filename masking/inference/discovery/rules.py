@@ -1,4 +1,7 @@
-"""Rules: every number that takes part in a verdict of discovery, with its meaning and the reason for its value.
+"""Rules: the thresholds of a search and of its verdict, each with its meaning and the reason for its value.
+
+Numbers of one step, such as the starts of a fit, stand in the module of that step; those of the probability that no
+name is right, and of laws without a name, in `verdict` and `unnamed_law`.
 
 Costs are -2 log likelihoods: a squared deviation of one standard deviation costs 1. "Benchmark" is the suite of
 `make bench-discovery`. "Gaussian motion" is one whose displacement and rate are normally distributed, as under

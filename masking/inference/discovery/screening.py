@@ -16,6 +16,7 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array, IntVector
+from masking.compile.numerics.least_squares import System
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import MOST_COLUMNS, EffectInstance
@@ -25,7 +26,6 @@ from masking.inference.discovery.fitting import Hypothesis, bounds
 from masking.inference.discovery.motion_features import Kept, MotionFeatures
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
-from masking.inference.estimation.least_squares import System
 
 # Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the
 # largest: smaller ones are rounding.
@@ -150,7 +150,7 @@ class Screen:
         return found
 
     def _found(self, instances: Sequence[EffectInstance]) -> tuple[Array, Array]:
-        """Return what effects that were found do to the sensors (blocks, sensors), and its derivatives (..., f)."""
+        """Responses of the sensors to effects together (blocks, sensors), and their derivatives (..., f)."""
         sensors = len(self.rig.twin.sensors)
         values, slopes = np.zeros((self.blocks, sensors)), [np.zeros((self.blocks, sensors, 0))]
         for made in self._effects(instances):
@@ -159,7 +159,7 @@ class Screen:
         return values, np.concatenate(slopes, axis=2)
 
     def _effects(self, instances: Sequence[EffectInstance]) -> list[Array]:
-        """Return what effects with given values do to the sensors, and its derivatives (blocks, sensors, 1 + f)."""
+        """Responses of the sensors to each effect, and their derivatives (blocks, sensors, 1 + f)."""
         features, at = [], []
         for instance in instances:
             made, columns = self._features.with_slopes(instance)
@@ -175,7 +175,7 @@ class Screen:
         return found
 
     def _at_sensors(self, where: Sequence[str], features: Sequence[Array], at: Sequence[Array]) -> list[Array]:
-        """Return what effects do to the sensors (blocks, sensors, c) each, from thinned features (m, c) and columns."""
+        """Responses of the sensors (blocks, sensors, c) to averaged features (m, c) of each effect at columns."""
         inside = [i for i, place in enumerate(where) if place != "sensor"]
         found = [np.zeros((self.blocks, len(self.rig.twin.sensors), table.shape[1])) for table in features]
         if inside:
@@ -189,7 +189,7 @@ class Screen:
         return found
 
     def responses(self, instances: Sequence[EffectInstance]) -> Array:
-        """Return what a unit of each free parameter does to `left`, to first order (r, f)."""
+        """Change of `left` by a unit of each free parameter, to first order (r, f)."""
         tables = [made[:, :, 1:] for made in self._effects(instances)]
         rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
         return self._out(np.vstack([rows, np.zeros((len(self.left) - len(rows), rows.shape[1]))]))
@@ -209,7 +209,7 @@ class Screen:
         return np.clip(theta + step[: len(theta)], self.bounds.low, self.bounds.high), start
 
     def scores(self, candidates: Sequence[Candidate]) -> list[Score]:
-        """Return what each candidate could take off, the best first."""
+        """Reduction of the cost by each candidate, the best first."""
         found: dict[int, Score] = {}
         self._settle([(candidate, instance) for candidate in candidates for instance in candidate.instances], found)
         self._zoom(found)
@@ -227,7 +227,7 @@ class Screen:
             self._settle([(p.candidate, p.instance.with_free_times(part)) for p in near for part in parts], found)
 
     def _sharpened(self, scores: Sequence[Score]) -> dict[int, Score]:
-        """Scores whose shapes are brought to their best values, by the method of Levenberg and Marquardt."""
+        """Scores whose shapes are brought to their best values, by damped steps of all of them at once."""
         best = {id(score.candidate): score for score in scores}
         instances = {key: score.instance for key, score in best.items()}
         damping, active = 1e-4, [score.candidate for score in scores]
@@ -247,13 +247,13 @@ class Screen:
                 if gain > least:
                     best[key] = replace(best[key], instance=instances[key], gain=max(gain, 0.0))
                     step, _ = System(gram[1:, 1:], right[1:] - gram[1:, 0]).step(damping)
-                    instances[key] = _stepped(instances[key], step)
+                    one = instances[key]
+                    instances[key] = one.with_values(one.free, bounds([one]).after(np.array(one.estimated), step))
                     going.append(candidate)
             active, damping = going, damping / 10.0
         return best
 
     def _settle(self, jobs: Sequence[tuple[Candidate, EffectInstance]], found: dict[int, Score]) -> None:
-        """Score instances of candidates, and keep the best of each."""
         channels = len(self.rig.twin.actuators)
         sizes = [channels if one.effect == compiled_laws.DELAY else max(1, len(one.factors)) for one, _ in jobs]
         with ThreadPoolExecutor(2) as pool:
@@ -290,7 +290,8 @@ class Screen:
                 jobs, self._at_sensors([instance.where for _, instance in jobs], features, at), strict=True
             )
         ]
-        columns = np.split(np.arange(sum(table.shape[2] for table in tables)), _ends(tables))
+        ends = np.cumsum([table.shape[2] for table in tables])
+        columns = np.split(np.arange(ends[-1]), ends[:-1])
         rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
         # Products of the projected columns, without making these.
         known = self.taken[: len(rows)].T @ rows
@@ -298,14 +299,7 @@ class Screen:
         return Products(rows, gram, right, np.einsum("ij,ij->j", rows, rows), columns)
 
     def _score(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
-        """Score of an instance.
-
-        Args:
-            nothing: the candidate and its instance.
-            gram: products of its columns (c, c).
-            right: products of its columns with the residual (c,).
-            squares: of its columns before the projection (c,).
-        """
+        """Score of an instance."""
         candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
         diagonal = np.diag(gram)
         if not (diagonal > ROUNDING * squares).any():
@@ -342,7 +336,7 @@ class Screen:
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
 
     def _spread(self, features: Array, at: Array, initial: IntVector | None = None) -> Array:
-        """Return what forces (m, M) at columns (M,), or `initial` states, do to the sensors (blocks, sensors, M)."""
+        """Responses of the sensors (blocks, sensors, M) to forces (m, M) at columns (M,), or to `initial` states."""
         rig, record = self.rig, self.record
         sensors, many = len(rig.twin.sensors), features.shape[1]
         found = np.empty((self.blocks, sensors * many))
@@ -389,11 +383,6 @@ def best_factors(gram: Array, right: Array, squares: Array) -> Array:
     return factors
 
 
-def _ends(tables: Sequence[Array]) -> IntVector:
-    """Where each of some tables (..., c) but the last ends, side by side."""
-    return np.cumsum([table.shape[2] for table in tables])[:-1]
-
-
 def _bounded(rows: Array) -> Array:
     """Responses (r, c) with 0 for those along which the rig's motion runs away: they have no weight."""
     return np.where(np.abs(rows).max(axis=0, initial=0.0) < HUGE, rows, 0.0)
@@ -410,7 +399,7 @@ def _apart(columns: Array, others: Array, rank: float) -> tuple[Array, Array]:
 
 
 def _chunks(sizes: Sequence[int]) -> Iterator[slice]:
-    """Give slices of items that have at most `MOST_COLUMNS` columns together."""
+    """Slices of items that have at most `MOST_COLUMNS` columns together."""
     first = total = 0
     for i, size in enumerate(sizes):
         if total + size > MOST_COLUMNS and i > first:
@@ -423,7 +412,3 @@ def _chunks(sizes: Sequence[int]) -> Iterator[slice]:
 
 def _has_shape(candidate: Candidate) -> bool:
     return bool(set(candidate.free) - set(candidate.factors)) and not candidate.entry.quantum
-
-
-def _stepped(instance: EffectInstance, step: Array) -> EffectInstance:
-    return instance.with_values(instance.free, bounds([instance]).after(np.array(instance.estimated), step))

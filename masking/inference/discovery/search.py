@@ -101,7 +101,6 @@ class Search:
         return {name: effect.nested for name, effect in self.problem.rig.twin.dictionary.items()}
 
     def _nested_in(self, key: Key) -> set[Key]:
-        """Effects that are nested in one at its place."""
         effect, at = key
         return {(name, at) for name in self.nested.get(effect, ())}
 
@@ -243,60 +242,53 @@ class Search:
         made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
         made.clear()
         far = FAR * min((one.cost for one in known.values()), default=np.inf)
-
-        def is_far(number: int) -> bool:
-            return number in known and known[number].cost > far
-
-        best = max([*gains, *(score.gain for score in scores)], default=0.0)
-        chosen, variants = self._worth_a_fit(now, scores, screen, screen.total - best)
-        repeated = [score for score in scores if id(score.candidate) in known and all(score is not p for p in chosen)]
-        chosen += repeated
-
         adding = Addition(self.problem, now, screen)
 
-        def added(score: Score) -> tuple[int, Job]:
-            number = id(score.candidate)
-            return number, adding.job((score,), known.get(number))
+        def near(jobs: Sequence[tuple[int, Job]]) -> list[tuple[int, Job]]:
+            return [(number, job) for number, job in jobs if number not in known or not known[number].cost > far]
 
-        jobs = [added(score) for score in chosen]
-        if parameters:
-            wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
-            jobs += [(-1 - i, partial(self._freed, now, i)) for i in wrong]
-        jobs = [(number, job) for number, job in jobs if not is_far(number)]
+        def added(some: Sequence[Score]) -> list[tuple[int, Job]]:
+            numbers = [id(score.candidate) for score in some]
+            return [(i, adding.job((score,), known.get(i))) for i, score in zip(numbers, some, strict=True)]
+
+        best = max([*gains, *(score.gain for score in scores)], default=0.0)
+        worth, variants = self._worth_a_fit(now, scores, screen, screen.total - best)
+        repeated = [p for p in scores if id(p.candidate) in known and not _is_among(p, worth)]
+        wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
+        freed = [(-1 - i, partial(self._freed, now, i)) for i in wrong if parameters]
+        jobs, work = near([*added([*worth, *repeated]), *freed]), self.problem.work
         if jobs:
             self.tell(f"fitting {len(jobs)} of them", 0.3)
-        found: list[Explanation] = []
-        for some in (jobs[:2], jobs[2:]):  # the best scores set the mark for the others
-            rival = min(e.hypothesis.cost for e in (now, *found))
-            found += self._noted(some, self.problem.work, rival, made)
-        first = min((now, *found), key=lambda e: e.hypothesis.cost)
-        rival = first.hypothesis.cost
-        if found and not verdict.reaches_noise(rival, self.size, rules):
+        leading = self._noted(jobs[:2], work, now.hypothesis.cost, made)  # the best scores set the mark for the others
+        first = [*leading, *self._noted(jobs[2:], work, min(e.hypothesis.cost for e in (now, *leading)), made)]
+        nearest = min((now, *first), key=lambda e: e.hypothesis.cost)
+        rival, further = nearest.hypothesis.cost, list[Explanation]()
+        if first and not verdict.reaches_noise(rival, self.size, rules):
             # Screens expect too much of others: those that they put beside the best fit may be right.
             is_more = ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best)
-            gain = next((one.gain for one in scores if one.candidate.key in first.names[-1:]), best)
+            gain = next((one.gain for one in scores if one.candidate.key in nearest.names[-1:]), best)
             others, variants = self._worth_a_fit(now, scores, screen, np.inf if is_more else screen.total - gain)
-            more = [added(p) for p in others if all(p is not one for one in chosen)]
-            found += self._noted([(n, job) for n, job in more if not is_far(n)], self.problem.work, rival, made)
+            more = near(added([p for p in others if not _is_among(p, [*worth, *repeated])]))
+            further = self._noted(more, work, rival, made)
+        every = [*first, *further]
         if parameters and not known:
             noted = partial(self._noted, rival=rival, made=made)
-            found += sticking_laws.fits(self.problem, now, found, ground, noted)
-            found += sticking_laws.nearest(self.problem, now, found, ground, noted)
-            found += wrong_parameters.several(self.problem, now, found)
-        if not found:
+            every += sticking_laws.fits(self.problem, now, every, ground, noted)
+            every += sticking_laws.nearest(self.problem, now, every, ground, noted)
+            every += wrong_parameters.several(self.problem, now, every)
+        if not every:
             return [], now
         # Other shapes of a nested model are fitted if one takes a part of what the best does.
-        rival = min(e.hypothesis.cost for e in found)
+        rival = min(e.hypothesis.cost for e in every)
         least = now.hypothesis.cost - (1.0 - rules.gain_fraction) * (now.hypothesis.cost - rival)
-        near = {e.names[-1] for e in found if e.hypothesis.cost < least}
-        again = [added(p) for p in variants if p.candidate.key in near and all(p is not one for one in repeated)]
-        found += self._noted(again, self.problem.work, rival, made)
-        found += self._simpler(found)
-        found = [e for e in found if self._is_possible(e)]
-        return self._compared(now, found) if found else ([], now)
+        keys = {e.names[-1] for e in every if e.hypothesis.cost < least}
+        again = added([p for p in variants if p.candidate.key in keys and not _is_among(p, repeated)])
+        shaped = [*every, *self._noted(again, work, rival, made)]
+        possible = [e for e in (*shaped, *self._simpler(shaped)) if self._is_possible(e)]
+        return self._compared(now, possible) if possible else ([], now)
 
     def _compared(self, now: Explanation, found: Sequence[Explanation]) -> tuple[list[Explanation], Explanation]:
-        """Return those of explanations that are distinct, the best first, and the likeliest; none if by chance."""
+        """Distinct explanations, the best first, and the likeliest; none if the best is no better than chance."""
         rules = self.rules
         tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
         merged: dict[tuple[Key, ...], Explanation] = {}
@@ -357,14 +349,14 @@ class Search:
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
         inside = {name for names in self.nested.values() for name in names}
         nested = simpler | {key for key in keys if key[0] in inside}
-        others = [p for p in scores if p.candidate.key in nested and all(p is not one for one in chosen)]
+        others = [p for p in scores if p.candidate.key in nested and not _is_among(p, chosen)]
         first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
         chosen += [p for p in others if first[p.candidate.key] is p]
-        variants = [p for p in others if all(p is not one for one in chosen)]
+        variants = [p for p in others if not _is_among(p, chosen)]
         return chosen, variants
 
     def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
-        """Return what fits give where the motion is finite, and note them by their numbers.
+        """Fits whose motion is finite, noted by their numbers.
 
         A round in which some are noted already begins no more where the work is over.
         """
@@ -376,7 +368,7 @@ class Search:
         return [*found.values()]
 
     def _worth(self, screen: Screen, left: float) -> float:
-        """Return what a candidate may leave of a screen's cost to be fitted, where the best leaves so much."""
+        """Largest cost in a screen of a candidate that is worth a fit, where the best leaves `left`."""
         rules, noise = self.rules, float(self.size // screen.every)
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.slow_excess * noise
 
@@ -409,7 +401,6 @@ class Search:
         return best
 
     def _in_place(self, best: Explanation, i: int, score: Score, rival: float) -> Explanation:
-        """Fit with an effect in the place of one."""
         names, others = best.without(i)
         found = self._fit((ready(self.problem, score), *others), best.hypothesis, rival)
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
@@ -451,7 +442,6 @@ class Search:
         return best if best.score(tempering) < now.score(tempering) - rules.effect_evidence else now
 
     def _with_shape(self, now: Explanation, i: int, instance: EffectInstance, rival: float) -> Explanation:
-        """Fit with other parameters of one effect estimated."""
         known = now.hypothesis.instances
         return replace(now, hypothesis=self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival))
 
@@ -480,3 +470,7 @@ class Search:
         free = Explanation("parameter", names, now.hypothesis).with_prior(self.problem)
         found = fitting.fit(free, theta=now.hypothesis.theta, start=now.hypothesis.start, rival=rival)
         return Explanation("parameter", names, found)
+
+
+def _is_among(score: Score, scores: Sequence[Score]) -> bool:
+    return any(one is score for one in scores)

@@ -49,7 +49,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
 
 
 def shorter(problem: EstimationProblem) -> Iterator[float]:
-    """Give shooting intervals in s, the longest first, for a motion that loses phase with its record."""
+    """Shooting intervals in s, the longest first, for a motion that loses phase with its record."""
     speeds = np.abs(modes(problem).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
     rules, rate = problem.rules, problem.record.rate
@@ -75,7 +75,7 @@ def substeps(problem: EstimationProblem) -> int:
 
 
 def _moved(problem: EstimationProblem, start: Array) -> int:
-    """Return in how many steps a bench moves no further than the shortest displacement over which friction builds up.
+    """Steps in which a bench moves no further than the shortest displacement over which friction builds up.
 
     A component has no motion of its own that takes steps; with longer ones, the states of friction diverge.
     """

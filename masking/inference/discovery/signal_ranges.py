@@ -1,4 +1,4 @@
-"""Spans: the range of each place, sensor and actuator in a record, from which fits start."""
+"""Signal ranges of each place, sensor and actuator in a record, from which fits start."""
 
 from __future__ import annotations
 
@@ -23,12 +23,7 @@ OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
 
 def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], Span]:
-    """Range of each place, sensor and actuator: of an element, sensor or actuator with a name.
-
-    Args:
-        problem: the record and the rig.
-        motion: the smoothed record.
-    """
+    """Range of each place, sensor and actuator: of an element, sensor or actuator with a name."""
     rig, record = problem.rig, problem.record
     found, tones, of_motion = dict[tuple[str, str], Span](), _tones(problem, motion), time(motion)
     for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
@@ -77,14 +72,7 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
 
 
 def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -> tuple[float, ...]:
-    """Displacements over which latent forces repeat (c,), beside what is linear in displacement and rate.
-
-    Args:
-        problem: the record and the rig.
-        x: displacement of a place (m,).
-        rate: of it (m,).
-        forces: latent (m, c).
-    """
+    """Displacements over which latent forces repeat (c,), beside what is linear in displacement and rate."""
     travel, passed = float(np.ptp(x)), float(np.sqrt((rate**2).mean())) * problem.dt
     if not (travel > 0.0 and passed > 0.0 and np.isfinite(forces).all()):
         return ()

@@ -1,4 +1,4 @@
-"""Nesting: simpler explanations, which begin from the values of a richer one that they are a special case of."""
+"""Simpler explanations: special cases of a richer one, which begin from its values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Ready = Callable[[EffectInstance, Candidate], EffectInstance]
 def simpler(
     best: Explanation, every: Sequence[Candidate], ready: Ready
 ) -> Iterator[tuple[tuple[Key, ...], tuple[EffectInstance, ...]]]:
-    """Give simpler explanations: without each cause, or with a simpler one in its place.
+    """Simpler explanations: without each cause, or with a simpler one in its place.
 
     A law beside an element, together with others that take the element's own force away, is that law instead of it.
 

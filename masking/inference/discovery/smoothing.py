@@ -63,7 +63,7 @@ class Motion:
     acceleration: Array
 
     def acted_on(self, effect: Effect, at: int) -> tuple[Array, Array]:
-        """Return what an effect in an element follows at a place (m,): displacement and rate, or the acceleration."""
+        """Motion that an effect in an element follows at a place: displacement (m,) or acceleration, and rate (m,)."""
         x = self.acceleration if effect.is_inertia else self.displacement
         return x[:, at], self.rate[:, at]
 
@@ -146,15 +146,6 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     return record.readings - sensed, states, predicted
 
 
-def slopes(rig: AugmentedModel, theta: Array) -> tuple[Array, Array]:
-    """How rates of states at rest depend on states (n, n) and on affected parameters and ports (n, a)."""
-    n = len(rig.twin.state_names)
-    by_state, by_parameter = np.zeros((n, n)), np.zeros((n, rig.affected))
-    nothing = np.zeros(len(rig.twin.actuators))
-    rig.equations.slopes(0.0, rig.rest, nothing, rig.basis(theta)[0], np.zeros(n), by_state, by_parameter)
-    return by_state, by_parameter
-
-
 def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, Array]:
     """A (n, n), B of forces on the degrees (n, degrees), C (sensors, n) and D (sensors, degrees) at rest.
 
@@ -162,7 +153,7 @@ def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, 
         IntegrationError: the equations have no slopes at rest.
     """
     count, y = len(rig.coordinates), rig.rest
-    jy, jp = slopes(rig, theta)
+    jy, jp = rig.slopes(theta)
     js, jps = rig.reading(theta, y)[1], rig.direct(theta)
     jy[:count, count : 2 * count] = np.eye(count)
     columns = [rig.columns[1][i] for i in rig.degree_places]

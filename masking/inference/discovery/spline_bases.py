@@ -1,4 +1,4 @@
-"""Bases: cubic B-splines over displacement and rate, as effects that a fit puts at a place in any number.
+"""Spline bases: cubic B-splines over displacement and rate, as effects that a fit puts at a place in any number.
 
 A curve is a sum of B-splines with one factor each; a surface is one of curves over the displacement, times functions of
 the rate, or of products. A bend that the motion does not visit is held at zero, so that curves go on straight there.

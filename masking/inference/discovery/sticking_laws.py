@@ -1,4 +1,4 @@
-"""Unscreened: laws that the smoothed motion does not show, fitted from the model as declared.
+"""Sticking laws and others that the smoothed motion does not show, fitted from the model as declared.
 
 Along a motion that sticks no law has the force that holds it, and where a sensor reads the same for several values,
 such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
@@ -138,7 +138,7 @@ def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tup
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
-    """Give instances from which a fit may start, with levels like that of dry friction."""
+    """Instances from which a fit may start, with levels like that of dry friction."""
     others = [i for i in candidate.free if i not in candidate.factors]
     for instance, faster in itertools.product(candidate.instances, FASTER if others else FASTER[:1]):
         moved = instance.with_values(others, [faster * instance.values[i] for i in others])

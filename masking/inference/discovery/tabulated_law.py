@@ -1,4 +1,4 @@
-"""Tabulated: a free law as an effect whose expression holds its curves as tables."""
+"""Tabulated law: a free law as an effect whose expression holds its curves as tables."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _centred(terms: Sequence[Term], factors: list[Array]) -> list[Array]:
 
 
 def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -> Iterator[str]:
-    """Give the parts of a term as text, and add their parameters with their values."""
+    """Parts of a term as text; adds their parameters with their values."""
     f, x, v, s, c = (f"{letter}{label or 0}" for letter in "fxvsc")
     match term.kind:
         case "free_friction":
@@ -87,6 +87,5 @@ def _reach(curve: Curve) -> float:
 
 
 def _table(curve: Curve, of: str, heights: Array) -> str:
-    """Curve as the text of a table over its points, in parts of its reach."""
     pairs = zip(curve.points / _reach(curve), heights, strict=True)
     return f"interpolate({of}, {', '.join(f'{a:.{DIGITS}g}, {b:.{DIGITS}g}' for a, b in pairs)})"

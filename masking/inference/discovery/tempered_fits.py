@@ -1,4 +1,4 @@
-"""Tempering: fits in which what a model leaves counts as noise, so that the prior holds the parameters of the rig."""
+"""Tempered fits: the residual counts as noise, so that the prior holds the parameters of the rig."""
 
 from __future__ import annotations
 

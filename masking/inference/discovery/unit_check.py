@@ -86,7 +86,7 @@ class UnitDoubt:
         return 1.0 / LIKE < by < LIKE
 
     def of_declared(self, unit: str) -> str:
-        """Return what channels are probably in that are declared in a unit."""
+        """Probable unit of the channels that are declared in a unit."""
         return dict(zip(self.declared.split(AND), self.unit.split(AND), strict=True))[unit]
 
     def as_dict(self) -> dict[str, Any]:
@@ -124,18 +124,15 @@ class UnitDoubt:
 
 
 def doubted(problem: EstimationProblem) -> UnitDoubt | None:
-    """Unit that is probably another than declared; None where none is.
-
-    Args:
-        problem: the record and the rig, simulated whole.
-    """
+    """Unit that is probably another than declared; None where none is."""
     few, rules = _part(problem), problem.rules
     declared = _simulated(few)
     before = _error(declared, few)
     if before < rules.phase_loss:
         return None
     tried, sizes = list[UnitDoubt](), list[float]()
-    for one, other in _converted(few):
+    for one in _others(few):
+        other = one.converted(few)
         after = _simulated(other)
         tried.append(replace(one, error=(before, _error(after, other))))
         sizes.append(_apart(after, other))
@@ -161,8 +158,9 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
     few, otherwise = _part(problem), far_off(problem, found)
     before = _simulated(few)
     error, tried, sizes = _error(before, few), list[UnitDoubt](), list[float]()
-    for one, other in _converted(few):
+    for one in _others(few):
         if one.kind != "clock":
+            other = one.converted(few)
             after = _simulated(other)
             tried.append(replace(one, error=(error, _error(after, other)), otherwise=otherwise))
             sizes.append(_apart(after, other))
@@ -171,12 +169,7 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
 
 
 def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
-    """Gains (effect, place) and parameters (name, '') that are several times what is declared, and how many.
-
-    Args:
-        problem: the record and the rig.
-        found: a fit.
-    """
+    """Gains (effect, place) and parameters (name, '') that are several times what is declared, and how many."""
     prior, names = problem.prior, problem.rig.names
     pairs = [((one.effect, one.at), 1.0 + one.values[0]) for one in found.instances if one.effect in GAINS]
     for name, value, mean, deviation in zip(names, found.theta, prior.mean, prior.deviation, strict=False):
@@ -186,15 +179,8 @@ def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, f
 
 
 def _part(problem: EstimationProblem) -> EstimationProblem:
-    """First part of a record, in few steps."""
     part = problem.record.first(SAMPLES / problem.record.rate)
     return replace(problem, record=part, substeps=min(problem.substeps, STEPS))
-
-
-def _converted(problem: EstimationProblem) -> Iterator[tuple[UnitDoubt, EstimationProblem]]:
-    """Give the other units of channels, and the problem in each."""
-    for one in _others(problem):
-        yield one, one.converted(problem)
 
 
 def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoubt | None, float]:
@@ -205,7 +191,7 @@ def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoub
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Give other signs and units: of each channel, and units of those alike, of all sensors, and of the clock.
+    """Other signs and units: of each channel, and units of those alike, of all sensors, and of the clock.
 
     A channel whose unit is not declared has another sign only.
     """
@@ -228,7 +214,7 @@ def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
 
 
 def _of_group(names: tuple[str, ...], kind: str, declared: Sequence[str]) -> Iterator[UnitDoubt]:
-    """Give other units of channels, all by one factor: usual ones of the dimension of each that is declared."""
+    """Other units of channels, all by one factor: usual ones of the dimension of each that is declared."""
     every = [{factor_of(one) / factor_of(unit): one for one in USUAL if _is_other(one, unit)} for unit in declared]
     for factor, first in every[0].items() if every else ():
         units = [first, *(one for of in every[1:] for by, one in of.items() if np.isclose(by, factor))]

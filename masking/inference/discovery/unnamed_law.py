@@ -1,4 +1,4 @@
-"""Unnamed: the law that a record shows where no name of the dictionary explains it, as a part of the model."""
+"""Unnamed law: the empirical force law of a record that no effect of the dictionary explains, in the model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from masking.inference.discovery import (
     free_law,
     further_places,
     latent_force,
-    none_of_these,
     shooting,
     signal_ranges,
     verdict,
@@ -141,7 +140,7 @@ class UnnamedLaw:
         return self.free.problem.rig
 
     def unexplained(self, found: Explained) -> float:
-        """Return what the names leave and this law explains in both records, as part of the rms of the model error."""
+        """Part of the rms of the model error that the names leave and this law explains, in both records."""
         costs = np.zeros(3)
         every = found.search.base.hypothesis, found.explanation.hypothesis
         with threadpool_limits(1):
@@ -163,7 +162,7 @@ class UnnamedLaw:
 
     def reaches(self, floor: Mapping[str, float]) -> bool:
         """Whether it leaves little more than the noise floor of each sensor on unseen data."""
-        return all(error <= none_of_these.EXPLAINED * floor[name] for name, error in self.error[1].items())
+        return all(error <= verdict.EXPLAINED * floor[name] for name, error in self.error[1].items())
 
     def as_dict(self) -> dict[str, Any]:
         """Law as JSON can hold it."""
@@ -190,7 +189,7 @@ def _deviation(rows: Array, covariance: Array) -> Array:
 
 
 def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone: bool = False) -> float:
-    """Return by how much the closed form of a law has a better score than the names, each fitted to both records.
+    """Score of the names less that of the closed form of a law, each fitted to both records.
 
     So a parameter that shows in the validation record alone is no evidence against either. The form is no rival, and
     this is -inf, where it is known in other intervals, a motion of both fits is not finite, or it leaves nearly all of
@@ -250,48 +249,60 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int, part:
 
 
 def _law_of(found: Explained, validation: EstimationProblem, steps: int) -> UnnamedLaw | None:
-    """Law in a number of integration steps between samples."""
-    problem, validation = (replace(one, substeps=steps) for one in (found.problem, validation))
-    found = replace(found, problem=problem)
+    problem, unseen = (replace(one, substeps=steps) for one in (found.problem, validation))
+    fine = replace(found, problem=problem)
     with threadpool_limits(1):
-        try:
-            law = free_law.fit(found)
-        except IntegrationError:  # no screen of its record
-            law = None
-        if law is None:
-            return None
-        if law.hypothesis.cost > ALIKE * problem.record.readings.size:
-            known = found.explanation.hypothesis.instances
-            others = [problem.rig.at_step(one, problem.dt / steps) for one in known if one.at != law.place.name]
-            again = free_law.fit(found, others) if others else None
-            law = again if again is not None and again.score < law.score else law
-        if law.hypothesis.cost > ALIKE * problem.record.readings.size and not problem.work.ends():
-            further = further_places.of(problem.rig, law.place.name, signal_ranges.time(found.search.motion))
-            again = free_law.fit(found, [one for one in law.hypothesis.instances if one.effect not in KINDS], further)
-            law = again if again is not None and again.score < law.score else law
-        try:
-            validation, validated = _followed(law.of(validation), law)
-            base = found.search.base.hypothesis
-            declared = replace(base, theta=problem.prior.mean)
-            plain = replace(validation, rig=problem.rig, prior=problem.prior)
-            without = [fitting.validated(plain, one) for one in (base, declared)]
-            form = closed_form.fitted(law, law.problem, validation)
-            is_formula = form is not None and form.score <= _score(law, validated, problem, validation)
-            if form is not None and is_formula:
-                form = form.tempered(law.problem, validation)
-                fitted, validated = form.hypothesis, form.validated
-                written = _explanation(fitted, fitted.instances)
-            else:
-                law = law.tempered()
-                fitted, validated = law.hypothesis, fitting.validated(validation, law.hypothesis)
-                written = _in_tables(law)
-        except IntegrationError:
-            return None
+        law = _free_law(fine)
+        return None if law is None else _in_model(fine, law, unseen)
+
+
+def _free_law(found: Explained) -> FreeLaw | None:
+    """Free law of a record: alone, beside the causes, or at a further place; None where none can be fitted."""
+    problem, most = found.problem, ALIKE * found.record.readings.size
+    try:
+        law = free_law.fit(found)
+    except IntegrationError:  # no screen of its record
+        return None
+    if law is None or not law.hypothesis.cost > most:
+        return law
+    known = found.explanation.hypothesis.instances
+    others = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known if one.at != law.place.name]
+    beside = _better(law, free_law.fit(found, others) if others else None)
+    if not beside.hypothesis.cost > most or problem.work.ends():
+        return beside
+    further = further_places.of(problem.rig, beside.place.name, signal_ranges.time(found.search.motion))
+    named = [one for one in beside.hypothesis.instances if one.effect not in KINDS]
+    return _better(beside, free_law.fit(found, named, further))
+
+
+def _better(law: FreeLaw, other: FreeLaw | None) -> FreeLaw:
+    return other if other is not None and other.score < law.score else law
+
+
+def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> UnnamedLaw | None:
+    """Free law as a part of the model, as a formula or in tables; None where unseen data are simulated no better."""
+    problem, base = found.problem, found.search.base.hypothesis
+    try:
+        validation, followed = _followed(free.of(unseen), free)
+        plain = replace(validation, rig=problem.rig, prior=problem.prior)
+        without = [fitting.validated(plain, one) for one in (base, replace(base, theta=problem.prior.mean))]
+        form = closed_form.fitted(free, free.problem, validation)
+        if form is not None and form.score <= _score(free, followed, problem, validation):
+            law, formula = free, form.tempered(free.problem, validation)
+            fitted, validated = formula.hypothesis, formula.validated
+            written = _explanation(fitted, fitted.instances)
+        else:
+            law, formula = free.tempered(), None
+            fitted, validated = law.hypothesis, fitting.validated(validation, law.hypothesis)
+            written = _in_tables(law)
+    except IntegrationError:
+        return None
     if not validated.squares @ validation.weights < min(one.squares @ validation.weights for one in without):
         return None
     errors, floor = (problem.errors(fitted.squares), validation.errors(validated.squares)), validation.noise_floor
     closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), problem.rules)
-    return UnnamedLaw(law, written, validated, errors, closed, validation, form, is_formula)
+    is_formula = formula is not None
+    return UnnamedLaw(law, written, validated, errors, closed, validation, formula or form, is_formula)
 
 
 def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationProblem, Hypothesis]:

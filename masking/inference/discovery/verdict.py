@@ -10,9 +10,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from scipy import special
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.rules import DecisionRules
@@ -22,13 +23,31 @@ Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 Kind = Literal["none", "parameter", "effects"]
 Key = tuple[str, str]  # an effect and its place, or a parameter and ''
 
+# Of the probability that none of the names is right, see `none_of_these`.
+NONE_LEAST = 0.01  # p0, where the names leave no more than noise; and of the names, where a closed form is better
+NONE_HALF = 0.1  # l0: a law that is a tenth off is as likely another one
+NONE_SHARPNESS = 3.0  # s
+REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
+SHARED = 0.3  # at least, where two forces of one place are named: together they imitate many a single law
+ABOVE = 0.25  # at least, where unseen data are not at the noise floor; more where the error is above EXPLAINED times it
+EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
+LIKELIER = 0.5  # from which none of the names is likelier than all of them
+CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
+
+
+class Cause(NamedTuple):
+    """An effect and its place, or a parameter and ''."""
+
+    name: str
+    on: str
+
 
 class Fitted(Protocol):
     """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
 
     @property
     def kind(self) -> Kind:
-        """Return what it adds to the model."""
+        """Kind of its causes."""
 
     @property
     def names(self) -> tuple[Key, ...]:
@@ -128,13 +147,7 @@ def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: 
 
 
 def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
-    """Whether a fit leaves residuals at the noise floor, all readings together.
-
-    Args:
-        cost: of the fit.
-        readings: m.
-        rules: the thresholds.
-    """
+    """Whether a fit leaves residuals at the noise floor, all readings together."""
     return at_noise_floor([float(np.sqrt(cost / readings))], [1.0], readings, rules)
 
 
@@ -163,25 +176,12 @@ def excess_cost(cost: float, readings: int) -> float:
 
 
 def leaves_little(cost: float, base: float, size: int, rules: DecisionRules) -> bool:
-    """Whether causes leave hardly anything of what the model alone does, however far above noise.
-
-    Args:
-        cost: with them.
-        base: of the model alone.
-        size: number of readings.
-        rules: the thresholds.
-    """
+    """Whether causes leave hardly anything of what the model alone does, however far above noise."""
     return excess_cost(cost, size) < rules.trace_fraction * excess_cost(base, size)
 
 
 def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
-    """Whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m).
-
-    Args:
-        cost: of a fit.
-        readings: m.
-        rules: the number of standard deviations.
-    """
+    """Whether a cost exceeds that of noise by more than chance, whose standard deviation is sqrt(2 m)."""
     return cost - readings > rules.chance_deviations * float(np.sqrt(2.0 * readings))
 
 
@@ -272,16 +272,13 @@ def simplest_first(
     else:
         least = (1.0 - rules.gain_fraction) * (now - best.cost)
         chosen = next((one for one in simpler if now - one.cost > least), None)
-        if chosen and _excess_part(best.cost, chosen.cost, readings) < rules.trace_fraction:
-            return [*ranked]
+        if chosen:
+            part = excess_cost(best.cost, readings) / max(excess_cost(chosen.cost, readings), 1.0)
+            chosen = None if part < rules.trace_fraction else chosen
     if chosen is None:
         return [*ranked]
     richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
     return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
-
-
-def _excess_part(cost: float, other: float, readings: int) -> float:
-    return excess_cost(cost, readings) / max(excess_cost(other, readings), 1.0)
 
 
 def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:
@@ -358,7 +355,7 @@ def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) ->
 def decide(
     rivals: Sequence[Scored], unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
 ) -> Verdict:
-    """Return what is said of the explanations of the last step.
+    """Verdict on the explanations of the last step.
 
     Args:
         rivals: explanations, the chosen one first.
@@ -396,3 +393,44 @@ def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -
     if demoted and verdict not in {"none", "parameter"}:
         return "unknown"
     return "unknown" if verdict == "none" and not at_noise else verdict
+
+
+def none_of_these(
+    left: float,
+    better: float = -np.inf,
+    *,
+    refused: bool = False,
+    shared: bool = False,
+    above: float = 0.0,
+    explained: bool = True,
+) -> float:
+    """Probability that none of the names is right, of which a law without a name is the rival.
+
+        p = p0 + (1 - p0)/(1 + (l0/l)**s)
+
+    A law whose shape is off by a tenth leaves a tenth. A closed form is the rival of names by its score. The numbers
+    are chosen, not fitted; `python -m tests.benchmarks.problems` says how often answers of each probability are right.
+
+    Args:
+        left: l, what the names leave and the law without a name explains, as part of the rms of the model error.
+        better: score by which a closed form is better than the names, beyond what is asked of an effect.
+        refused: whether the names are refused for what they leave.
+        shared: whether two of them are forces of one place.
+        above: error that they leave on unseen data, over the noise; 0 where that is the noise floor. A name that leaves
+            several times the noise is as likely wrong as right, since something else is missing.
+        explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
+    """
+    found = NONE_LEAST + (1.0 - NONE_LEAST) / (1.0 + (NONE_HALF / left) ** NONE_SHARPNESS) if left > 0.0 else NONE_LEAST
+    found = max(found, (1.0 - NONE_LEAST) * float(special.expit(0.5 * float(better))))
+    beyond = min(LIKELIER, 1.0 - (1.0 - ABOVE) * min(1.0, EXPLAINED / above)) if above else 0.0
+    found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, beyond)
+    return found if explained else min(found, REFUSED)
+
+
+def none_matters(left: float) -> bool:
+    """Whether a law without a name could change the probability where names leave so much.
+
+    Args:
+        left: part of the rms of the model error that they leave: no law explains more of it.
+    """
+    return none_of_these(left) > NONE_LEAST + CHANGE

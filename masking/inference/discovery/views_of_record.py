@@ -1,4 +1,4 @@
-"""Ground: what all rounds of a search look at, and the screens that are made of it."""
+"""Views of a record: the model without causes, fitted and as declared, its motion, and screens of these."""
 
 from __future__ import annotations
 
@@ -111,10 +111,6 @@ class Ground:
         """Screen in which a candidate takes most, of the model or of what is found, and the scores.
 
         Of the fit and of the model as declared, each candidate has the score in the screen of which it takes more.
-
-        Args:
-            problem: the record and the rig.
-            now: what is found.
         """
         instances, size = now.hypothesis.instances, problem.record.readings.size
         screens = [self.screen(problem, view.hypothesis, instances) for view in self.views]

@@ -1,4 +1,4 @@
-"""Work: how much a search simulates, and when it ends for that."""
+"""Work budget: the simulation that a search may do, counted in steps."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Work:
         return Work(part * self.most, self)
 
     def kept(self, part: float) -> Work:
-        """Work that is kept for the end of an answer, whatever its searches have done: a part of one's."""
+        """Budget reserved for the final stage, a part of that of one search, whatever the searches have done."""
         return Work(part * self.most)
 
     def add(self, steps: int, width: int) -> None:

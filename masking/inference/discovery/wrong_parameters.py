@@ -1,4 +1,4 @@
-"""Freed: several parameters of a model that are far off at once, beyond what their prior lets a fit reach."""
+"""Wrong parameters: one or several that are far off, beyond the reach of a fit within their priors."""
 
 from __future__ import annotations
 
@@ -63,12 +63,7 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
 
 
 def scores(problem: EstimationProblem, known: Hypothesis) -> Array:
-    """Return what setting each parameter of the model free would take off the cost, to first order.
-
-    Args:
-        problem: the record and the rig.
-        known: a fit.
-    """
+    """Reduction of the cost by setting each parameter of the model free, to first order (k,)."""
     prior = problem.prior
     pull = (known.theta - prior.mean) / prior.deviation
     variance = np.diag(known.covariance)[: len(pull)] / prior.deviation**2

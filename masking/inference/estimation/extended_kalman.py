@@ -54,28 +54,53 @@ DOUBTED = 1e-3  # probability below which innovations are said not to be white
 FARTHER = 5.0  # initial deviations that a parameter may move before a note says so
 
 
-def extended_kalman(
-    twin: Twin,
-    record: Data,
-    names: Sequence[str],
-    *,
-    validation: Sequence[Data] = (),
-    measurement: Variances = MEASUREMENT,
-    process: Variances = PROCESS,
-    parameters: Variances = PARAMETERS,
-    initial: Variances = INITIAL,
-    start: Array | None = None,
-    square_root: bool = False,
-    iterated: int = 1,
-    progress: Progress | None = None,
-) -> KalmanFit:
-    """Estimate parameters of a twin from a record, together with its state.
+@dataclass(frozen=True, kw_only=True)
+class FilterSettings:
+    """Variances that a filter assumes, and its form.
 
     Variances are given without unit, in the scales of the twin's model at the values to begin from, such as time
     1/wbar, length l and voltage nu of Table 4.1; in SI units where the model declares none. Then
     a displacement counts in l, a velocity in l wbar, a parameter in what the scales make of its unit, and a reading in
     what the sensor gives when one state, the one that it sees best, is 1: 1 V, the stroke, on the rig.
     Each variance is one number for all, or one for each.
+
+    Args:
+        measurement: R, variance of the noise of a reading (sensors,).
+        process: Q, variance per unit of scaled time of white noise on the rates of coordinates and velocities
+            (2 coordinates,); internal states have none, and parameters have none.
+        parameters: variance of the initial values of the parameters (k,).
+        initial: variance of the initial coordinates and velocities (2 coordinates,); internal states are known.
+        square_root: carry a triangular square root of the covariance, which cannot lose its sign or symmetry; by
+            default the covariance itself, in the form of Joseph.
+        iterated: times that the readings of a sample are made linear, each about the estimate before.
+
+    Raises:
+        ModelError: `iterated` is no count.
+    """
+
+    measurement: Variances = MEASUREMENT
+    process: Variances = PROCESS
+    parameters: Variances = PARAMETERS
+    initial: Variances = INITIAL
+    square_root: bool = False
+    iterated: int = 1
+
+    def __post_init__(self) -> None:
+        if self.iterated < 1:
+            raise ModelError(f"iterated is {self.iterated}: give the times that readings are made linear, 1 or more")
+
+
+def extended_kalman(
+    twin: Twin,
+    record: Data,
+    names: Sequence[str],
+    settings: FilterSettings | None = None,
+    *,
+    validation: Sequence[Data] = (),
+    start: Array | None = None,
+    progress: Progress | None = None,
+) -> KalmanFit:
+    """Estimate parameters of a twin from a record, together with its state.
 
     Parameters on which others depend by an expression act through its derivatives, which are found anew wherever a
     parameter has moved by 2 %. A parameter with bounds is held inside them.
@@ -84,17 +109,10 @@ def extended_kalman(
         twin: the plant, with the values to begin from.
         record: commands and readings.
         names: of the parameters, as `Twin.parameter_names` has them; none to estimate the state only.
+        settings: variances and form of the filter; those of section 4.2.2 by default.
         validation: records that the final values are validated on.
-        measurement: R, variance of the noise of a reading (sensors,).
-        process: Q, variance per unit of scaled time of white noise on the rates of coordinates and velocities
-            (2 coordinates,); internal states have none, and parameters have none.
-        parameters: variance of the initial values of the parameters (k,).
-        initial: variance of the initial coordinates and velocities (2 coordinates,); internal states are known.
         start: the twin's state at the first sample, in SI units (states,); by default coordinates and velocities from
             a parabola through the first readings, internal states at rest.
-        square_root: carry a triangular square root of the covariance, which cannot lose its sign or symmetry; by
-            default the covariance itself, in the form of Joseph.
-        iterated: times that the readings of a sample are made linear, each about the estimate before.
         progress: called with the part done.
 
     Returns:
@@ -102,12 +120,11 @@ def extended_kalman(
 
     Raises:
         ModelError: a parameter is not known, named twice or a dead time, a variance is not positive (0 is allowed for
-            `process` and `initial`) or their number is wrong, `start` has the wrong length, or `iterated` is no count.
+            `process` and `initial`) or their number is wrong, or `start` has the wrong length.
         RecordError: the record has other channels than the plant, or fewer than 4 samples.
         IntegrationError: the estimate diverged, or the covariance lost its sign; says when, and what to change.
     """
-    if iterated < 1:
-        raise ModelError(f"iterated is {iterated}: give the times that readings are made linear, 1 or more")
+    settings = settings or FilterSettings()
     _check(twin, record)
     if not twin.model.coordinates:
         raise ModelError(
@@ -119,28 +136,22 @@ def extended_kalman(
         raise ModelError(f"{late}: a filter cannot follow a dead time; take the method least-squares")
     scales, moving = _Scales.of(sensing), 2 * len(twin.model.coordinates)
     none = np.zeros(sensing.states - moving)
-    r = _variances("measurement", measurement, len(twin.sensors)) * scales.readings**2
-    q = _variances("process", process, moving, least=0.0) * scales.states[:moving] ** 2 / scales.time
-    before = [
-        _variances("initial", initial, moving, least=0.0) * scales.states[:moving] ** 2,
-        none,
-        _variances("parameters", parameters, len(names)) * scales.parameters**2,
-    ]
-    p0 = np.concatenate(before)
+    r = _variances("measurement", settings.measurement, len(twin.sensors)) * scales.readings**2
+    q = _variances("process", settings.process, moving, least=0.0) * scales.states[:moving] ** 2 / scales.time
+    initial = _variances("initial", settings.initial, moving, least=0.0) * scales.states[:moving] ** 2
+    parameters = _variances("parameters", settings.parameters, len(names)) * scales.parameters**2
+    p0 = np.concatenate([initial, none, parameters])
     y = first_start(sensing, record) if start is None else np.array(start, dtype=float)
     if y.shape != (sensing.states,) or not np.isfinite(y).all():
         names_of_states = ", ".join(twin.state_names)
         raise ModelError(f"start must be {sensing.states} finite numbers, {names_of_states}; got shape {y.shape}")
-    filters = _filters(sensing)
-    kernel = filters.filter_root if square_root else filters.filter_full
-    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), kernel, iterated, square_root)
+    run = _Run(sensing, record, scales, r, np.concatenate([q, none]), settings)
     theta, covariance = run.filter(y.copy(), sensing.start(), p0, progress)
-    found = run.result(theta, covariance, p0)
-    return replace(found, validation=validated(sensing, theta, validation, 1.0 / r)) if validation else found
+    result = run.result(theta, covariance, p0)
+    return replace(result, validation=validated(sensing, theta, validation, 1.0 / r)) if validation else result
 
 
 def _check(twin: Twin, record: Data) -> None:
-    """Refuse a record of another plant, or one too short."""
     for what, found, wanted in (
         ("commands", record.commands, twin.actuators),
         ("readings", record.readings, twin.sensors),
@@ -157,9 +168,9 @@ def _check(twin: Twin, record: Data) -> None:
         raise RecordError(f"{record.name}: it has {len(record)} samples; give a longer record")
 
 
-def _variances(name: str, given: Variances, count: int, least: float | None = None) -> Array:
-    """Return one variance for each of `count`; `least` is allowed, or else any that is positive."""
-    found = np.asarray(given, dtype=float)
+def _variances(name: str, values: Variances, count: int, least: float | None = None) -> Array:
+    """Variances (count,), each at least `least`, or else positive."""
+    found = np.asarray(values, dtype=float)
     if found.ndim > 1 or (found.ndim == 1 and len(found) != count):
         raise ModelError(f"{name}: one variance, or {count}, are needed; got shape {found.shape}")
     wrong = ~np.isfinite(found) | (found <= 0.0 if least is None else found < least)
@@ -209,7 +220,6 @@ class _Scales:
 
 
 def _filters(sensing: Sensitivity) -> Kernels:
-    """Compiled filters; from the cache on disk if they have been made before."""
     sizes, size = sensing.sizes, sensing.states + len(sensing.names)
     rows = 3 * sizes.sensors + size + 12 + 2 * sizes.states + sizes.moving_rows
     work = rows, max(3 * sizes.states, size, *sensing.widths)
@@ -249,9 +259,7 @@ class _Run:
     scales: _Scales
     r: Array
     q: Array
-    kernel: Callable[..., tuple[int, int]]
-    iterated: int
-    square_root: bool
+    settings: FilterSettings
 
     def __post_init__(self) -> None:
         m, n, sensors, k = len(self.record), self.sensing.states, len(self.r), len(self.sensing.names)
@@ -269,8 +277,10 @@ class _Run:
         Raises:
             IntegrationError: the estimate diverged, or the covariance lost its sign.
         """
-        sensing, record, m = self.sensing, self.record, len(self.record)
-        matrix, is_affine = np.diag(np.sqrt(p0) if self.square_root else p0), _is_affine(sensing)
+        sensing, record, m, is_root = self.sensing, self.record, len(self.record), self.settings.square_root
+        matrix, is_affine = np.diag(np.sqrt(p0) if is_root else p0), _is_affine(sensing)
+        filters = _filters(sensing)
+        kernel = filters.filter_root if is_root else filters.filter_full
         low, high = (
             bound + sign * (INSIDE * self.scales.parameters + 4e-6 * np.where(np.isfinite(bound), np.abs(bound), 0.0))
             for sign, bound in zip((1.0, -1.0), sensing.bounds(), strict=True)
@@ -288,28 +298,29 @@ class _Run:
             while at < end:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
-                status, at = self.kernel(
-                    at, end - at, 1.0 / record.rate, substeps, is_linear, self.iterated, sensing.sizes.coordinates,
-                    affected, y, theta, p, basis, *terms(sensing.equations, basis)[:2], matrix, derivatives, acting,
-                    readings, self.r, self.q, table, self.states, self.estimates, self.noises,
+                status, at = kernel(
+                    at, end - at, 1.0 / record.rate, substeps, is_linear, self.settings.iterated,
+                    sensing.sizes.coordinates, affected, y, theta, p, basis, *terms(sensing.equations, basis)[:2],
+                    matrix, derivatives, acting, readings, self.r, self.q, table, self.states, self.estimates,
+                    self.noises,
                 )  # fmt: skip
                 if status in (NOT_FINITE, NOT_POSITIVE):
-                    raise IntegrationError(self._mend(status, at, len(theta)))
+                    raise IntegrationError(self._remedy(status, at, len(theta)))
                 if status == LINEARISE:
                     p, basis = self._basis(theta)
             if progress is not None:
                 progress(piece / PIECES)
-        return theta, matrix @ matrix.T if self.square_root else matrix
+        return theta, matrix @ matrix.T if is_root else matrix
 
     def _basis(self, theta: Array) -> tuple[Array, Array]:
         p, basis = self.sensing.basis(theta)
         # The machine code wants an address, of which an array without any element has none to give.
         return p, basis if basis.size else np.zeros((max(1, basis.shape[0]), basis.shape[1]))
 
-    def _mend(self, status: int, at: int, k: int) -> str:
+    def _remedy(self, status: int, at: int, k: int) -> str:
         when = f"at t = {at / self.record.rate:.6g} s, sample {at} of {self.record.name}"
         if status == NOT_POSITIVE:
-            other = "raise measurement" if self.square_root else "give square_root=True, raise measurement"
+            other = "raise measurement" if self.settings.square_root else "give square_root=True, raise measurement"
             return f"the covariance of the filter is not positive any more {when}; {other}, or lower parameters"
         lower = "lower parameters, or raise measurement" if k else "raise process or measurement"
         return f"the filter diverged {when}: its estimate is no longer finite; {lower}, or begin closer"
@@ -345,7 +356,7 @@ class _Run:
         if mean > 1.5 * expected:
             notes.append(
                 f"the innovations are {np.sqrt(mean / expected):.2g} times as large as the filter expects: the values "
-                "are less sure than is said; raise measurement or process, or mend the model"
+                "are less sure than is said; raise measurement or process, or correct the model"
             )
         elif mean < expected / 1.5:
             notes.append(

@@ -16,11 +16,11 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.least_squares import Box, Damping, Linearised, System, minimise
 from masking.control.rig.twin import Twin
 from masking.display import fragments, symbols
 from masking.errors import RecordError
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.least_squares import Box, Damping, Linearised, System, minimise
 from masking.inference.estimation.sensitivity import Sensitivity
 from masking.inference.estimation.simulation import first_start, noise_alone, relative, validated
 
@@ -201,7 +201,7 @@ def fit(
 
 
 def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ...]:
-    """Return those of some parameters that a record determines independently, at the values that the twin has.
+    """Parameters that a record determines independently, at the values that the twin has.
 
     Later names are taken first: what a model adds is declared after what it extends.
 
@@ -234,7 +234,7 @@ def _beginning(record: Data) -> Data:
 
 
 def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
-    """Return one record, or a sequence of them, as a tuple."""
+    """One record, or a sequence of them, as a tuple."""
     return (records,) if isinstance(records, Data) else tuple(records)
 
 
@@ -310,7 +310,7 @@ class _Problem:
             )  # fmt: skip
             x, before = made.x, self.sigma
             self.rounds += made.rounds
-            self.sigma = np.maximum(np.sqrt(made.at.found / samples), 1e-12 * self._size())
+            self.sigma = np.maximum(np.sqrt(made.at.extra / samples), 1e-12 * self._size())
             if made.converged and np.allclose(self.sigma, before, rtol=0.02):
                 break
         return x
@@ -333,7 +333,7 @@ class _Problem:
             if abs(correlation[i, j]) > CLOSE and not notes
         ]
         twin = self.sensitivity.twin_at(theta)
-        chi, floor = relative(twin.sensors, self.pieces, at.found), noise_alone(twin.sensors, self.pieces)
+        chi, floor = relative(twin.sensors, self.pieces, at.extra), noise_alone(twin.sensors, self.pieces)
         notes += [
             _unexplained(name, chi[name] / max(floor[name], 1e-300))
             for name in chi
@@ -346,13 +346,14 @@ class _Problem:
 
 
 def _flat(names: tuple[str, ...], direction: Array) -> str:
-    """Say which parameters a flat direction makes up."""
     strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
     if len(strong) == 1:
         return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
     listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
-    mend = "fix one of them (--parameters names those to fit; in Python, parameters=), or give records that excite each"
-    return f"{listed} cannot be distinguished from these records; {mend}"
+    remedy = (
+        "fix one of them (--parameters names those to fit; in Python, parameters=), or give records that excite each"
+    )
+    return f"{listed} cannot be distinguished from these records; {remedy}"
 
 
 def _unexplained(sensor: str, times: float) -> str:

@@ -1,4 +1,4 @@
-"""Data: a record as an identification wants it, commands and readings at one steady rate; refused where it is not."""
+"""Identification data: commands and readings of a record at one steady rate, refused where they hold no information."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Data:
 
     @classmethod
     def of(cls, recording: Recording, twin: Twin, name: str = "the record", hold: InputHold | None = None) -> Data:
-        """Return what a recording holds of a plant's actuators and sensors.
+        """Data of a plant's actuators and sensors in a recording.
 
         An actuator V1 is read from the column `input.V1`, or else `V1`; a sensor s1 from `sensor.s1`, or else `s1`.
         Commands with a zero-order hold act after the delay of the plant; measured inputs act when they are measured.

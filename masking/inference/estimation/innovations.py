@@ -1,4 +1,4 @@
-"""Innovations: what an extended Kalman filter found, and whether what it did not expect is as white as it assumed."""
+"""Innovations: the result of an extended Kalman filter, and whether its innovations are as white as it assumed."""
 
 from __future__ import annotations
 

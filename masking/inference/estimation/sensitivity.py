@@ -87,8 +87,8 @@ class Sensitivity:
             raise ModelError(f"parameters are named twice: {', '.join(twice)}")
         for name in self._compiled:
             if name not in self.twin.parameter_names:
-                mend = nearest(name, self.twin.parameter_names)
-                raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {mend}")
+                remedy = nearest(name, self.twin.parameter_names)
+                raise ModelError(f"{self.twin.declaration.name} has no parameter '{name}'; {remedy}")
 
     @property
     def _compiled(self) -> tuple[str, ...]:
@@ -118,7 +118,7 @@ class Sensitivity:
 
     @cached_property
     def dead_times(self) -> dict[int, int]:
-        """Return of each parameter that is a dead time, by its number, the number of the actuator."""
+        """Number of the actuator of each parameter that is a dead time, by the number of the parameter."""
         found = {f"{e.label}_{e.entry.grows_with}": e.at for e in self.twin.dead_times}
         return {i: self.twin.actuators.index(found[name]) for i, name in enumerate(self.names) if name in found}
 
@@ -202,7 +202,7 @@ class Sensitivity:
     def simulate(
         self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
     ) -> Array:
-        """Return what the sensors would read (m, sensors) without noise.
+        """Simulated readings (m, sensors) without noise.
 
         Args:
             theta: values of the parameters (k,), in declared units.
@@ -226,7 +226,7 @@ class Sensitivity:
         return readings
 
     def sensed(self, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
-        """Return what the sensors read in a state (sensors,) of the twin, and its derivatives (sensors, states).
+        """Readings in a state of the twin (sensors,), and their derivatives by it (sensors, states).
 
         Args:
             state: of the twin (states,).
@@ -272,7 +272,7 @@ class Sensitivity:
     def _accumulated(
         self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
     ) -> NormalEquations:
-        """Return what `normal_equations` does, with dead times that are known."""
+        """Normal equations with known dead times."""
         (p, columns), count, states = basis, len(record), self.states
         size = len(self.names) + states
         matrix, gradient, squares = np.zeros((size, whole_lanes(size))), np.zeros(size), np.zeros(len(weights))

@@ -12,11 +12,11 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
 from masking.control.rig.initial_internal_states import reaches
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError
 from masking.inference.estimation.identification_data import NOT_LATE, Data
-from masking.inference.estimation.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
 from masking.inference.estimation.sensitivity import NormalEquations, Sensitivity
 
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
@@ -268,7 +268,7 @@ def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: A
 def _nearest(
     sensing: Sensitivity, theta: Array, record: Data, weights: Array, start: Array, *, steps: int | None = None
 ) -> tuple[Array, NormalEquations]:
-    """Return what `nearest` does, near a state to begin with (states,), in integration steps between samples."""
+    """Result as of `nearest`, near a state to begin with (states,)."""
     twin, record = sensing.twin, sensing.later(theta, record)
     sized, rest = reaches(twin), twin.rest(np.zeros(len(twin.model.coordinates)))
     free = np.array(sorted({*twin.free, *sized}), dtype=int)
@@ -283,13 +283,13 @@ def _nearest(
         off = (x - rest[free]) / reach
         return Linearised(float(weights @ made.squares + off @ off), equations, made)
 
-    found = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
-    first[free] = found.x
-    return first, found.at.found
+    best = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
+    first[free] = best.x
+    return first, best.at.extra
 
 
 def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, parts: Sequence[float]) -> Iterator[Array]:
-    """Give states (states,) near those from which parts of a record are reproduced best if its motion is small."""
+    """States (states,) near those from which parts of a record are reproduced best if its motion is small."""
     rest = sensing.twin.rest(np.zeros(len(sensing.twin.model.coordinates)))
     read, _ = sensing.sensed(rest)
     for part in parts:
@@ -306,7 +306,7 @@ def first_start(sensing: Sensitivity, record: Data) -> Array:
 
 
 def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
-    """Give guesses of the initial state of a record (states,), as `first_start`, on each side of sensors that fold.
+    """Guesses of the initial state of a record (states,), as `first_start`, on each side of sensors that fold.
 
     Such a sensor reads alike on both sides of rest, where it may read nothing: it is linearised beside that.
     """

@@ -67,7 +67,9 @@ def whiteness(residuals: Array, readings: Array, sigma: float, rate: float) -> W
     lags = min(max(FEWEST, min(MOST, round(SECONDS * rate))), m // 4)
     p = min(1.0, 2.0 * min(float(ljung_box(autocorrelation(residuals, lags), m)), evenness(residuals)))
     frequency = _loudest(residuals, rate)
-    return Whiteness(p, max(0.0, 1.0 - sigma**2 / square), frequency, slow=frequency < SLOW * _middle(readings, rate))
+    energy = np.cumsum(np.abs(np.fft.rfft(readings - readings.mean())) ** 2)
+    middle = float(np.searchsorted(energy, 0.5 * energy[-1])) * rate / m  # Hz: half of the energy is on either side
+    return Whiteness(p, max(0.0, 1.0 - sigma**2 / square), frequency, slow=frequency < SLOW * middle)
 
 
 def autocorrelation(values: Array, lags: int) -> Array:
@@ -135,12 +137,6 @@ def _loudest(values: Array, rate: float) -> float:
     inside = np.flatnonzero(band == loud)
     weights = np.maximum(power[inside] - 1.0, 0.0) ** 2
     return float(np.average(inside, weights=weights) if weights.any() else inside[0]) * rate / len(values)
-
-
-def _middle(values: Array, rate: float) -> float:
-    """Frequency in Hz that has half of the energy of values, their mean taken off, on either side."""
-    power = np.cumsum(np.abs(np.fft.rfft(values - values.mean())) ** 2)
-    return float(np.searchsorted(power, 0.5 * power[-1])) * rate / len(values)
 
 
 def _fast(length: int) -> int:

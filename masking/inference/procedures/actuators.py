@@ -1,4 +1,4 @@
-"""Actuators: which of two is stronger, from the motion that is left where they push against each other.
+"""Actuator ratio: which of two is stronger, from the motion that is left where they push against each other.
 
 Source: Rijlaarsdam (2008), appendix C.5.
 """
@@ -15,7 +15,7 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.motion_columns import columns
+from masking.inference.procedures.motion_columns import columns, probability, refuse_not_positive
 
 # Harmonics of the drive that are distinguished from it in each reading, the drive first.
 HARMONICS = (1, 2, 3)
@@ -55,9 +55,7 @@ class ActuatorRatio:
         Raises:
             ModelError: the level is not between 0 and 1.
         """
-        if not 0.0 < level < 1.0:
-            raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
-        half = float(special.stdtrit(self.freedom, 0.5 + level / 2.0)) * self.deviation
+        half = float(special.stdtrit(self.freedom, 0.5 + probability(level) / 2.0)) * self.deviation
         return self.ratio - half, self.ratio + half
 
 
@@ -91,9 +89,7 @@ def actuator_ratio(
             does not follow the gain.
         ModelError: the frequency or the span makes no sense.
     """
-    for what, value in (("frequency", frequency), ("span", span)):
-        if not np.isfinite(value) or value <= 0.0:
-            raise ModelError(f"{what} is {value!r}; give a finite number above 0")
+    refuse_not_positive(frequency=frequency, span=span)
     t, x, g = columns(times=times, motion=motion, gain=gain)
     gains, rates, readings = _demodulated(t, x, g, frequency)
     ratio, used = float(gains.mean()), np.ones(len(gains), dtype=bool)
@@ -163,7 +159,6 @@ def _demodulated(t: Array, x: Array, g: Array, frequency: float) -> tuple[Array,
 
 
 def _refuse_sweep(used: NDArray[np.bool_], gains: Array, rates: Array, ratio: float, span: float) -> None:
-    """Refuse a sweep that does not pass the balance slowly, up and down, on both sides."""
     near = used & (np.abs(gains - ratio) <= max(span, 1e-12))
     sides = [np.count_nonzero(used & (side * (gains - ratio) > 0.0)) for side in (1.0, -1.0)]
     if np.count_nonzero(used) < LEAST_READINGS or min(sides) < 3:

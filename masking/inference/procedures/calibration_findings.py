@@ -1,4 +1,4 @@
-"""Findings: what a calibration found, in numbers; the figures draw it and the report words it."""
+"""Calibration findings: fits from the simplest model to the plant's own, curves and errors."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ class Calibration:
 
     @cached_property
     def residuals(self) -> dict[str, Array]:
-        """Return what each stage leaves of the unseen record, measured less simulated (m, sensors), by its name."""
+        """Residual of each stage in the unseen record, measured less simulated (m, sensors), by its name."""
         unseen = self.records.unseen
         return {s.name: simulate(s.fit.twin, unseen, s.parameters).residual for s in self.stages}
 

@@ -105,11 +105,11 @@ class Source:
         return tuple(self._channel(kind, name) for name in wanted or self._moving(kind))
 
     def displacement(self, wanted: str | None) -> Channel:
-        """Return what a sensor measures, in SI units if the plant is given; otherwise its reading."""
+        """Displacement that a sensor measures, in SI units if the plant is given; otherwise its reading."""
         return self.measured(self.one("sensor", wanted))
 
     def measured(self, reading: Channel) -> Channel:
-        """Return what a sensor measures: its reading divided by its gain, if the plant is given.
+        """Quantity that a sensor measures: its reading divided by its gain, if the plant is given.
 
         Raises:
             RecordError: the plant has no such sensor.
@@ -118,9 +118,9 @@ class Source:
             return reading
         sensors = self.twin.declaration.sensors
         if reading.name not in sensors:
-            mend = nearest(reading.name, sensors)
+            remedy = nearest(reading.name, sensors)
             raise RecordError(
-                f"{self.name}: {self.twin.declaration.name} has no sensor '{reading.name}' ({mend}); give the plant "
+                f"{self.name}: {self.twin.declaration.name} has no sensor '{reading.name}' ({remedy}); give the plant "
                 "that was recorded, or none to stay in the unit of the reading"
             )
         sensor = sensors[reading.name]
@@ -130,7 +130,7 @@ class Source:
         return Channel(reading.name, reading.column, "" if unit == "1" else unit, reading.values / gain)
 
     def scale(self, unit: str) -> float:
-        """Return what counts as 1 of a unit in the scales of the plant's model, such as 5e-3 for m; 1 without any."""
+        """Size of 1 in the scales of the plant's model, in a unit, such as 5e-3 for m; 1 without any scale."""
         if self.twin is None or not unit:
             return 1.0
         overrides = {n: v for n, v in self.twin.declaration.parameters.items() if n in self.twin.base.parameters}
@@ -140,15 +140,13 @@ class Source:
         """Names to choose from: of inputs those that are not constant."""
         names = self.choices(kind)
         if kind == "input":
-            names = tuple(n for n in names if self._moves(np.asarray(self.recording[self._column(kind, n)])))
+            columns = {n: np.asarray(self.recording[self._column(kind, n)]) for n in names}
+            names = tuple(n for n, x in columns.items() if np.ptp(x) > STILL * np.abs(x).max())
         if not names:
             listed = ", ".join(c for c in self.recording.columns if c != "t") or "none but t"
             what = "no input that moves" if kind == "input" else "no column of a sensor"
             raise RecordError(f"{self.name}: it has {what}; its columns are {listed}")
         return list(names)
-
-    def _moves(self, values: Array) -> bool:
-        return bool(np.ptp(values) > STILL * np.abs(values).max())
 
     def _column(self, kind: str, name: str) -> str:
         return next((c for c in (f"{kind}.{name}", name) if c in self.recording.columns), "")

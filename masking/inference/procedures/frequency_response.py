@@ -1,4 +1,4 @@
-"""Response: what a rig answers to periodic excitation, line by line, and how sure that is.
+"""Frequency response of a rig to periodic excitation, line by line, with its uncertainty.
 
 A multisine that has settled repeats itself: what differs from period to period is noise, what differs from one
 realisation of its random phases to the next is noise and nonlinear distortion, and what appears at lines that were not
@@ -20,6 +20,7 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, RecordError
+from masking.inference.procedures.motion_columns import probability
 
 Indices = NDArray[np.int64]
 
@@ -65,7 +66,7 @@ class Spectra:
         return np.flatnonzero(self.moved().any(axis=1))
 
     def moved(self) -> NDArray[np.bool_]:
-        """Return at which harmonics each input is excited in any experiment (lines, inputs)."""
+        """Harmonics at which each input is excited in any experiment, as a mask (lines, inputs)."""
         size = np.abs(self.inputs.mean(axis=1)).max(axis=0)
         size[0] = 0.0
         return np.asarray(size >= EXCITED_PART * size.max(axis=0))
@@ -168,13 +169,11 @@ class Distortion:
         The output's is that of the excited lines.
         """
         signal = float(np.mean(self.level[self.excited]))
-        found = {name: float(np.mean((self.level - self.noise)[lines])) for name, lines in self._detection.items()}
-        parts = {name: max(value, 0.0) for name, value in found.items()}
+        beyond = self.level - self.noise
+        parts = {
+            name: max(float(np.mean(beyond[lines])), 0.0) for name, lines in (("even", self.even), ("odd", self.odd))
+        }
         return {name: float(np.sqrt(v / signal)) for name, v in (parts | {"noise": float(self.noise.mean())}).items()}
-
-    @property
-    def _detection(self) -> dict[str, Indices]:
-        return {"even": self.even, "odd": self.odd}
 
 
 def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float, discard: int = 1) -> Spectra:
@@ -349,17 +348,6 @@ def _lines(found: Spectra, harmonics: Sequence[int] | Indices | None) -> Indices
     return np.sort(lines).astype(np.int64)
 
 
-def probability(level: float) -> float:
-    """Probability.
-
-    Raises:
-        ModelError: it is not between 0 and 1.
-    """
-    if not 0.0 < level < 1.0:
-        raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
-    return float(level)
-
-
 def _variance(values: Complex) -> Array:
     """E|x - E x|^2 over the second axis, without bias."""
     mean = values.mean(axis=1, keepdims=True)
@@ -401,7 +389,6 @@ def _blocks(what: str, values: ArrayLike) -> Array:
 
 
 def _refuse_constant(what: str, values: Array) -> None:
-    """Refuse a channel that never moves."""
     largest = np.abs(values).max(axis=(0, 1))
     still = np.flatnonzero(np.ptp(values, axis=1).max(axis=0) <= MOVING_PART * largest)
     if len(still):
@@ -412,7 +399,6 @@ def _refuse_constant(what: str, values: Array) -> None:
 
 
 def _refuse_silent(found: Spectra, lines: Indices) -> None:
-    """Refuse a line at which an input is not above its noise, or rounding, in any experiment."""
     mean = np.abs(found.inputs.mean(axis=1))
     noise = 3.0 * np.sqrt(_variance(found.inputs[:, :, lines]) / found.periods)
     least = np.maximum(noise, SILENT_PART * mean.max(axis=(0, 1)))

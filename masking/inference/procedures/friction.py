@@ -6,6 +6,7 @@ Source: Rijlaarsdam (2008), appendix C.6.2.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.least_squares import Box, minimise_residuals
 from masking.errors import ModelError, RecordError
 from masking.inference.procedures.motion_columns import TURNED, columns, directions, part_of, refuse_one_way, turns
 from masking.inference.procedures.springs import SLIDING, elements, thinned
@@ -176,18 +178,18 @@ def locate_friction(times: ArrayLike, displacement: ArrayLike, force: ArrayLike,
     known = np.column_stack([np.ones(len(gap)), gaps[:, 1:]])
     size = middles[1] - middles[0]
 
-    def residuals(p: Array, side: int) -> Array:
+    def residuals(side: int, p: Array) -> Array:
         rows = np.column_stack([known, _step(p, middles, side)])
         return np.asarray(gap - rows @ _not_negative(rows, gap))
 
     starts = [(side, np.array([edge, 2.0 * size])) for side in (1, -1) for edge in middles[4:-4]]
-    side, start = min(starts, key=lambda s: float(np.sum(residuals(s[1], s[0]) ** 2)))
-    low, high = [middles[0], 0.1 * size], [middles[-1], 0.1 * (middles[-1] - middles[0])]
-    fit = optimize.least_squares(residuals, start, bounds=(low, high), x_scale=[size, size], args=(side,))
+    side, start = min(starts, key=lambda s: float(np.sum(residuals(*s) ** 2)))
+    box = Box(np.array([middles[0], 0.1 * size]), np.array([middles[-1], 0.1 * (middles[-1] - middles[0])]))
+    fit = minimise_residuals(partial(residuals, side), start, box, sizes=np.full(2, size), rounds=200)
     rows = np.column_stack([known, _step(fit.x, middles, side)])
     weights = _not_negative(rows, gap)
     used = rows[:, weights > 0.0]
-    power = 2.0 * float(fit.cost) / (len(gap) - used.shape[1] - 2)
+    power = fit.at.cost / (len(gap) - used.shape[1] - 2)
     slopes = [
         weights[-1] * (_step(fit.x + h, middles, side) - _step(fit.x - h, middles, side))
         for h in 1e-4 * size * np.eye(2)

@@ -1,4 +1,4 @@
-"""Responses: frequency response and nonlinear distortion of a rig, from records of periodic excitation.
+"""Measured response: frequency response and nonlinear distortion of a rig, from records of periodic excitation.
 
 Records of one rig are experiments. With one input that moves, each is a realisation; with several, either every line
 belongs to one input, or as many records as inputs tell them apart.
@@ -182,7 +182,6 @@ def repeats(u: Array) -> int | None:
 
 
 def _refuse_other_period(name: str, u: Array, length: int, rate: float, discard: int) -> None:
-    """Refuse commands (samples, inputs) that do not repeat with a period of this many samples."""
     if len(u) < (discard + 2) * length:
         return  # the procedure says that there are too few
     later = u[discard * length :]

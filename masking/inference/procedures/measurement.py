@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import ModelError, RecordError
+from masking.errors import RecordError
 from masking.inference.procedures.actuators import ActuatorRatio, actuator_ratio
 from masking.inference.procedures.channels import Channel, Source
 from masking.inference.procedures.friction import (
@@ -24,7 +24,7 @@ from masking.inference.procedures.friction import (
     locate_friction,
     shift_of_equilibrium,
 )
-from masking.inference.procedures.motion_columns import columns
+from masking.inference.procedures.motion_columns import columns, refuse_not_positive
 from masking.inference.procedures.springs import SpringCurve, spring_curve
 from masking.model.declaration.quantities import percent
 
@@ -336,7 +336,6 @@ def _place_text(place: LocatedFriction, force: Channel, x: Channel) -> str:
 
 
 def _pair(source: Source, first: str | None, second: str | None) -> tuple[Channel, Channel]:
-    """Input of constant size and the one of swept size."""
     if first is not None and second is not None:
         constant, swept = source.several("input", (first, second))
         return constant, swept
@@ -378,8 +377,7 @@ def _frequency(times: Array, values: Array) -> float:
 
 def _gain(name: str, times: Array, a: Array, b: Array, frequency: float) -> Array:
     """G (samples,) of b = g a, where g is a straight line over each period; refuse what is no such pair."""
-    if not np.isfinite(frequency) or frequency <= 0.0:
-        raise ModelError(f"frequency is {frequency!r}; give a finite number above 0")
+    refuse_not_positive(frequency=frequency)
     period = max(round(len(times) / max(float(times[-1] - times[0]) * frequency, 1.0)), 2)
     count = len(times) // period
     centres, levels, left = np.empty(count), np.empty(count), 0.0

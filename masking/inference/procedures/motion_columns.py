@@ -1,4 +1,4 @@
-"""Columns: records of one motion as arrays (samples,), checked, and the turns of a force that goes up and down."""
+"""Motion columns: records of one motion as arrays (samples,), checked, and the turns of a force up and down."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import RecordError
+from masking.errors import ModelError, RecordError
 from masking.lab.records import clock
 
 # Samples that are needed.
@@ -58,6 +58,28 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
         if np.ptp(found[name]) <= 1e-12 * np.abs(found[name]).max():
             raise RecordError(f"{name} is constant at {found[name][0]:.6g}; see that it is connected and excited")
     return tuple(found.values())
+
+
+def probability(level: float) -> float:
+    """Level of confidence, checked.
+
+    Raises:
+        ModelError: it is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
+    return float(level)
+
+
+def refuse_not_positive(**values: float) -> None:
+    """Refuse settings that are not finite and above 0.
+
+    Raises:
+        ModelError: one is not.
+    """
+    for name, value in values.items():
+        if not np.isfinite(value) or value <= 0.0:
+            raise ModelError(f"{name} is {value!r}; give a finite number above 0")
 
 
 def turns(values: Array, least: float) -> list[int]:

@@ -14,7 +14,14 @@ from scipy import optimize, special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.motion_columns import LEAST_SAMPLES, columns, directions, refuse_one_way
+from masking.inference.procedures.motion_columns import (
+    LEAST_SAMPLES,
+    columns,
+    directions,
+    probability,
+    refuse_not_positive,
+    refuse_one_way,
+)
 
 # A record is averaged in time to at most this many points before a curve is fitted.
 POINTS = 3000
@@ -96,12 +103,10 @@ class SpringCurve:
         Raises:
             ModelError: the level is not between 0 and 1.
         """
-        if not 0.0 < level < 1.0:
-            raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
         x = np.asarray(displacement, dtype=np.float64) / self.scale
         rows = polynomial.polyvander(x, len(self.coefficients) - 1)
         deviation = np.sqrt(np.maximum(np.einsum("...i,ij,...j", rows, self.covariance, rows), 0.0))
-        factor = float(special.stdtrit(self.freedom, 0.5 + level / 2.0))
+        factor = float(special.stdtrit(self.freedom, 0.5 + probability(level) / 2.0))
         return np.asarray(factor * self.force_scale * deviation)
 
 
@@ -142,9 +147,7 @@ def spring_curve(
     """
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 9:
         raise ModelError(f"order is {order!r}; give a whole number from 1 to 9")
-    for what, value in (("scale", scale), ("force_scale", force_scale)):
-        if not np.isfinite(value) or value <= 0.0:
-            raise ModelError(f"{what} is {value!r}; give a finite number above 0")
+    refuse_not_positive(scale=scale, force_scale=force_scale)
     t, x, f = columns(times=times, displacement=displacement, force=force)
     direction = directions(f)
     kept = t >= t[0] + settle
@@ -224,7 +227,6 @@ def _batches(values: Array) -> list[Array]:
 
 
 def _refuse_unexplained(t: Array, x: Array, f: Array, rest: Array, rows: Array) -> None:
-    """Refuse a ramp in which inertia or damping matters, or that is mostly friction or noise."""
     speed = np.gradient(x, t)
     moving = np.column_stack([speed, np.gradient(speed, t)])
     q, _ = np.linalg.qr(rows)
@@ -248,7 +250,7 @@ def _refuse_unexplained(t: Array, x: Array, f: Array, rest: Array, rows: Array) 
 
 
 def _conversion(order: int, scale: float, middle: float, half: float) -> Array:
-    """Return what makes coefficients in x / scale of those in (x - middle) / half (order + 1, order + 1)."""
+    """Matrix from coefficients in (x - middle) / half to those in x / scale (order + 1, order + 1)."""
     found = np.zeros((order + 1, order + 1))
     for j in range(order + 1):
         found[: j + 1, j] = polynomial.polypow([-middle / half, scale / half], j) if j else [1.0]

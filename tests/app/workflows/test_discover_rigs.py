@@ -134,10 +134,10 @@ def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_pat
     assert effect.probability > 0.95
     errors = found.simulation_error
     assert errors.validation[1]["x"] < 1.1 * errors.validation_noise_floor["x"]
-    assert ("fitted to both records" in discovery_text.sentence(found)) == bool(vs) == bool(errors.alone)
+    assert ("fitted to both records" in discovery_text.sentence(found)) == bool(vs) == bool(errors.fitted_alone)
     if vs:
         assert effect.parameters["vs"][0] == pytest.approx(vs, rel=0.1)
-        assert errors.alone["x"] > 1.2 * errors.validation_noise_floor["x"]
+        assert errors.fitted_alone["x"] > 1.2 * errors.validation_noise_floor["x"]
 
 
 def test_stribeck_friction_that_creeps_is_one_law(tmp_path):

@@ -8,8 +8,8 @@ import pytest
 
 import masking
 from masking.compile.numerics import decompositions as made
+from masking.compile.numerics.least_squares import System
 from masking.errors import IntegrationError
-from masking.inference.estimation.least_squares import System
 
 PACKAGE = Path(masking.__file__).parent
 RAISING = {"svd", "eig", "eigh", "eigvals", "eigvalsh", "pinv", "lstsq", "inv"}

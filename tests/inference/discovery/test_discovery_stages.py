@@ -4,6 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import masking
+from masking.inference.discovery.discovery_result import Alternative, Estimate, Named
 from masking.reports import discovery_text
 
 MODEL = """
@@ -35,3 +36,14 @@ def test_a_stop_that_is_touched_at_the_end_alone_is_found_there(tmp_path):
     assert [(one.name, one.on) for one in found.effects] == [("stop", "spring")]
     assert abs(found.effects[0].parameters["edge"][0] - EDGE) < 0.01 * EDGE
     assert "Unseen data alone show it" in discovery_text.sentence(found)
+
+
+def test_numbers_and_alternatives_of_a_cause_have_names_in_json():
+    cause = Named("drag", "strut", {"c": Estimate(2.0, 0.1)}, 0.7, (Alternative("damper", "strut", 0.3),))
+    assert cause.as_dict() == {
+        "name": "drag",
+        "on": "strut",
+        "parameters": {"c": {"value": 2.0, "std": 0.1}},
+        "probability": 0.7,
+        "alternatives": [{"name": "damper", "on": "strut", "probability": 0.3}],
+    }

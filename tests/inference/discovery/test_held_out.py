@@ -44,9 +44,9 @@ def test_what_is_worse_on_unseen_data_is_not_given(models, tmp_path):
     before, after = found.simulation_error.validation
     assert after["q"] <= 1.001 * before["q"]
     assert found.withheld is not None
-    assert found.withheld.error["q"] > before["q"]
+    assert found.withheld.validation_error["q"] > before["q"]
     assert "as declared, so it is not reported" in discovery_text.sentence(found)
-    assert found.as_dict()["withheld"]["validation_error"] == found.withheld.error
+    assert found.as_dict()["withheld"]["validation_error"] == found.withheld.validation_error
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from masking.inference.discovery import (
     harmonics,
     latent_force,
     name_or_unnamed,
-    none_of_these,
     unnamed_law,
+    verdict,
 )
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.coverage import Coverage
@@ -254,21 +254,21 @@ def test_every_shape_of_the_grammar_is_a_safe_expression_of_zero_and_one():
 
 
 def test_what_names_leave_makes_none_of_them_likelier():
-    values = [none_of_these.none_of_these(left) for left in (0.0, 0.01, 0.1, 0.5, 1.0)]
+    values = [verdict.none_of_these(left) for left in (0.0, 0.01, 0.1, 0.5, 1.0)]
     assert values == sorted(values)
-    assert values[0] == none_of_these.LEAST
-    assert none_of_these.none_of_these(none_of_these.HALF) == pytest.approx(0.5 * (1.0 + none_of_these.LEAST))
-    assert none_of_these.none_of_these(0.0, refused=True) > none_of_these.LIKELIER
-    assert none_of_these.none_of_these(0.0, shared=True) == none_of_these.SHARED
-    assert none_of_these.none_of_these(0.0, above=1.2) == none_of_these.ABOVE
-    grown = [none_of_these.none_of_these(0.0, above=error) for error in (1.2, 1.6, 2.0, 5.0, 50.0)]
+    assert values[0] == verdict.NONE_LEAST
+    assert verdict.none_of_these(verdict.NONE_HALF) == pytest.approx(0.5 * (1.0 + verdict.NONE_LEAST))
+    assert verdict.none_of_these(0.0, refused=True) > verdict.LIKELIER
+    assert verdict.none_of_these(0.0, shared=True) == verdict.SHARED
+    assert verdict.none_of_these(0.0, above=1.2) == verdict.ABOVE
+    grown = [verdict.none_of_these(0.0, above=error) for error in (1.2, 1.6, 2.0, 5.0, 50.0)]
     assert grown == sorted(grown)
-    assert grown[-1] == none_of_these.LIKELIER
-    assert none_of_these.none_of_these(1.0, explained=False) == none_of_these.REFUSED
+    assert grown[-1] == verdict.LIKELIER
+    assert verdict.none_of_these(1.0, explained=False) == verdict.REFUSED
 
 
 def test_what_leaves_hardly_anything_has_no_rival():
-    assert [none_of_these.matters(left) for left in (0.0, 0.001, 0.1)] == [False, False, True]
+    assert [verdict.none_matters(left) for left in (0.0, 0.001, 0.1)] == [False, False, True]
 
 
 def test_scores_of_probabilities_are_those_of_their_definitions():

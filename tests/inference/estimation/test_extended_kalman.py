@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, ModelError, RecordError
-from masking.inference.estimation.extended_kalman import extended_kalman
+from masking.inference.estimation.extended_kalman import FilterSettings, extended_kalman
 from masking.inference.estimation.fit import fit
 from masking.model.declaration import schema
 from tests.inference.estimation.test_fit import ALL, measured, oscillator, recorded, sines  # noqa: F401 (fixtures)
@@ -20,6 +20,10 @@ LENGTH = 5e-3  # m, that of length, which every sensor reads as 1 V
 STATES = LENGTH * np.array([1.0] * 3 + [1.0 / TIME] * 3)
 # Scales of `ALL`: w in 1/time, c in length/time^2/(0.42 V); the others have no unit.
 SCALES = np.array([1 / TIME, 1, 1 / TIME, 1, 1 / TIME, 1, *(LENGTH / TIME**2 / 0.42,) * 3, 1, 1])
+
+
+def filtered(twin, record, names, *, start=None, progress=None, **settings):
+    return extended_kalman(twin, record, names, FilterSettings(**settings), start=start, progress=progress)
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +53,14 @@ def far(linear, truth):
 
 @pytest.fixture(scope="module")
 def found(far, record):
-    return extended_kalman(far, record, ALL)
+    return filtered(far, record, ALL)
 
 
 @pytest.fixture(scope="module")
 def again(found, record, linear):
     """A second pass, told the noise that there is."""
     settings = {"measurement": 1e-6, "process": 0.0, "parameters": 1e-4, "initial": 1e-8}
-    return extended_kalman(found.twin, record, ALL, start=linear.rest(np.zeros(3)), **settings)
+    return filtered(found.twin, record, ALL, start=linear.rest(np.zeros(3)), **settings)
 
 
 # Against estimates made otherwise.
@@ -104,7 +108,7 @@ def test_of_a_linear_rig_it_is_the_kalman_filter(linear, truth, square_root, pro
     record = recorded(linear, sines(2.0))
     start = np.array([1e-3, -1e-3, 5e-4, 0.01, 0.0, -0.01])
     settings = {"measurement": 1e-6, "process": process, "initial": 1e-2, "start": start}
-    found = extended_kalman(linear, record, (), square_root=square_root, **settings)
+    found = filtered(linear, record, (), square_root=square_root, **settings)
     q = process * STATES**2 / TIME
     states, innovations, nis, last = plain(truth, record, start, 1e-2 * STATES**2, q)
     assert (np.abs(found.states - states) < exact * STATES).all()
@@ -118,10 +122,10 @@ def test_measured_inputs_are_filtered_as_they_are_fitted(oscillator, measured, s
     """Begun at the optimum of least squares, without noise of the process, innovations are the noise of 1e-3."""
     least = fit(oscillator, measured, ("w", "z", "c"))
     settings = {"measurement": 1e-6, "process": 0.0, "parameters": 1e-4, "initial": 1.0, "square_root": square_root}
-    found = extended_kalman(least.twin, measured, ("w", "z", "c"), **settings)
+    found = filtered(least.twin, measured, ("w", "z", "c"), **settings)
     assert (np.abs(found.values - least.values) < least.std).all()
     assert found.innovations[10:].std() == pytest.approx(1e-3, rel=0.05)
-    held = extended_kalman(least.twin, replace(measured, hold="zero-order"), (), **settings)
+    held = filtered(least.twin, replace(measured, hold="zero-order"), (), **settings)
     assert held.innovations[10:].std() > 0.1
 
 
@@ -156,7 +160,7 @@ def test_iterated_readings_are_the_most_probable(linear):
     best = least_squares(misfit, [*(begun[:3] / LENGTH), 0.0], xtol=1e-14, ftol=1e-14, gtol=1e-14).x
 
     def off(**chosen):
-        found = extended_kalman(twin, record, ("scale_e",), **settings, **chosen)
+        found = filtered(twin, record, ("scale_e",), **settings, **chosen)
         return np.abs(np.array([*found.states[0, :3] / LENGTH, found.trajectory[0, 0]]) - best).max()
 
     assert off() > 1e-2
@@ -165,7 +169,7 @@ def test_iterated_readings_are_the_most_probable(linear):
 
 
 def test_the_square_root_gives_the_same(found, far, record):
-    root = extended_kalman(far, record, ALL, square_root=True)
+    root = filtered(far, record, ALL, square_root=True)
     np.testing.assert_allclose(root.trajectory, found.trajectory, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(root.deviations, found.deviations, rtol=1e-9)
     np.testing.assert_allclose(root.normalised, found.normalised, rtol=1e-9, atol=1e-9)
@@ -207,7 +211,7 @@ def test_it_is_as_sure_as_it_may_be(linear, truth):
         drawn = truth + 3e-3 * SCALES * np.random.default_rng(100 + seed).standard_normal(len(ALL))
         record = recorded(linear, sines(4.0, seed=seed), seed=seed)
         settings = {"measurement": 1e-6, "process": 0.0, "parameters": 9e-6, "initial": 1e-10}
-        one = extended_kalman(changed(linear, drawn), record, ALL, start=linear.rest(np.zeros(3)), **settings)
+        one = filtered(changed(linear, drawn), record, ALL, start=linear.rest(np.zeros(3)), **settings)
         errors.append((one.values - truth) / one.std)
         nis.append(one.nis)
         assert min(one.whiteness.values()) > 1e-5
@@ -223,7 +227,7 @@ def test_what_a_parameter_depends_on_follows_it(linear, truth):
     record = recorded(twin, sines(20.0))
     begun = twin.with_parameters({"w1": 1.1 * truth[0], "z1": 0.9 * truth[1]})
     told = []
-    found = extended_kalman(begun, record, ("w1", "z1"), progress=told.append)
+    found = filtered(begun, record, ("w1", "z1"), progress=told.append)
     np.testing.assert_allclose(found.values, truth[:2], rtol=3e-3)
     assert told == sorted(told)
     assert told[-1] == 1.0
@@ -233,7 +237,7 @@ def test_effects_of_the_full_twin_are_found():
     twin = Twin.load("tue_rig").changed({"weak_gain": schema.EffectChange(enabled=True)})
     truth = {"friction1_fc": 1.2 * twin.parameter_value("friction1_fc"), "weak_gain_e": -0.05, "offset_s3_e0": 0.02}
     record = recorded(twin.with_parameters(truth), sines(10.0, size=(0.1, 0.1, 0.3)))
-    found = extended_kalman(twin, record, tuple(truth), measurement=1e-6, process=1e-8, parameters=(1e-6, 1e-2, 1e-3))
+    found = filtered(twin, record, tuple(truth), measurement=1e-6, process=1e-8, parameters=(1e-6, 1e-2, 1e-3))
     np.testing.assert_allclose(found.values, list(truth.values()), rtol=0.1, atol=2e-3)
 
 
@@ -249,7 +253,7 @@ def test_noise_that_is_not_as_told_is_noted(found, far, record):
 
 def test_a_model_that_lacks_something_is_noted(linear, record):
     wrong = linear.with_parameters({"w3": 12.0})
-    notes = extended_kalman(wrong, record, ("w1", "z1"), measurement=1e-6, process=1e-6).notes
+    notes = filtered(wrong, record, ("w1", "z1"), measurement=1e-6, process=1e-6).notes
     assert any("times as large as the filter expects" in note for note in notes)
     assert any("are not white" in note for note in notes)
 
@@ -276,22 +280,22 @@ def test_it_can_be_written_as_json(found):
 )
 def test_settings_that_make_no_sense_are_refused(linear, record, names, settings, said):
     with pytest.raises(ModelError, match=said):
-        extended_kalman(linear, record, names, **settings)
+        filtered(linear, record, names, **settings)
 
 
 def test_a_record_of_another_rig_or_with_holes_is_refused(linear, record):
     with pytest.raises(RecordError, match=r"readings have shape \(10000, 2\); they must be of s1, s2, s3"):
-        extended_kalman(linear, replace(record, readings=record.readings[:, :2]), ("w1",))
+        filtered(linear, replace(record, readings=record.readings[:, :2]), ("w1",))
     holed = record.readings.copy()
     holed[77, 1] = np.nan
     with pytest.raises(RecordError, match="readings are not finite at sample 77, and at 1 samples in all"):
-        extended_kalman(linear, replace(record, readings=holed), ("w1",))
+        filtered(linear, replace(record, readings=holed), ("w1",))
 
 
 def test_divergence_says_when_and_what_to_lower(far, record):
     with pytest.raises(
         IntegrationError, match=r"the filter diverged at t = .* s, sample [0-9]+ of the record: .*lower"
     ):
-        extended_kalman(far, record, ALL, parameters=1e12, square_root=True)
+        filtered(far, record, ALL, parameters=1e12, square_root=True)
     with pytest.raises(IntegrationError, match=r"not positive any more at t = .*; give square_root=True"):
-        extended_kalman(far, record, ALL, parameters=1e7)
+        filtered(far, record, ALL, parameters=1e7)

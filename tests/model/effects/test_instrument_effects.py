@@ -124,7 +124,7 @@ def test_a_dead_time_is_fitted_with_the_other_parameters(tmp_path, begun):
     assert np.sqrt(found.covariance[1, 1]) < 1e-4
     assert found.twin.late(RATE)[0] == pytest.approx(1.37, abs=0.01)
     with pytest.raises(ModelError, match="late_tau: a filter cannot follow a dead time; take the method least-squares"):
-        extended_kalman(twin, record, ("late_tau",), measurement=1.0, process=1.0, parameters=1.0, initial=1.0)
+        extended_kalman(twin, record, ("late_tau",))
 
 
 def test_the_first_commands_stand_for_those_before_where_readings_are_too_few(tmp_path):

@@ -1,4 +1,4 @@
-"""A fit in steps: oscillators one by one, then their coupling from free motion, against the truth of a twin."""
+"""Fits one after the other: an oscillator, then its coupling from free motion, against the truth of a twin."""
 
 from dataclasses import replace
 
@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from masking.control.rig.twin import Twin
-from masking.errors import ModelError, RecordError
 from masking.inference.estimation.fit import fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.sensitivity import Sensitivity
 from masking.inference.estimation.simulation import refined, simulate
-from masking.inference.estimation.stepwise import fit_in_steps
 
 RATE = 100.0
 NAMES = ("w1", "z1", "w2", "z2", "k")
@@ -74,23 +72,19 @@ def begun(twin):
 def test_a_single_oscillator_then_the_coupling_from_free_motion(twin, begun, records):
     """What is not named stays: the second mass is known."""
     alone, free = records
-    found = fit_in_steps(begun, [(alone, ["w1", "z1"]), ([free], ["k"])], joint=False)
-    assert [each.names for each in found.steps] == [("w1", "z1"), ("k",)]
-    assert found.joint is found.steps[-1]
+    first = fit(begun, alone, ["w1", "z1"], shared=FREE)
+    second = fit(first.twin, free, ["k"], shared=FREE)
     for name in NAMES:
-        assert found.twin.parameter_value(name) == pytest.approx(twin.parameter_value(name), rel=5e-3)
+        assert second.twin.parameter_value(name) == pytest.approx(twin.parameter_value(name), rel=5e-3)
 
 
-def test_the_last_fit_is_of_all_parameters_together(twin, begun, records):
+def test_a_last_fit_of_all_parameters_gives_their_covariance(twin, begun, records):
     """Free motion tells all three; what the joint fit finds is what a fit from the truth finds."""
-    free, told = records[1], []
-    found = fit_in_steps(begun, [((free,), ("k",)), ((free,), FREE)], progress=told.append)
-    assert found.joint.names == ("k", "w1", "z1")
-    direct = fit(twin, free, found.joint.names)
-    assert (np.abs(found.joint.values - direct.values) < 0.05 * direct.std).all()
-    np.testing.assert_allclose(found.joint.std, direct.std, rtol=0.05)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    free, names = records[1], ("k", "w1", "z1")
+    joint = fit(fit(begun, free, ["k"], shared=FREE).twin, free, names)
+    direct = fit(twin, free, names)
+    assert (np.abs(joint.values - direct.values) < 0.05 * direct.std).all()
+    np.testing.assert_allclose(joint.std, direct.std, rtol=0.05)
 
 
 def test_a_simulation_begins_where_the_record_does(twin, records):
@@ -99,19 +93,6 @@ def test_a_simulation_begins_where_the_record_does(twin, records):
     np.testing.assert_allclose(made.residual.std(axis=0), 1e-4, rtol=0.05)
     whole = np.linalg.norm(made.record.readings, axis=0)
     np.testing.assert_allclose(list(made.chi.values()), 1e-4 * np.sqrt(2000) / whole, rtol=0.05)
-
-
-def test_steps_that_cannot_be_done_are_refused(begun, records):
-    free = records[1]
-    with pytest.raises(ModelError, match="there is no step; give pairs of records and names"):
-        fit_in_steps(begun, [])
-    with pytest.raises(ModelError, match="step 2 has no parameter"):
-        fit_in_steps(begun, [(free, ["k"]), (free, [])])
-    with pytest.raises(RecordError, match="step 1, k, has no record"):
-        fit_in_steps(begun, [((), ["k"])])
-    short = replace(free, commands=free.commands[:8], readings=free.readings[:8])
-    with pytest.raises(RecordError, match="step 1, k: 8 samples of 2 sensors are too few"):
-        fit_in_steps(begun, [(short, ["k"])])
 
 
 def test_a_motion_that_runs_away_in_smaller_steps_takes_the_smallest():

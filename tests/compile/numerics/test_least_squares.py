@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize
 
+from masking.compile.numerics.least_squares import (
+    NO_BOUNDS,
+    Box,
+    Damping,
+    Linearised,
+    Patience,
+    System,
+    minimise,
+    minimise_residuals,
+)
 from masking.errors import IntegrationError
-from masking.inference.estimation.least_squares import NO_BOUNDS, Box, Damping, Linearised, System, minimise
 
 DAMPING = Damping(1e-3, least=1e-12, most=1e12)
 SETTINGS = {"rounds": 100, "tolerance": lambda at: 1e-14 * max(at.cost, 1e-300)}
@@ -42,6 +51,15 @@ def test_a_minimum_beyond_a_bound_ends_at_the_bound():
     scipy = optimize.least_squares(rosenbrock, [-1.2, 1.0], bounds=([-2.0, -2.0], [0.5, 2.0]), xtol=1e-14)
     assert found.x[0] == pytest.approx(scipy.x[0], abs=1e-6)
     assert found.at.cost == pytest.approx(2.0 * scipy.cost, rel=1e-3)
+
+
+def test_residuals_alone_lead_to_the_minimum_that_scipy_finds():
+    box = Box(np.array([-2.0, -2.0]), np.array([0.5, 2.0]))
+    found = minimise_residuals(rosenbrock, np.array([-1.2, 1.0]), box, sizes=np.ones(2), rounds=100)
+    scipy = optimize.least_squares(rosenbrock, [-1.2, 1.0], bounds=([-2.0, -2.0], [0.5, 2.0]), xtol=1e-14)
+    assert found.at.cost == pytest.approx(2.0 * scipy.cost, rel=1e-3)
+    free = minimise_residuals(rosenbrock, np.array([-1.2, 1.0]), NO_BOUNDS, sizes=np.ones(2), rounds=100)
+    np.testing.assert_allclose(free.x, [1.0, 1.0], rtol=1e-6)
 
 
 def test_a_direction_in_which_the_cost_hardly_bends_is_followed_to_its_minimum():
@@ -134,16 +152,21 @@ def test_a_step_to_where_derivatives_are_not_finite_is_made_shorter():
 
 def test_a_fit_without_hope_is_given_up():
     found = minimise(
-        problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, is_hopeless=lambda now, _: now < 4.5,
-        **SETTINGS,
+        problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING,
+        patience=Patience(is_hopeless=lambda now, _: now < 4.5), **SETTINGS,
     )  # fmt: skip
     assert 0.0 < found.at.cost < 4.5
 
 
-@pytest.mark.parametrize(("wanted", "left"), [(0.0, 0.0), (30.0, 24.2)])
-def test_a_fit_that_is_expected_to_gain_too_little_is_given_up(wanted, left):
+@pytest.mark.parametrize(("least", "left"), [(0.0, 0.0), (30.0, 24.2)])
+def test_a_fit_that_is_expected_to_gain_too_little_is_given_up(least, left):
     """Rosenbrock's function is 24.2 at (-1.2, 1), which is all that a step can take."""
     found = minimise(
-        problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING, wanted=lambda _: wanted, **SETTINGS
+        problem(rosenbrock, slopes),
+        np.array([-1.2, 1.0]),
+        NO_BOUNDS,
+        DAMPING,
+        patience=Patience(lambda _: least),
+        **SETTINGS,
     )
     assert found.at.cost == pytest.approx(left, abs=1e-9)

@@ -22,6 +22,8 @@ SINGULAR = 1e-13  # of the largest singular value of the scaled matrix: what is 
 TOWARDS = 0.7  # of the way to a bound that a step may go: values stay inside
 HELD = 1e-9  # of a step: a bound that takes more of it determines it
 GROWTH = 2.0  # times its size that a positive value may take in a step
+DIFFERENCE = 1e-5  # of the size of an unknown: differences of residuals are then right to 1e-10 of their size
+SMALL = 1e-8  # of the cost: a smaller reduction ends a fit whose derivatives are differences
 
 
 @dataclass(frozen=True)
@@ -59,16 +61,16 @@ class System:
         weights = deviation**-2.0
         return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
 
-    def step(self, damping: float, given: Array | None = None) -> tuple[Array, float]:
+    def step(self, damping: float, held: Array | None = None) -> tuple[Array, float]:
         """Step of all unknowns (n,), and the reduction of the cost that it should give.
 
         Args:
             damping: relative to the diagonal.
-            given: steps of the first unknowns that bounds determine (b,); not a number where they do not.
+            held: steps of the first unknowns that bounds determine (b,); not a number where they do not.
         """
         step = np.full(len(self.gradient), np.nan)
-        if given is not None:
-            step[: len(given)] = given
+        if held is not None:
+            step[: len(held)] = held
         if self.fixed is not None:
             step[self.fixed] = 0.0
         free = np.flatnonzero(np.isnan(step))
@@ -105,7 +107,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Linearised(Generic[T]):
-    """A problem at values of its unknowns: the cost, the normal equations, and whatever else was computed.
+    """A problem at values of its unknowns: the cost, the normal equations, and by-products of these.
 
     Raises:
         IntegrationError: the equations are not finite.
@@ -113,7 +115,7 @@ class Linearised(Generic[T]):
 
     cost: float
     equations: System
-    found: T
+    extra: T
 
     def __post_init__(self) -> None:
         if not self.equations.is_finite:
@@ -143,7 +145,7 @@ class Box:
         farther[:count] = np.minimum(np.clip(farther[:count], least, most), doubled)
         return farther
 
-    def given(self, step: Array, taken: Array) -> Array | None:
+    def held(self, step: Array, taken: Array) -> Array | None:
         """Steps of the first unknowns that bounds determine (b,), not a number for others; None if none are.
 
         Args:
@@ -185,6 +187,19 @@ class Damping:
 
 
 @dataclass(frozen=True)
+class Patience:
+    """Rule by which a fit is abandoned.
+
+    Args:
+        least: reduction of a cost that is expected of a step without damping; below it the method gives up.
+        is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
+    """
+
+    least: Callable[[float], float] = lambda cost: -np.inf
+    is_hopeless: Callable[[float, float], bool] = lambda cost, tried: False
+
+
+@dataclass(frozen=True)
 class Minimum(Generic[T]):
     """Where the method ended: values (n,), the problem there, rounds, and whether it stopped by itself."""
 
@@ -202,21 +217,19 @@ def minimise(
     *,
     rounds: int,
     tolerance: Callable[[Linearised[T]], float],
-    is_hopeless: Callable[[float, float], bool] | None = None,
-    wanted: Callable[[float], float] | None = None,
+    patience: Patience | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Minimum[T]:
     """Minimise a sum of squares by the Levenberg-Marquardt method.
 
     Args:
-        linearise: what returns the problem at values of the unknowns; raises if it has none there.
+        linearise: gives the problem at values of the unknowns; raises if it has none there.
         x: values to begin from (n,).
         box: bounds.
         damping: to begin with.
         rounds: most steps that are tried.
         tolerance: reduction of the cost below which the method stops, at a linearised problem.
-        is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
-        wanted: least reduction of a cost that is expected of a step without damping; below it the method gives up.
+        patience: when to give up before; never by default.
         progress: called with the part done.
 
     Raises:
@@ -233,7 +246,7 @@ def minimise(
     for number in range(1, rounds + 1):
         if progress is not None:
             progress((number - 1) / rounds)
-        is_vain = wanted is not None and at.equations.step(damping.least)[1] < wanted(at.cost)
+        is_vain = patience is not None and at.equations.step(damping.least)[1] < patience.least(at.cost)
         step, gain = at.equations.step(damping.value)
         enough = tolerance(at)
         if gain < enough and damping.value > damping.least and not is_last:
@@ -244,14 +257,14 @@ def minimise(
             return Minimum(x, at, number, converged=True)
         farther = box.after(x, step)
         tried = attempted(farther)
-        given = None if tried.cost < at.cost else box.given(step, farther - x)
-        if given is not None:  # the others take the step that suits what bounds leave of these
-            step, gain = at.equations.step(damping.value, given)
+        held = None if tried.cost < at.cost else box.held(step, farther - x)
+        if held is not None:  # the others take the step that suits what bounds leave of these
+            step, gain = at.equations.step(damping.value, held)
             if gain < enough:
                 return Minimum(x, at, number, converged=True)
             farther = box.after(x, step)
             tried = attempted(farther)
-        if is_hopeless is not None and is_hopeless(at.cost, tried.cost):
+        if patience is not None and patience.is_hopeless(at.cost, tried.cost):
             return Minimum(x, at, number, converged=True)
         success = tried.cost < at.cost
         damping = damping.after(success=success)
@@ -264,19 +277,42 @@ def minimise(
     return Minimum(x, at, number, converged=False)
 
 
+def minimise_residuals(
+    residuals: Callable[[Array], Array], x: Array, box: Box, *, sizes: Array, rounds: int = 30
+) -> Minimum[Array]:
+    """Minimum of a sum of squares whose derivatives are differences; the residuals come along.
+
+    Args:
+        residuals: (r,) at values of the unknowns.
+        x: values to begin from (n,).
+        box: bounds.
+        sizes: of changes of the unknowns (n,); differences are taken over a small part of them.
+        rounds: most steps that are tried.
+    """
+    steps = DIFFERENCE * sizes
+
+    def linearise(values: Array) -> Linearised[Array]:
+        left = residuals(values)
+        ahead, behind = ([residuals(values + sign * h) for h in np.diag(steps)] for sign in (1.0, -1.0))
+        jacobian = (np.array(behind) - np.array(ahead)).T / (2.0 * steps)  # of the model: residuals fall as it grows
+        return Linearised(float(left @ left), System(jacobian.T @ jacobian, jacobian.T @ left), left)
+
+    return minimise(linearise, x, box, Damping(1e-3, 1e-12, 1e10), rounds=rounds, tolerance=lambda at: SMALL * at.cost)
+
+
 def _scale(matrix: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
 
 
 def _scaled_solution(matrix: Array, right: Array, damping: float, shared: int | None = None, block: int = 1) -> Array:
-    """Damped solution (n,) with a diagonal scaled to 1, of blocks after shared unknowns where there are."""
+    """Damped solution (n,) with a diagonal scaled to 1; blocks after shared unknowns are condensed."""
     if not len(right):
         return right
     scale = _scale(matrix)
-    scaled, given = matrix / np.outer(scale, scale) + damping * np.eye(len(right)), right / scale
+    scaled, sides = matrix / np.outer(scale, scale) + damping * np.eye(len(right)), right / scale
     if shared is None:
-        return decompositions.least_squares(scaled, given, SINGULAR) / scale
-    condensed, left, others = _condensed(scaled, given, shared, block)
+        return decompositions.least_squares(scaled, sides, SINGULAR) / scale
+    condensed, left, others = _condensed(scaled, sides, shared, block)
     first = decompositions.least_squares(condensed, left, SINGULAR)
     return np.concatenate([first, (others[..., -1] - others[..., :-1] @ first).ravel()]) / scale
 
