@@ -37,7 +37,6 @@ def _add(sub: argparse.ArgumentParser) -> None:
     text = "with --virtual: follow the last grid up, then down; each run begins where the one before it ended"
     sub.add_argument("--continuation", action="store_true", help=text)
     sub.add_argument("--trajectories", action="store_true", help="keep the virtual motion of each run, too")
-    sub.add_argument("--gpu", action="store_true", help="with --virtual: make the runs on an NVIDIA GPU, with CuPy")
     sub.add_argument("--set", metavar="NAME=VALUE", action="append", default=[], help="change a virtual parameter")
     sub.add_argument("--duration", metavar="TIME", type=float, help="duration of each run, in units of virtual time")
     sub.add_argument("--part", metavar="K/N", default="1/1", help="make the K-th of N parts, one on each machine")
@@ -73,7 +72,6 @@ def _sweep(chosen: argparse.Namespace) -> int:
                 virtual=chosen.virtual,
                 continuation=chosen.continuation,
                 trajectories=chosen.trajectories,
-                gpu=chosen.gpu,
                 changes=dict(change(text) for text in chosen.set),
                 duration=chosen.duration,
                 part=_part(chosen.part),

@@ -84,7 +84,6 @@ def sweep(
     virtual: bool = False,
     continuation: bool = False,
     trajectories: bool = False,
-    gpu: bool = False,
     changes: Mapping[str, float] | None = None,
     duration: float | None = None,
     part: tuple[int, int] = (1, 1),
@@ -117,7 +116,6 @@ def sweep(
         virtual: integrate the virtual system by itself, without a rig, which is much faster.
         continuation: of the virtual system: follow the last grid up and down, each run from the end of the one before.
         trajectories: keep the virtual motion of each run.
-        gpu: let a GPU of NVIDIA run the virtual system, with CuPy.
         changes: parameters of the virtual system that all runs have, in the declared units.
         duration: of each run, in units of virtual time; by default as declared.
         part: k and n: make the k-th of n parts, which `merge_sweeps` puts together.
@@ -130,7 +128,7 @@ def sweep(
     Raises:
         DeclarationError: a declaration, a name, values or a measure is wrong.
         RecordError: the folder cannot be written, or holds another sweep.
-        MaskingError: there is no GPU; or a process of the sweep ended: finished runs are kept.
+        MaskingError: a process of the sweep ended: finished runs are kept.
     """
     whole = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
     usual = run_measures.defaults(whole.virtual.declaration.oscillators or (), has_rig=not virtual)
@@ -138,7 +136,7 @@ def sweep(
     sections |= {"duration": duration} if duration is not None else {}
     whole = whole.changed(**sections) if sections else whole
     design = Design.of(over or {}, runs, seed, sampling)
-    plan = Plan(whole, design, tuple(measure) or usual, virtual, continuation, trajectories, gpu)
+    plan = Plan(whole, design, tuple(measure) or usual, virtual, continuation, trajectories)
     plan.check()
     first, last = _range(plan, part)
     folder = Path(out or f"results/{whole.stem}_sweep")
@@ -225,7 +223,6 @@ def _facts(plan: Plan) -> dict[str, Any]:
     declared = manifest.content(experiment.assembly, experiment.virtual, {})["declarations"]
     names = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
     kind = {"virtual": plan.virtual, "continuation": plan.continuation, "trajectories": plan.trajectories}
-    kind |= {"gpu": True} if plan.gpu else {}  # whose runs have other last digits
     over = [
         {
             "name": axis.label,

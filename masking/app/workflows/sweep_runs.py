@@ -44,7 +44,6 @@ class Plan:
         virtual: whether the virtual system runs by itself, without a rig.
         continuation: whether the last axis of the grid is followed up and then down, each run from the end of the last.
         trajectories: whether the virtual motion is kept.
-        gpu: whether a GPU runs the virtual system.
     """
 
     experiment: Experiment
@@ -53,11 +52,10 @@ class Plan:
     virtual: bool = False
     continuation: bool = False
     trajectories: bool = False
-    gpu: bool = False
 
     def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
         """Return what another process makes the plan of, without what has been compiled in this one."""
-        others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories, self.gpu)
+        others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories)
         return Plan, (Experiment(self.experiment.assembly), *others)
 
     @cached_property
@@ -107,11 +105,6 @@ class Plan:
         if self.continuation and not (self.virtual and self.design.grid and self.design.runs == 1):
             message = "follows a grid or a list with the virtual system by itself"
             raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and no distributions"))
-        if self.gpu and (self.continuation or not self.virtual):
-            message = "runs the virtual system by itself, each run from its own initial state"
-            raise DeclarationError(Problem(None, "gpu", message, "give --virtual, and no --continuation"))
-        if self.gpu:
-            ensembles.check_gpu()
         if not self.virtual:
             self.experiment.validate()
         self.experiment.virtual.kernels.derivative.prepare()
@@ -195,7 +188,7 @@ class Plan:
             others = iter(self._virtual_rows(np.delete(rows, [*refused])))
             return [self._failed(str(refused[i])) if i in refused else next(others) for i in range(len(rows))]
         runs = ensembles.simulate(
-            model, self._times, columns, initial=self._initial, inputs=None, threads=1, gpu=self.gpu,
+            model, self._times, columns, initial=self._initial, inputs=None, threads=1,
             tolerance=self.experiment.declaration.tolerance,
         )  # fmt: skip
         together, found = self._measured_together(runs.states), list[dict[str, Measured]]()

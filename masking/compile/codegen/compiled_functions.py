@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen import cuda, native, store
+from masking.compile.codegen import native, store
 from masking.compile.codegen.event_jumps import Jumps
 from masking.compile.codegen.native import NativeFunction
 from masking.compile.codegen.source import Module
@@ -155,7 +155,6 @@ class Kernels:
         *,
         tolerance: float,
         threads: int,
-        gpu: bool = False,
     ) -> Trajectory:
         """Integrate dynamics without delays and events from several initial states, each with its own parameters.
 
@@ -166,19 +165,14 @@ class Kernels:
             parameters: (runs, parameters).
             tolerance: local relative error of a step.
             threads: that share the runs.
-            gpu: whether a GPU makes the runs.
 
         Raises:
             IntegrationError: times are none, or not in order.
-            MaskingError: there is no GPU.
         """
         times, y = in_order(times), np.array(states, dtype=float, order="C")
         p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
         begin, errors = float(times[0]), dict[int, str]()
-        if gpu:
-            solve = getattr(self, f"solve_{self.meta['method']}")
-            found = cuda.each(solve, len(y), begin, y, times, inputs, p, tolerance, 0.0, out)
-        elif "solve_in_lanes" in self.meta["functions"]:
+        if "solve_in_lanes" in self.meta["functions"]:
             found, solve = np.empty((len(y), 3)), self.solve_in_lanes
             solve.prepare()  # before threads do
 

@@ -1,4 +1,4 @@
-"""Elementary functions, of the operations that a processor has for vectors, or that a GPU has.
+"""Elementary functions built from the vector operations of a processor.
 
 They are right to three units in the last place where nothing else is said; sinh and cosh are infinite from 710 on.
 """
@@ -182,20 +182,6 @@ def arc_tangent_of_two(apply: Apply, number: Number, y: str, x: str) -> str:
     behind = apply("sub", number(HALF_TURN[0]), apply("sub", angle, number(HALF_TURN[1])))
     angle = apply("where", apply("lt", x, zero), behind, angle)
     return apply("where", apply("lt", y, zero), apply("neg", angle), angle)
-
-
-def power(apply: Apply, number: Number, x: str, exponent: str) -> str:
-    """X to any power, to |exponent log x| units in the last place; arguments as those of `sine_and_cosine`."""
-
-    def is_zero(value: str) -> str:
-        return apply("le", apply("abs", value), number(0.0))
-
-    found = exponential(apply, number, apply("mul", exponent, logarithm(apply, number, apply("abs", x))))
-    rest = _remainder(apply, number, exponent, 2.0)
-    is_odd = is_zero(apply("sub", rest, number(1.0)))
-    below = apply("where", is_odd, apply("neg", found), apply("where", is_zero(rest), found, number(math.nan)))
-    found = apply("where", apply("lt", x, number(0.0)), below, found)
-    return apply("where", is_zero(exponent), number(1.0), found)
 
 
 def _polynomial(apply: Apply, number: Number, x: str, coefficients: Sequence[float]) -> str:

@@ -31,10 +31,7 @@ OWN: Mapping[str, Callable[..., Any]] = {
     "acos": elementary.arc_cosine,
     "atan": elementary.arc_tangent,
     "atan2": elementary.arc_tangent_of_two,
-    "pow": elementary.power,
 }
-TWO = ("atan2", "pow")  # functions of two numbers
-LESS_EXACT = ("pow",)  # than that of the library, which lanes take
 FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
 (ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
@@ -148,32 +145,6 @@ def declarations(text: str) -> str:
     return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
 
 
-def with_elementary_functions(text: str) -> list[str]:
-    """LLVM code without functions of the library of mathematics, and behind it definitions of those of our own.
-
-    Args:
-        text: the code, which keeps LLVM's own functions that every processor has.
-    """
-    intrinsics = {name: f"llvm.{one}.f64" for name, one in INTRINSICS.items()} | {"fabs": "llvm.fabs.f64"}
-    wanted = {one: name for name, one in intrinsics.items()} | {name: name for name in (*intrinsics, *LIBRARY)}
-    declared = re.compile(r"^declare (?:[a-z]+ )*double @([\w.]+)\(.*$", re.MULTILINE)
-    used = [name for name in dict.fromkeys(declared.findall(text)) if name in wanted]
-    own = {wanted[name]: f"masking_{wanted[name]}" for name in used if wanted[name] in OWN}
-    symbols = {name: own.get(wanted[name], intrinsics.get(wanted[name], name)) for name in used}
-    text = declared.sub(lambda found: "" if found[1] in symbols else found[0], text)
-    text = re.sub(r"@([\w.]+)(?=\()", lambda found: f"@{symbols.get(found[1], found[1])}", text)
-    kept = sorted({symbol for symbol in symbols.values() if symbol.startswith("llvm.")})
-    return [text, *(f"declare double @{one}(double)" for one in kept), *(_elementary(own[name], name) for name in own)]
-
-
-def _elementary(symbol: str, name: str) -> str:
-    """Definition of a function of mathematics."""
-    types = {"x": "float", "y": "float"} if name in TWO else {"x": "float"}
-    body = _Body(types, "", 1)
-    body.lines.append(f"ret double {body.own(name, [f'%{one}' for one in types])}")
-    return body.definition(symbol, "double").replace(") {", ") alwaysinline {", 1)
-
-
 def number(value: float) -> str:
     """Constant, to the last bit."""
     return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
@@ -266,8 +237,8 @@ class _Body:
 
     def _call(self, name: str, given: Sequence[str]) -> str:
         """Value of a function of mathematics: LLVM's own takes lanes, one of the library each by itself."""
-        if name in OWN and name not in LESS_EXACT and self.lanes > 1:
-            return self.own(name, given)
+        if name in OWN and self.lanes > 1:
+            return self._own(name, given)
         if name in INTRINSICS:
             kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
             return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
@@ -280,7 +251,7 @@ class _Body:
             found = self.new(f"insertelement {self.type} {found}, double {value}, i64 {lane}")
         return found
 
-    def own(self, name: str, given: Sequence[str]) -> str:
+    def _own(self, name: str, given: Sequence[str]) -> str:
         """Value of a function of our own, whose operations keep their order."""
         if (name, *given) not in self._known:
             free, self.free = self.free, f"{FUSED} "

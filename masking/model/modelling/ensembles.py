@@ -8,7 +8,6 @@ from operator import itemgetter
 
 import numpy as np
 
-from masking.compile.codegen import cuda
 from masking.compile.codegen.compiled_functions import Trajectory, in_order
 from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, IntegrationError, ModelError, SingularityError, nearest
@@ -25,7 +24,6 @@ def simulate(
     inputs: Inputs,
     tolerance: float,
     threads: int | None = None,
-    gpu: bool = False,
 ) -> Trajectory:
     """Integrate a model once for each run of an ensemble, as `Model.simulate` does.
 
@@ -37,12 +35,10 @@ def simulate(
         inputs: of all runs.
         tolerance: local relative error.
         threads: that share the runs; by default as many as there are cores.
-        gpu: whether a GPU makes the runs.
 
     Raises:
-        ModelError: a name is no parameter or state, the values are not as many for each, or no GPU makes such runs.
+        ModelError: a name is no parameter or state, or the values are not as many for each.
         IntegrationError: the times are not in order.
-        MaskingError: there is no GPU.
         DeclarationError: a parameter is out of its bounds.
     """
     times, columns = in_order(row_of_times(times)), _columns(model, ensemble)
@@ -52,11 +48,6 @@ def simulate(
     for _, error in refused(model, columns):
         raise error
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
-        if gpu:
-            raise ModelError(
-                "a GPU makes no runs with events, delays, inputs that are series, or values that others are computed "
-                "from; let the processor make them"
-            )
 
         def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
             return changed.simulate(times, {**initial, **start}, inputs, tolerance)
@@ -66,7 +57,7 @@ def simulate(
     u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
     share = max(1, min(threads or os.cpu_count() or 1, runs))
     p = _parameters(model, parameters, runs)
-    return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share, gpu=gpu)
+    return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share)
 
 
 def refused(model: Simulated, ensemble: Mapping[str, Array]) -> Iterator[tuple[int, DeclarationError]]:
@@ -89,15 +80,6 @@ def refused(model: Simulated, ensemble: Mapping[str, Array]) -> Iterator[tuple[i
         for i in range(len(next(iter(columns.values())))):
             if error := why(itemgetter(i)):
                 yield i, error
-
-
-def check_gpu() -> None:
-    """Refuse runs on a GPU where there is none.
-
-    Raises:
-        MaskingError: there is no GPU, or no CuPy.
-    """
-    cuda.available()
 
 
 def _columns(model: Simulated, ensemble: Mapping[str, Sequence[float] | Array]) -> dict[str, Array]:

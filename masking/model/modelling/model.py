@@ -295,8 +295,6 @@ class Model:
         inputs: input_series.Inputs = None,
         tolerance: float = 1e-10,
         ensemble: Mapping[str, Sequence[float] | np.ndarray] | None = None,
-        *,
-        gpu: bool = False,
     ) -> Trajectory:
         """Integrate the model by itself, once or for each run of an ensemble.
 
@@ -311,7 +309,6 @@ class Model:
                 `Series`, or values at the times (m,), with straight lines between. By default all are zero.
             tolerance: local relative error.
             ensemble: values of each run (runs,), of parameters and initial states by name, in the declared units.
-            gpu: whether a GPU makes the runs of the ensemble, with CuPy.
 
         Returns:
             states (m, 2 n + k), the k internal states last, behind them what delayed expressions were, and their times;
@@ -320,12 +317,9 @@ class Model:
         Raises:
             ModelError: the times are none, or inputs by name are not those of the model.
             IntegrationError: the integrator could not go on.
-            MaskingError: there is no GPU, or no CuPy.
         """
-        if ensemble is not None or gpu:
-            return ensembles.simulate(
-                self, times, ensemble or {}, initial=initial or {}, inputs=inputs, tolerance=tolerance, gpu=gpu
-            )
+        if ensemble is not None:
+            return ensembles.simulate(self, times, ensemble, initial=initial or {}, inputs=inputs, tolerance=tolerance)
         if isinstance(inputs, Mapping):
             return input_series.driven(self, times, initial or {}, inputs, tolerance)
         times = input_series.row_of_times(times)
