@@ -1,6 +1,6 @@
 """Every packaged experiment exported: `python -m tests.benchmarks.exported [NAME ...]`.
 
-Commands of C, Python, FMUs and a Cortex-M4F against those of the compiled kernel: of a law, for 500 random states; of a
+Commands of C, FMUs and a Cortex-M4F against those of the compiled kernel: of a law, for 500 random states; of a
 sampled controller, for the readings of a run around the twin, which the Cortex-M4F drives itself. Then the closed loop
 of C in double and in float, and the size, stack, instructions and computed cycles of a step in float on a Cortex-M4F.
 What is not installed is left out and named.
@@ -29,7 +29,7 @@ from masking.control.exports.fmu_unit import write
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import loop_state, rig_state
 from masking.model.declaration import catalogue
-from tests.control.exports.test_controllers import around_a_twin, by_kernel, by_unit, python_unit
+from tests.control.exports.test_controllers import around_a_twin, by_kernel, by_unit
 from tests.support import cortex_m4
 from tests.support.compiled_unit import GCC, TYPES, CompiledUnit
 from tests.support.cortex_m4_cycles import of_longest_step
@@ -41,7 +41,7 @@ COLUMNS = (
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 STATES = 500
 SAMPLES = 6000  # of a sampled controller, in the comparison of commands
-FEW = 300  # of them, where a step takes a millisecond
+FEW = 300  # of them, where each goes through an emulator
 STEPS_PER_SECOND = 8000.0  # of the closed loop of a law in continuous time
 
 # The closed loop of a law: the classical Runge-Kutta method, the law at each of its stages, or held between samples.
@@ -267,8 +267,6 @@ def row(name: str) -> str:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         cells = [f"{case.exact(CompiledUnit(folder, case.unit)):.1g}"]
-        python = python_unit(folder, case.unit)
-        cells.append(f"{case.exact(python) if isinstance(case, Law) else case.difference(python, FEW * 20):.1g}")
         cells += _of_fmus(case, folder)
         has_board = cortex_m4.COMPILER and cortex_m4.EMULATOR
         cells.append(_difference_on_board(case, folder) if has_board else "")

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen.python_functions import PythonFunctions
+from masking.compile.codegen.printers import statements
+from masking.compile.codegen.source import reads
 from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, limited, missing, told
+from tests.support.python_language import PYTHON
 
 CALLS, ROUNDS = 1000, 600
 LARGEST_DIFFERENCE = 1e-12
@@ -138,10 +140,11 @@ def buffered(law: LawStep, state: np.ndarray) -> tuple[Any, ...]:
     n, m, p = len(law.loop.plant.coordinates), len(law.inputs), law.loop.values()
     symbols: Any = casadi.SX.sym("y", 2 * n)
     u: list[Any] = [None] * m
-    functions, scope = PythonFunctions(law.loop._build()), dict[str, Any](math=casadi, np=np)
-    name = functions.add("step")
-    exec(functions.text(), scope)  # noqa: S102
-    scope[name](0.0, [symbols[i] for i in range(n)], [symbols[n + i] for i in range(n)], u, p.tolist())
+    step: Any = law.loop._build().parts["step"]
+    lines = reads(step.graph, [node for _, node in step.results], step.loads, PYTHON)
+    lines += statements(step.graph, step.results, PYTHON)
+    q, v = ([symbols[first + i] for i in range(n)] for first in (0, n))
+    exec("\n".join(lines), {"math": casadi, "t": 0.0, "q": q, "v": v, "u": u, "p": p.tolist()})  # noqa: S102
     made = casadi.Function("law", [symbols], [casadi.vertcat(*u)])
     buffer, evaluate = made.buffer()
     inputs = np.zeros(m)

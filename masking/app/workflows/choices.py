@@ -11,7 +11,7 @@ HOLDS = get_args(InputHold)
 METHODS = ("least-squares", "kalman")  # of identify
 STUDIED = ("model", "experiment")  # kinds of declaration that stability studies
 EXPORTED = ("experiment", "plant", "model")  # kinds of declaration that export writes, in the order of preference
-TARGETS = ("c", "fmu", "python")  # of export
+TARGETS = ("c", "fmu")  # of export
 REALS = ("double", "float")
 
 __all__ = ["EXPORTED", "HOLDS", "METHODS", "REALS", "STUDIED", "TARGETS", "TOLERANCE"]

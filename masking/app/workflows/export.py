@@ -1,4 +1,4 @@
-"""The verb export: a controller, a rig or a model as C, as an FMU, or as Python that needs numpy only."""
+"""The verb export: a controller, a rig or a model as C or as an FMU."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def export(
 
     Args:
         name_or_path: an experiment, whose controller is exported; a plant, as a simulated rig; or a model.
-        to: 'c', 'fmu' or 'python'.
+        to: 'c' or 'fmu'.
         kind: 'experiment', 'plant' or 'model', where a name stands for several; by default the first of these.
         changes: parameters that replace the declared ones: of an experiment's virtual system, or of a model.
         plant: a plant that replaces that of an experiment.

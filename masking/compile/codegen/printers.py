@@ -1,4 +1,4 @@
-"""Graph nodes printed as statements of Python or C, in the order of their operations, to the last bit."""
+"""Graph nodes printed as statements of a language, in the order of their operations, to the last bit."""
 
 from __future__ import annotations
 
@@ -23,29 +23,8 @@ class Language:
     suffix: str = ""
 
 
-PYTHON = Language(
-    templates={
-        **{f: f"math.{f}({{0}})" for f in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh")},
-        **{f: f"math.{f}({{0}})" for f in ("tanh", "exp", "log")},
-        "pow": "{0} ** {1}",
-        "abs": "abs({0})",
-        "sign": "np.sign({0})",
-        "floor": "np.floor({0})",
-        "min": "min({0}, {1})",
-        "max": "max({0}, {1})",
-        "atan2": "math.atan2({0}, {1})",
-        "heaviside": "(0.5 if {0} == 0.0 else (1.0 if {0} > 0.0 else 0.0))",
-        "where": "({1} if {0} else {2})",
-        "lt": "({0} < {1})",
-        "le": "({0} <= {1})",
-    },
-    declare="",
-    end="",
-)
-
-
 def c_language(real: str) -> Language:
-    """C99 with numbers of one type, `double` or `float`; `smaller` and `larger` are those of `codegen.c`."""
+    """C99 with numbers of one type, `double` or `float`; `smaller` and `larger` are those of `c_functions`."""
     f = {"double": "", "float": "f"}[real]
     same = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "floor")
     return Language(
@@ -72,7 +51,7 @@ C = c_language("double")
 INFIX = {"add": (SUM, "+"), "sub": (SUM, "-"), "mul": (PRODUCT, "*"), "div": (PRODUCT, "/")}
 
 
-def statements(graph: Graph, results: Sequence[tuple[str, Node]], language: Language = PYTHON) -> list[str]:
+def statements(graph: Graph, results: Sequence[tuple[str, Node]], language: Language) -> list[str]:
     """Statements that compute nodes and assign them.
 
     A node that is used more than once becomes a local variable; all others are written in place.

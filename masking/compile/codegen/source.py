@@ -24,7 +24,7 @@ from typing import Any
 
 from masking.compile.codegen import llvm_text, native
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.printers import PYTHON, Language, needed
+from masking.compile.codegen.printers import Language, needed
 from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
 from masking.compile.numerics.rig_sizes import LANES
 
@@ -268,7 +268,7 @@ def _read(signature: str) -> tuple[str, dict[str, str]]:
     return function.name, types
 
 
-def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language = PYTHON) -> list[str]:
+def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language) -> list[str]:
     """Statements that read the symbols which nodes use.
 
     Args:

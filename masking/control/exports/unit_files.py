@@ -8,10 +8,9 @@ from pathlib import Path
 from masking.control.exports import fmu_unit
 from masking.control.exports.c_unit import CUnit
 from masking.control.exports.example_programs import programs
-from masking.control.exports.python_unit import python_source
 from masking.control.exports.unit import Unit
 
-ENDINGS = {"c": ".c", "fmu": f"_fmi{fmu_unit.VERSIONS[0]}.fmu", "python": ".py"}  # of a file that is always written
+ENDINGS = {"c": ".c", "fmu": f"_fmi{fmu_unit.VERSIONS[0]}.fmu"}  # of a file that is always written
 
 
 def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
@@ -20,12 +19,10 @@ def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
     Args:
         unit: the unit.
         folder: made where it is not there.
-        to: `c`, `fmu` or `python`.
+        to: `c` or `fmu`.
         real: numbers of C.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if to == "python":
-        return _written(folder, {f"{unit.name}.py": python_source(unit)})
     if to == "fmu":
         return fmu_unit.write(unit, folder)
     text = CUnit(unit, real)

@@ -328,7 +328,7 @@ def test_export_says_what_was_written_and_what_is_wrong(capsys, short, tmp_path)
     assert content["kind"] == "law"
     assert all(Path(file).is_file() for file in content["files"])
     assert {"short.h", "short.c", "short_linux.c"} <= {Path(file).name for file in content["files"]}
-    status, _, error = run(capsys, "export", "duffing", "--kind", "model", "--to", "python", "--rate", "0")
+    status, _, error = run(capsys, "export", "duffing", "--kind", "model", "--to", "c", "--rate", "0")
     assert status == 2
     assert "--rate: 0 is no positive number; give one, such as 1000" in error
 

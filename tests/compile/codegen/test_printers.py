@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from masking.compile.codegen import content_hashes, kernel_templates, llvm_text, store
 from masking.compile.codegen.c_functions import EXTREMES
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.printers import PYTHON, C, statements
+from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.taylor_coefficients import degree, is_analytic
 from masking.compile.codegen.trusted_files import write_whole
@@ -33,6 +33,7 @@ from masking.model.declaration.operations import FUNCTIONS
 from masking.model.effects import EFFECTS
 from masking.model.modelling.lowering import module
 from masking.model.modelling.model import Model
+from tests.support.python_language import PYTHON
 
 NAMES = ("x", "y", "z")
 SYMBOLS = {name: sp.Symbol(name, real=True) for name in NAMES}
@@ -81,7 +82,7 @@ def lowered(texts):
 
 def python_source(texts):
     graph, nodes = lowered(texts)
-    body = ["x, y, z = v[0], v[1], v[2]", *statements(graph, [(f"out[{i}]", n) for i, n in enumerate(nodes)])]
+    body = ["x, y, z = v[0], v[1], v[2]", *statements(graph, [(f"out[{i}]", n) for i, n in enumerate(nodes)], PYTHON)]
     return "\n".join(["def f(v, out):", *(f"    {line}" for line in body)])
 
 

@@ -8,9 +8,10 @@ import pytest
 import sympy as sp
 
 from masking.compile.codegen.graph import NOT_ANALYTIC, Graph
-from masking.compile.codegen.printers import PYTHON, statements
+from masking.compile.codegen.printers import statements
 from masking.compile.codegen.tangent import RULES, SWITCHES, derivatives
 from masking.model.declaration.expression import Expression
+from tests.support.python_language import PYTHON
 
 # Functions that give nan where the standard library raises, as compiled code does.
 QUIET = SimpleNamespace(
