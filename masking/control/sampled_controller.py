@@ -21,6 +21,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
+from masking.compile.numerics.kernel_arguments import Parts
 from masking.control.blocks import check_actuation
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
@@ -201,15 +202,13 @@ class SampledController:
         sizes, work = self.sizes, self.work
         step = {"exported": False} if self.feed.is_live else {"work": work}
         name = "bare_control" if self.feed.is_live else "control"
-        parts: tuple[str, ...]
         if self.has_model:
-            parts = ("law", "rate", "measure", "allocate", "wire", "virtual", "momentum", "remember")
-            parts = (*parts, "lagged", "conditions")
-            module.add_factory(name, sampled_loop.control_with_model, *parts, sizes, **step)
+            parts = Parts(*Parts._fields)  # which functions of the module have as names
+            module.add_factory(name, sampled_loop.control_with_model, parts, sizes, **step)
         else:
-            parts = ("law", "allocate", "remember", "lagged", "conditions")
-            module.add_factory(name, sampled_loop.control_with_differences, *parts, sizes, **step)
-            module.add_factory("skip", sampled_loop.skip_with_differences, *parts[2:], sizes, work=work)
+            memory = ("remember", "lagged", "conditions")
+            module.add_factory(name, sampled_loop.control_with_differences, "law", "allocate", *memory, sizes, **step)
+            module.add_factory("skip", sampled_loop.skip_with_differences, *memory, sizes, work=work)
         if self.feed.is_live:
             self.feed.add_control(module, sizes, work)
         module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from masking.compile.codegen.native import BoundFunction
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, TIME
+from masking.compile.numerics.kernel_arguments import Unit
 from masking.compile.numerics.stop_codes import SINGULAR
 from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
@@ -68,11 +69,11 @@ class SampledStep:
         sampled, answer = self.sampled, self.sampled.kernels.answer
         gain, limits = sampled.gain, sampled.limits
         self._unsent = np.zeros_like(self.applied)
-        head = (self._index, np.array([1.0 / sampled.rate]), self._readings, self.state, self.parameters)
-        seeing = answer.bind(*head, gain, limits, self.demanded, self.applied, self._first)
-        blind = answer.bind(
-            *head, np.zeros_like(gain), limits, np.zeros_like(self.applied), self._unsent, np.zeros_like(self._first)
-        )
+        unit = Unit(self.state, self.parameters, gain, limits)
+        head = (self._index, np.array([1.0 / sampled.rate]), self._readings)
+        seeing = answer.bind(*head, unit, self.demanded, self.applied, self._first)
+        without, unsent = unit._replace(gain=np.zeros_like(gain)), np.zeros_like(self.applied)
+        blind = answer.bind(*head, without, unsent, self._unsent, np.zeros_like(self._first))
         self._bound = (seeing, blind)
         self._unseen, self._results = blind.call, seeing.results
         if not sampled.has_model:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from masking.compile.numerics import sampled_loop as sampling
+from masking.compile.numerics.kernel_arguments import Recorded, Rig, Samples, Unit
 from masking.control.stepwise_controller import SampledStep
 from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, interleaved, judged, missing, ratio, told
@@ -70,8 +71,9 @@ class Whole:
         sizes = self.sampled.sizes
         out = [np.empty((SAMPLES, n)) for n in (len(memory.x), len(self.reading), sizes.actuators, sizes.actuators)]
         self.found.sampled_loop.kernels.run(
-            0, SAMPLES, 1.0 / self.sampled.rate, self.substeps, 1, y, memory.x, self.p, memory.p, self.sampled.gain,
-            self.sampled.limits, queue, self.late, self.noise, 0.0, self.states, *out,
+            Samples(0, SAMPLES, 1.0 / self.sampled.rate, self.substeps, 1), Rig(y, self.p, queue, self.late),
+            Unit(memory.x, memory.p, self.sampled.gain, self.sampled.limits), self.noise, 0.0,
+            Recorded(self.states, *out),
         )  # fmt: skip
 
 

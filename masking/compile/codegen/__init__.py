@@ -4,6 +4,7 @@ In: symbolic expressions.
 Out: compiled functions, kept on disk.
 Imports: numerics.
 
-`graph` holds expressions as shared elementary operations, `linear` solves linear systems of them, `printers`
-and `taylor` write them as statements, `source` as functions and modules, and `store` keeps modules on disk.
+`graph` holds expressions as shared elementary operations, `linear_systems` solves linear systems of them, `printers`
+and `llvm_text` write them as statements, `source` as functions and modules, `structs` describes what kernels take
+together, and `store` keeps modules on disk.
 """

@@ -12,6 +12,7 @@ from typing import Any
 
 from masking.compile.codegen.closures import Closure, Named
 from masking.compile.codegen.printers import ATOM, PRODUCT, SUM, UNARY, number
+from masking.compile.codegen.structs import is_struct
 
 COMPARE, CHOICE = 0, -1
 REAL, INT, BOOL, ARRAY, INTEGERS, TUPLE = "real", "int", "bool", "array", "integers", "tuple"
@@ -49,6 +50,7 @@ class Value:
         shape: of an array; None for a length that is not known.
         root: the argument that an array is part of.
         parts: of a tuple.
+        fields: names of the parts of a named one.
     """
 
     kind: str
@@ -58,6 +60,12 @@ class Value:
     shape: tuple[int | None, ...] = ()
     root: str = ""
     parts: tuple[Value, ...] = ()
+    fields: tuple[str, ...] = ()
+
+    @property
+    def flat(self) -> tuple[Value, ...]:
+        """Values that go to a function: itself, or the parts of a named tuple."""
+        return tuple(one for part in self.parts for one in part.flat) if self.fields else (self,)
 
     def at_least(self, level: int) -> str:
         """Text, in brackets where an operation of this level takes it."""
@@ -117,7 +125,7 @@ class CExpressions:
         return rule(node)
 
     def target(self, node: ast.expr) -> Value:
-        """Return what is written to, and remember which argument it is part of."""
+        """Target of an assignment; the argument that it is part of counts as written."""
         found = self.value(node)
         if found.root:
             self.written.add(found.root)
@@ -147,6 +155,8 @@ class CExpressions:
             return self._constant(math.prod(x for x in inner.shape if x is not None), node)
         if inner.kind == ARRAY and name == "shape" and None not in inner.shape:
             return Value(TUPLE, parts=tuple(self._constant(x, node) for x in inner.shape))
+        if name in inner.fields:
+            return inner.parts[inner.fields.index(name)]
         if inner.known is not None and not inner.kind:
             return self._constant(getattr(inner.known, name), node)
         raise self.refusal(node, "its length is not known")
@@ -230,11 +240,13 @@ class CExpressions:
             return result
         if known is abs:
             return Value(REAL, f"fabs{self.suffix}({given[0].text})")
-        found = self.call(known, given)
-        for value, is_written in zip(given, found.written, strict=True):
+        if is_struct(known):
+            return Value(TUPLE, parts=tuple(given), fields=known._fields)
+        found, passed = self.call(known, given), [one for value in given for one in value.flat]
+        for value, is_written in zip(passed, found.written, strict=True):
             if is_written and value.root:
                 self.written.add(value.root)
-        text = f"{found.name}({', '.join(v.text for v in given)})"
+        text = f"{found.name}({', '.join(v.text for v in passed)})"
         if len(found.returned) > 1:
             return Value(TUPLE, text, parts=tuple(Value(kind) for kind in found.returned))
         return Value(found.returned[0] if found.returned else "", text)

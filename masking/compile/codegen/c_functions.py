@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from masking.compile.codegen.c_expressions import REAL, Function, Value
+from masking.compile.codegen import structs
+from masking.compile.codegen.c_expressions import REAL, TUPLE, Function, Value
 from masking.compile.codegen.c_kernels import Translation
 from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.printers import c_language, statements
@@ -35,7 +37,11 @@ class CFunctions:
         self._made: dict[object, Function] = {}
 
     def add(self, name: str, arguments: Sequence[Value]) -> Function:
-        """Function of the module for arguments of given kinds and shapes, and keep it."""
+        """Function of the module for arguments of given kinds and shapes, the fields of structs one by one."""
+        part, rest = part_of(self.module, name), list(arguments)
+        if isinstance(part, Closure):
+            annotated = structs.signature(part.function)
+            arguments = [_taken(rest, annotated.get(argument)) for argument in part.arguments]
         return self._of(Named(name), arguments)
 
     def text(self) -> str:
@@ -57,7 +63,7 @@ class CFunctions:
         return self._kernel(Closure.of(callee), "", arguments)
 
     def _kernel(self, closure: Closure, name: str, arguments: Sequence[Value]) -> Function:
-        key = (name or closure.function, tuple((a.kind, a.shape) for a in arguments))
+        key = (name or closure.function, tuple((one.kind, one.shape) for a in arguments for one in a.flat))
         if key not in self._made:
             base = name or closure.function.__name__
             found = self._translated(closure, arguments, base)
@@ -88,7 +94,7 @@ class CFunctions:
             written = argument in targets
             const = "" if written or kind == "float" else "const "
             arguments.append(f"{const}{self.real} {'' if kind == 'float' else '*'}{argument}")
-            if not _occurs(argument, text):
+            if not re.search(rf"\b{argument}\b", text):
                 unused.append(f"(void){argument};")
         returned = self.real if part.returns is not None else "void"
         body = [f"    {line}" for line in (*unused, *lines)]
@@ -101,9 +107,8 @@ class CFunctions:
         )
 
 
-def _occurs(name: str, text: str) -> bool:
-    return any(part == name for part in _words(text))
-
-
-def _words(text: str) -> list[str]:
-    return "".join(c if c.isalnum() or c == "_" else " " for c in text).split()
+def _taken(values: list[Value], kind: Any) -> Value:  # noqa: ANN401
+    """First of some values, or as many as the fields of a struct, which are taken away."""
+    if not structs.is_struct(kind):
+        return values.pop(0)
+    return Value(TUPLE, parts=tuple(values.pop(0) for _ in kind._fields), fields=kind._fields)

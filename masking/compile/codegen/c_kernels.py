@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from masking.compile.codegen.c_expressions import (
     ARRAY,
@@ -45,11 +45,9 @@ class Translation:
         self.closure, self.real = closure, real
         self.returned: tuple[str, ...] = ()
         self.lines: list[_Line] = []
-        self.arguments = {
-            name: Value(v.kind, name, shape=v.shape, root=name)
-            for name, v in zip(closure.arguments, arguments, strict=True)
-        }
-        self.inner = CExpressions(closure, self.arguments, real, call)
+        named = {name: _argument(name, v) for name, v in zip(closure.arguments, arguments, strict=True)}
+        self.arguments = {value.text: value for argument in named.values() for value in argument.flat}
+        self.inner = CExpressions(closure, named, real, call)
         self.values, self.written = self.inner.values, self.inner.written
         self.counts: dict[str, int] = {}
         for node in ast.walk(closure.tree):
@@ -143,7 +141,7 @@ class Translation:
             self._write(f"{self.inner.target(target).text} = {given.text};", depth)
             return
         name = target.id
-        if self.counts[name] == 1 and given.known is not None and given.kind != REAL:
+        if given.fields or (self.counts[name] == 1 and given.known is not None and given.kind != REAL):
             self.values[name] = given
         elif given.kind in {ARRAY, INTEGERS}:
             c_type = self.real if given.kind == ARRAY else "int32_t"
@@ -218,6 +216,14 @@ class Translation:
             return
         self.returned = (value.kind if value.kind != BOOL else INT,)
         self._write(f"return {value.text};", depth)
+
+
+def _argument(name: str, value: Value) -> Value:
+    """Argument of a kernel, whose parts, if it is a named tuple, are arguments of the C function."""
+    if not value.fields:
+        return Value(value.kind, name, shape=value.shape, root=name)
+    parts = [_argument(f"{name}_{field}", part) for field, part in zip(value.fields, value.parts, strict=True)]
+    return replace(value, parts=tuple(parts))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import Any
 
-from masking.compile.codegen.source import Expressions, Made, Module
+from masking.compile.codegen.source import Expressions, Made, Module, made_of
 
 
 @dataclass(frozen=True)
@@ -59,4 +59,4 @@ def part_of(module: Module, name: str) -> Expressions | Closure:
     part = module.parts[name]
     if not isinstance(part, Made):
         return part
-    return Closure.of(part.factory(*(Named(one) if isinstance(one, str) else one for one in part.given)))
+    return Closure.of(made_of(part, Named))

@@ -25,7 +25,7 @@ UNROLLED = '!0 = distinct !{!0, !1}\n!1 = !{!"llvm.loop.unroll.full"}'
 
 
 def link(states: int, coordinates: int, more: int = 0) -> dict[str, NativeFunction]:
-    """Function by its signature, as `codegen.kernels.linked` takes it.
+    """Function by its signature, as `compiled_functions.linked` takes it.
 
     It moves `columns` (n, width) over a step of length h, with the derivatives of its stages by the state (4 n, n or
     more), those of coordinates left out, and by the columns (4 n, width), `rates`.

@@ -57,11 +57,22 @@ class Trajectory:
         return self.states[..., n : 2 * n]
 
     def __getitem__(self, name: str) -> Array:
-        """Return one coordinate (`x1`), velocity (`x1'`) or internal state over time (m,), or (runs, m)."""
+        """One coordinate (`x1`), velocity (`x1'`) or internal state over time (m,), or (runs, m)."""
         if name in self.internal:
             return self.states[..., 2 * len(self.coordinates) + self.internal.index(name)]
         index = self.coordinates.index(name.rstrip("'"))
         return self.states[..., index + (len(self.coordinates) if name.endswith("'") else 0)]
+
+
+@dataclass(frozen=True)
+class InPieces:
+    """Number of pieces that times are cut into, and what is called with the part done after each."""
+
+    count: int = 1
+    progress: Callable[[float], None] | None = None
+
+
+WHOLE = InPieces()
 
 
 @dataclass(frozen=True)
@@ -98,8 +109,7 @@ class Kernels:
         tolerance: float,
         method: str | None = None,
         fixed_step: float = 0.0,
-        progress: Callable[[float], None] | None = None,
-        pieces: int = 1,
+        pieces: InPieces = WHOLE,
     ) -> Trajectory:
         """Integrate the module's dynamics over given times.
 
@@ -111,8 +121,7 @@ class Kernels:
             tolerance: local relative error of a step.
             method: `taylor` or `runge_kutta`; by default Taylor series where the dynamics have them.
             fixed_step: length of every step; 0 to control it.
-            progress: called with the part done after each piece.
-            pieces: number of pieces that the times are cut into.
+            pieces: that the times are cut into.
 
         Raises:
             SingularityError: a matrix that must be inverted became singular; holds the state.
@@ -129,9 +138,9 @@ class Kernels:
         y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
         out = np.empty((len(times), len(state) + lags))
         t, steps = float(times[0]), 0
-        pieces = 1 if lags else max(1, min(pieces, len(times)))  # the past is that of one call
-        for piece in range(pieces):
-            first, last = (len(times) * i // pieces for i in (piece, piece + 1))
+        count = 1 if lags else max(1, min(pieces.count, len(times)))  # the past is that of one call
+        for piece in range(count):
+            first, last = (len(times) * i // count for i in (piece, piece + 1))
             status = EVENT
             while status == EVENT:
                 rows = slice(first, last)
@@ -141,8 +150,8 @@ class Kernels:
                     first = max(first, int(np.searchsorted(times[:last], t, side="right")))
             if status != REACHED:
                 self.stop(status, t, y[: len(state)])
-            if progress is not None:
-                progress(last / len(times))
+            if pieces.progress is not None:
+                pieces.progress(last / len(times))
         names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
         return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
 

@@ -99,7 +99,7 @@ def source_of(name: str) -> str:
 
 
 def _imported(node: ast.AST) -> list[str]:
-    """Return what a statement imports: modules, and names in them that may be modules."""
+    """Imports of a statement: modules, and names in them that may be modules."""
     if isinstance(node, ast.Import):
         return [alias.name for alias in node.names]
     if isinstance(node, ast.ImportFrom) and node.module:

@@ -22,7 +22,7 @@ class Functions(Protocol):
 
     @property
     def meta(self) -> Mapping[str, Any]:
-        """Return what the module says of itself."""
+        """Description of the module."""
 
     def __getattr__(self, name: str) -> Callable[..., Any]: ...
 

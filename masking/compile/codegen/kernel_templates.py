@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-from masking.compile.codegen import native
+from masking.compile.codegen import native, structs
 from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.content_hashes import digest, source_of, versions
 from masking.compile.codegen.source import Expressions, Module
@@ -24,6 +24,7 @@ HEADER = '''"""Generated; do not edit."""
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 
 import numba
 import numpy as np
@@ -58,19 +59,21 @@ def template(module: Module, name: str) -> Template:
     closure = part_of(module, name)
     assert isinstance(closure, Closure)  # noqa: S101
     printer.add(Named(name), name)
-    described = module.meta["functions"][name]
-    interface = native.interface(name, described["arguments"], described["results"])
+    arguments = structs.signature(closure.function)
+    arguments.pop("return", None)
+    printer.structs |= {structs.definition(kind) for kind in arguments.values() if not isinstance(kind, str)}
+    interface = native.interface(name, arguments, module.meta["functions"][name]["results"])
     sizes = [
         f'size_{i} = numba.types.ExternalFunction("{size_symbol(i)}", numba.i8())' for i in range(len(printer.sizes))
     ]
     header = HEADER + "".join(f"{line}\n" for line in sorted(printer.imports))
-    text = "\n\n".join([header, "\n".join(sizes), *printer.texts, interface]) + "\n"
+    text = "\n\n".join([header, "\n".join([*sorted(printer.structs), *sizes]), *printer.texts, interface]) + "\n"
     content = digest(versions(), text, *(source_of(line.split()[1]) for line in sorted(printer.imports)))
     return Template(text, tuple(printer.sizes), tuple(printer.uses), content)
 
 
 def size_symbol(index: int) -> str:
-    """Return what a template calls a whole number."""
+    """Symbol of a whole number in a template."""
     return f"masking_size_{index}"
 
 
@@ -84,6 +87,7 @@ class _Printer:
     sizes: list[int] = field(default_factory=list)
     uses: list[str] = field(default_factory=list)
     imports: set[str] = field(default_factory=lambda: {DECORATORS})
+    structs: set[str] = field(default_factory=set)
 
     def add(self, callee: Any, wanted: str = "") -> str:  # noqa: ANN401
         """Name in the text of a function of the module, or of a kernel that others call."""
@@ -127,6 +131,8 @@ class _Written(ast.NodeTransformer):
         known = self.closure.names.get(node.value.id) if isinstance(node.value, ast.Name) else None
         if isinstance(known, slice):
             return self._size(ast.unparse(node), getattr(known, node.attr))
+        if isinstance(known, ModuleType) and known.__name__.startswith("masking."):
+            return ast.Constant(getattr(known, node.attr))
         self.generic_visit(node)
         return node
 
@@ -134,7 +140,9 @@ class _Written(ast.NodeTransformer):
         if node.id not in self.closure.names:
             return node
         known = self.closure.names[node.id]
-        if isinstance(known, ModuleType) or (callable(known) and known in BUILTINS):
+        if structs.is_struct(known):
+            self.printer.structs.add(structs.definition(known))
+        if structs.is_struct(known) or isinstance(known, ModuleType) or (callable(known) and known in BUILTINS):
             return node
         if isinstance(known, int) and not isinstance(known, bool) and node.id in self.enclosed:
             return self._size(node.id, known)

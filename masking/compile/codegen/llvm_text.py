@@ -57,7 +57,7 @@ def parameters(types: Mapping[str, str]) -> list[str]:
     return found
 
 
-def function(  # noqa: PLR0917  (what a function is made of)
+def function(  # noqa: D417, PLR0917  (it is made of what `Module.add` takes)
     symbol: str,
     types: Mapping[str, str],
     graph: Graph,
@@ -70,14 +70,9 @@ def function(  # noqa: PLR0917  (what a function is made of)
     """Definition of a function that computes nodes: it reads all that it needs, and then writes results.
 
     Args:
-        symbol: what it is called.
+        symbol: its name.
         types: of its arguments by their names.
-        graph: the graph that holds the nodes.
-        results: elements of arrays, such as `out[0]`, and the nodes that they get.
-        loads: for each symbol of the graph an argument or an element of an array.
-        returns: the node whose value is returned, if any.
-        free: the liberties that are taken with floating point.
-        lanes: number of values side by side; more than one have arrays with as many columns, and return nothing.
+        graph, results, loads, returns, free, lanes: as `source.Module.add` takes them.
     """
     body = _Body(types, free, lanes)
     body.compute(graph, results, loads, [] if returns is None else [returns])

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import trusted_files
+from masking.compile.codegen import structs, trusted_files
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -134,7 +134,7 @@ class NativeFunction:
         share(part, runs, threads)
         return results
 
-    def bind(self, *given: np.ndarray) -> BoundFunction:
+    def bind(self, *given: np.ndarray | tuple[Any, ...]) -> BoundFunction:
         """Function with arrays that it reads and writes at each call; a number is an array of one.
 
         Raises:
@@ -161,7 +161,7 @@ class NativeFunction:
         return BoundFunction(call, results, arrays, (library, self))
 
     def _passed(self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None) -> list[Any]:
-        """Return what goes through the C interface: numbers, and addresses and shapes of arrays that a caller holds.
+        """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds.
 
         Args:
             values: all arguments.
@@ -181,11 +181,11 @@ class NativeFunction:
         return passed
 
     def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
-        """All arguments for those that a caller has given."""
-        values = list(given) if self.work is None else [*given, _aligned(self.work)]
-        if len(values) != len(self.arguments):
-            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(given)} arguments")
-        return values
+        """All arguments for those that a caller has given, structs taken apart."""
+        values = [part for value in given for part in (value if isinstance(value, tuple) else (value,))]
+        if len(values) + (self.work is not None) != len(self.arguments):
+            raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(values)} arguments")
+        return values if self.work is None else [*values, _aligned(self.work)]
 
     def _check(self, name: str, kind: str, dimension: int, value: Any) -> None:  # noqa: ANN401
         """Refuse what machine code cannot read as an array."""
@@ -300,19 +300,22 @@ def linked_template(bitcode: bytes, text: str) -> Any:  # noqa: ANN401
     return module
 
 
-def interface(name: str, arguments: Mapping[str, str], results: Sequence[str]) -> str:
+def interface(name: str, arguments: Mapping[str, Any], results: Sequence[str]) -> str:
     """Source of a function's C interface: pointers and sizes in, results through a pointer.
 
     Args:
         name: of the function.
-        arguments: their types by their names.
+        arguments: their types by their names, those of structs as classes.
         results: their types.
     """
     parameters, passed = [], []
     for argument, kind in arguments.items():
-        axes = [f"{argument}_{axis}" for axis in range(DIMENSIONS.get(kind, 0))]
-        parameters += [argument, *axes]
-        passed.append(f"carray({argument}, ({', '.join(axes)},))" if axes else argument)
+        texts = []
+        for part, part_kind in structs.fields({argument: kind}).items():
+            axes = [f"{part}_{axis}" for axis in range(DIMENSIONS.get(part_kind, 0))]
+            parameters += [part, *axes]
+            texts.append(f"carray({part}, ({', '.join(axes)},))" if axes else part)
+        passed.append(texts[0] if isinstance(kind, str) else f"{kind.__name__}({', '.join(texts)})")
     call = f"{name}({', '.join(passed)})"
     lines = [f"def {name}_c({', '.join([*parameters, 'found'])}):"]
     if not results:
@@ -420,7 +423,7 @@ _numbers = itertools.count()  # of bound functions, each of which is a library o
 
 
 def symbol(name: str) -> str:
-    """Return what machine code calls a function that is linked to it."""
+    """Symbol of a function that is linked to machine code."""
     return f"masking_link_{name}"
 
 

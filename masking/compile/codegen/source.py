@@ -16,13 +16,12 @@ A module is made of two kinds of functions. Both say the types of their argument
 from __future__ import annotations
 
 import ast
-import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
-from masking.compile.codegen import llvm_text, native
+from masking.compile.codegen import llvm_text, native, structs
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.printers import Language, needed
 from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
@@ -68,7 +67,7 @@ class Expressions:
 
 @dataclass(frozen=True)
 class Made:
-    """What `Module.add_factory` was given: text among `given` names a function of the module."""
+    """Arguments of `Module.add_factory`: text in `given`, or in a named tuple of it, names a function of the module."""
 
     factory: Callable[..., Any]
     given: tuple[object, ...]
@@ -157,7 +156,7 @@ class Module:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
 
         For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
-        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor.step_terms` gives, a row each, and
+        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor_coefficients.step_terms` gives, a row each, and
         `lane_states(x, c, y)` the states at the times x from there.
 
         Args:
@@ -205,16 +204,19 @@ class Module:
             work: the shape of the work space, which is the last argument of the function.
             exported: whether the function is called from outside of the module.
         """
-        self.parts[name] = Made(factory, given)
+        made = self.parts[name] = Made(factory, given)
         if "links" in self.meta:
-            written = [one if isinstance(one, str) else self._written(one) for one in given]
+            written = [self._written(one) for one in given]
             self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
         if exported:
-            function = factory(*(None if isinstance(one, str) else one for one in given)).py_func
-            types = {argument: str(kind) for argument, kind in inspect.get_annotations(function).items()}
+            types = structs.signature(made_of(made, lambda text: None).py_func)
             self._export(name, types, types.pop("return", "None"), work)
 
-    def _written(self, value: object) -> str:
+    def _written(self, value: Any) -> str:  # noqa: ANN401
+        if isinstance(value, str):
+            return value
+        if structs.is_struct(type(value)):
+            return f"{self._name(type(value))}({', '.join(self._written(one) for one in value)})"
         if not is_dataclass(value):
             return repr(value)
         module, dot, _ = self._name(type(value)).rpartition(".")
@@ -243,16 +245,29 @@ class Module:
         self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
     def _export(
-        self, name: str, arguments: Mapping[str, str], returned: str, work: tuple[int, int] | None = None
+        self, name: str, arguments: Mapping[str, Any], returned: str, work: tuple[int, int] | None = None
     ) -> None:
-        """Tell of a function in `meta`, and add its C interface where it is Python."""
-        for argument, kind in arguments.items():
+        """Describe a function in `meta`, and add its C interface where it is Python."""
+        for argument, kind in structs.fields(arguments).items():
             if kind not in native.C_TYPES:
                 raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(native.C_TYPES)}")
         results = [] if returned == "None" else re.findall(r"float|int", returned)
         if self.functions:
+            self._imports |= {structs.imported(kind) + "\n" for kind in arguments.values() if not isinstance(kind, str)}
             self.functions.append(native.interface(name, arguments, results))
-        self.meta.setdefault("functions", {})[name] = {"arguments": arguments, "results": results, "work": work}
+        flat = structs.fields(arguments)
+        self.meta.setdefault("functions", {})[name] = {"arguments": flat, "results": results, "work": work}
+
+
+def made_of(part: Made, named: Callable[[str], object]) -> Any:  # noqa: ANN401  (numba has no types)
+    """Kernel that a factory makes of what it was given, with `named(text)` in place of each function of the module."""
+
+    def filled(value: Any) -> Any:  # noqa: ANN401
+        if structs.is_struct(type(value)):
+            return type(value)(*map(filled, value))
+        return named(value) if isinstance(value, str) else value
+
+    return part.factory(*map(filled, part.given))
 
 
 def in_lanes(name: str, *arguments: str) -> str:

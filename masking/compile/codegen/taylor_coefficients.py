@@ -80,7 +80,7 @@ def coefficients(
 
 
 def step_terms(graph: Graph, rows: Sequence[Sequence[Node]], tolerance: Node) -> list[Node]:
-    """Return what the length of a step follows from by the rule of `masking.compile.numerics.taylor_integrator`.
+    """Terms that the length of a step follows from by the rule of `masking.compile.numerics.taylor_integrator`.
 
     It is the sum of the sizes of the last two terms of all states, which is finite where the series is one; the largest
     state; the length at which the larger of these terms are the tolerance times that; and the largest term of each

@@ -1,5 +1,8 @@
 """Array types that annotations name; shapes stand in the docstrings, with the letters of `docs/vocabulary.md`."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,3 +14,4 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 IntVector = NDArray[np.int64]
 IntMatrix = NDArray[np.int64]
+Kernel = Callable[..., Any]

@@ -6,17 +6,16 @@ A force port at each place and an offset of each actuator are entries of the rig
 act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
 force or a command at once see what the effects do, too.
 Kernels serve any rig: its functions are linked to them, and the table of `rig_sizes` has its sizes and indices.
-Source: as `variational`; of inertias as `inertia`.
+Source: as `motion_sensitivities`; of inertias as `inertia`.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0912, PLR0917
 # The types are numba's to infer.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from masking.compile.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.effect_table import (
     ACTUATOR,
@@ -36,6 +35,7 @@ from masking.compile.numerics.effect_table import (
 )
 from masking.compile.numerics.inertia import accelerate, draw_rows
 from masking.compile.numerics.integrators import held_late
+from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
 from masking.compile.numerics.motion_sensitivities import (
     command_at,
     drive,
@@ -59,64 +59,18 @@ from masking.compile.numerics.rig_sizes import (
 )
 from masking.compile.numerics.vectors import add_products, cleared
 
-Kernel = Callable[..., Any]
-
-
-class Given(NamedTuple):
-    """What an augmented model is simulated with.
-
-    Args:
-        table: sizes and indices of the rig, as `rig_sizes` has them.
-        p: the parameter array of the rig.
-        moved, moved_by, read, read_by: terms of (df/dp) B, as `variational.Given` has them.
-        instances: of effects, those of sensors last; columns as `instances` says.
-        estimated: column of each parameter of an instance, -1 where it is not estimated (instances, parameters).
-        values: parameters of the instances, one after the other.
-        support: displacements, then rates, between which each instance acts (instances, 4).
-        acting: places, then channels, where an effect acts, by their numbers.
-        late: delay of each channel, in samples.
-        late_columns: column of each channel's delay, or -1.
-        lead: derivative of each command by its delay.
-    """
-
-    table: Any
-    p: Any
-    moved: Any
-    moved_by: Any
-    read: Any
-    read_by: Any
-    instances: Any
-    estimated: Any
-    values: Any
-    support: Any
-    acting: Any
-    late: Any
-    late_columns: Any
-    lead: Any
-
 
 class Ports(NamedTuple):
-    """What effects do at an instant.
+    """Action of effects at an instant."""
 
-    Args:
-        inputs: derivatives of the force at each place, then of the command of each channel.
-        inertias: derivatives of the inertia at each place.
-        followed: derivatives of displacements and rates by the state (2 places, n).
-        pushed: what a unit of force adds to the rates, with the inertias before it (places, n).
-        displacement: of each place, then its rate (2 places,).
-        acceleration: of each place (places,); its inertia first.
-        share: part of the acceleration without it that the force of an inertia is (places,).
-        command: of each channel, after its effects (channels,).
-    """
-
-    inputs: Any
-    inertias: Any
-    followed: Any
-    pushed: Any
-    displacement: Any
-    acceleration: Any
-    share: Any
-    command: Any
+    inputs: Any  # derivatives of the force at each place, then of the command of each channel
+    inertias: Any  # derivatives of the inertia at each place
+    followed: Any  # derivatives of displacements and rates by the state (2 places, n)
+    pushed: Any  # what a unit of force adds to the rates, with the inertias before it (places, n)
+    displacement: Any  # of each place, then its rate (2 places,)
+    acceleration: Any  # of each place (places,); its inertia first
+    share: Any  # part of the acceleration without it that the force of an inertia is (places,)
+    command: Any  # of each channel, after its effects (channels,)
 
 
 @inlined
@@ -128,9 +82,10 @@ def lead_of(commands, index, channel, late, part, dt, is_linear):
 
 
 @inlined
-def drive_late(commands, index, step, substeps, dt, is_linear, given, u, end):
+def drive_late(commands, index, step, steps, given, u, end):
     """Write the delayed commands at the begin and `end` of an integration step, and their derivatives by the delay."""
-    drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+    substeps, dt, is_linear = steps.substeps, steps.dt, steps.is_linear
+    drive(commands, index, step, steps, given, u, end)
     for a in range(u.shape[0]):
         late = given.late[a]
         if given.late_columns[a] < 0:
@@ -155,8 +110,9 @@ def ports_in(work, places, channels):
 
 
 @inlined
-def add_row(by, r, c, source, i, n, width, target, o):
-    """Add a row of derivatives by n states and `width` columns, times by[r, c], to another."""
+def add_row(by, r, c, source, i, extent, target, o):
+    """Add a row of derivatives, by as many states and columns as `extent` says, times by[r, c], to another."""
+    n, width = extent
     add_vectors(by, r, c, source.by_state, i, n, target.by_state, o)
     add_vectors(by, r, c, source.by_column, i, width, target.by_column, o)
 
@@ -165,7 +121,7 @@ def add_row(by, r, c, source, i, n, width, target, o):
 def add_vectors(by, r, c, source, i, n, target, o):
     """Add the first n of a row, times by[r, c], to another, in whole vectors."""
     for at in range(0, n, LANES):
-        add_products(by, r, c, 1, source, i, target, o, at)
+        add_products(by, (r, c), 1, source, i, target, (o, at))
 
 
 @inlined
@@ -183,7 +139,7 @@ def add_inputs(by_entry, i, given, inputs, n, target):
     for q in given.acting:
         column = given.table[INPUT_COLUMNS, q]
         if by_entry[i, column] != 0.0:
-            add_row(by_entry, i, column, inputs, q, n, target.by_column.shape[1], target, i)
+            add_row(by_entry, i, column, inputs, q, (n, target.by_column.shape[1]), target, i)
 
 
 @inlined
@@ -214,16 +170,29 @@ def add_law(i, z, by, given, target, o):
 
 
 @inlined
-def add_motion(kind, at, places, by, r, n, width, ports, readings, target, o):
-    """Add to derivatives what a law gives (row r of `by`) by what it follows: a place, a command or a reading."""
+def add_motion(seat, by, r, extent, ports, readings, target, o):
+    """Add to derivatives what a law gives (row r of `by`) by what it follows: a place, a command or a reading.
+
+    Args:
+        seat: kind and index of what the effect follows.
+        by: value and derivatives of the law.
+        r: row of these.
+        extent: numbers of states and of columns.
+        ports: what acts at the ports.
+        readings: derivatives of readings.
+        target: derivatives that are added to.
+        o: row of these.
+    """
+    kind, at = seat
+    n, places = extent[0], ports.inertias.by_state.shape[0]
     if kind == ELEMENT:
         if by[r, BY_DISPLACEMENT] != 0.0 or by[r, BY_RATE] != 0.0:  # pieces of a curve are 0 but for a few
             add_vectors(by, r, BY_DISPLACEMENT, ports.followed, at, n, target.by_state, o)
             add_vectors(by, r, BY_RATE, ports.followed, places + at, n, target.by_state, o)
     elif kind == ACTUATOR:
-        add_row(by, r, BY_DISPLACEMENT, ports.inputs, places + at, n, width, target, o)
+        add_row(by, r, BY_DISPLACEMENT, ports.inputs, places + at, extent, target, o)
     elif kind == SENSOR:
-        add_row(by, r, BY_DISPLACEMENT, readings, at, n, width, target, o)
+        add_row(by, r, BY_DISPLACEMENT, readings, at, extent, target, o)
 
 
 @inlined
@@ -252,7 +221,7 @@ def clear_row(target, o, n):
 
 
 def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
-    """Make what effects do at an instant.
+    """Make the action of effects at an instant.
 
     Args:
         law: writes what a law gives, and its derivatives.
@@ -302,11 +271,11 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
             if z >= 0:
                 rate[z] = rows[1, VALUE]
                 clear_row(made, z, n)
-                add_motion(kind, at, places, rows, 1, n, width, ports, readings, made, z)
+                add_motion((kind, at), rows, 1, (n, width), ports, readings, made, z)
                 add_law(i, z, rows[1], given, made, z)
             if kind == ELEMENT:
                 given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
-                add_motion(kind, at, places, rows, 0, n, width, ports, readings, ports.inputs, at)
+                add_motion((kind, at), rows, 0, (n, width), ports, readings, ports.inputs, at)
                 add_law(i, z, rows[0], given, ports.inputs, at)
             elif kind == ACTUATOR:
                 ports.command[at] = rows[0, VALUE]
@@ -328,8 +297,8 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
         slopes: writes the rates of the rig's state, and their derivatives.
 
     Returns:
-        `flow(t, y, u, given, rate, made, work)`, as that of `variational.motion_with_derivatives`; `work` has as many
-        rows as the rig has states, then those of the ports, and one more.
+        `flow(t, y, u, given, rate, made, work)`, as that of `motion_sensitivities.motion_with_derivatives`; `work` has
+        as many rows as the rig has states, then those of the ports, and one more.
     """
 
     @inlined
@@ -368,7 +337,7 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `read`, as that of `variational.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
+        `read`, as that of `motion_sensitivities.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
     """
 
     @inlined
@@ -383,8 +352,8 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
                 add_law(i, z, by[0], given, made, at)
 
     @inlined
-    def read(t, dt, y, commands, index, is_linear, given, s, made, work):
-        table = given.table
+    def read(steps, y, commands, index, given, s, made, work):
+        t, is_linear, table = index * steps.dt, steps.is_linear, given.table
         channels = table[SIZES, CHANNELS]
         by_entry, work = take(work, table[SIZES, SENSORS])
         by, work = take(work, 2)
@@ -396,7 +365,7 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
             u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
             ports.command[a] = u[a]
             if given.late_columns[a] >= 0:
-                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, dt, is_linear)
+                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, steps.dt, is_linear)
         if table[SIZES, IS_FED]:
             act(t, y, u, given, rate, moved, ports, work)
         sensed(t, y, ports.command, given.p, noise, s, made.by_state, by_entry)
@@ -417,9 +386,8 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
         carry: moves columns over a step.
 
     Returns:
-        `normal(count, dt, substeps, interval, is_linear, table, k, free, starts, y, columns, p, moved, moved_by, read,
-        read_by, instances, estimated, values, support, acting, late, late_columns, commands, readings, weights, matrix,
-        gradient, squares, simulated, work) -> status`, as `variational.normal_equations`, with the arrays of `Given`.
+        `normal(steps, interval, shooting, given, record, sums, work) -> status`, as
+        `motion_sensitivities.normal_equations`.
     """
     act = effects_at_ports(law, placed, sensed)
     flow = motion_with_effects(act, slopes)
@@ -427,23 +395,11 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
 
     @compiled
     def normal(
-        count: int, dt: float, substeps: int, interval: int, is_linear: int, table: IntMatrix, k: int, free: IntVector,
-        starts: Matrix, y: Vector, columns: Matrix, p: Vector, moved: IntMatrix, moved_by: Vector, read: IntMatrix,
-        read_by: Vector, instances: IntMatrix, estimated: IntMatrix, values: Vector, support: Matrix, acting: IntVector,
-        late: Vector, late_columns: IntVector, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
-        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
+        steps: Steps, interval: int, shooting: Shooting, given: AugmentedArrays, record: Readings, sums: Sums,
+        work: Matrix,
     ) -> int:  # fmt: skip
         work[:] = 0.0
-        first, work = take(work, 1)
-        read_work, work = take(work, table[SIZES, READ_ROWS])
-        lead = first[0][: table[SIZES, CHANNELS]]
-        given = Given(
-            table, p, moved, moved_by, read, read_by, instances, estimated, values, support, acting, late, late_columns,
-            lead,
-        )  # fmt: skip
-        return accumulate(
-            count, dt, substeps, interval, is_linear, k, free, starts, y, columns, given, commands, readings, weights,
-            matrix, gradient, squares, simulated, read_work, work,
-        )  # fmt: skip
+        read_work, work = take(work, given.table[SIZES, READ_ROWS])
+        return accumulate(steps, interval, shooting, given, record, sums, read_work, work)
 
     return normal

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from masking.compile.numerics import controller_rows as rows
+
 # Columns of the table of limits, one row for each actuator.
 LARGEST, HEATING, POWER, TIME = range(4)
 
@@ -95,9 +97,10 @@ class Sizes:
     @property
     def work(self) -> tuple[int, int]:
         """Shape of the work space, whose rows must also hold the readings and the rig's states."""
-        rows = 39 if self.events else 34 if self.remembered + self.lags else 26
+        count = rows.WITH_MEMORY if self.remembered + self.lags else rows.WITHOUT_MEMORY
+        count = rows.WITH_EVENTS if self.events else count
         switched = self.events + len(self.targets)
-        return rows, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)
+        return count, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)
 
 
 def lane_work(order: int, size: int, inputs: int, parameters: int, lanes: int) -> tuple[int, int]:

@@ -12,14 +12,11 @@ The state is followed by the values of the delayed expressions, y = [q, v, s, w]
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.integrators import copy, embedded_steps, no_event
-
-Kernel = Callable[..., Any]
+from masking.compile.numerics.kernel_arguments import Accuracy
 
 STEPS = 4096  # that are kept: as many as fit into the longest delay
 KINKS = 9  # derivatives of the solution in which the kink at the initial time comes back
@@ -114,14 +111,13 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
 
     @compiled
     def solve(
-        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
-        work: Matrix,
-    ) -> tuple[int, float, int]:  # fmt: skip
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
+    ) -> tuple[int, float, int]:
         past = work[24:]
         copy(u, past[INPUTS], inputs)
         past[HEAD, 0], past[HEAD, 1] = t, 0.0
         delays(p, past[DELAYS])
         copy(y, past[BEFORE], size)
-        return solve_with(t, y, times, past, p, tolerance, fixed_step, states, work[:24])
+        return solve_with(t, y, times, past, p, accuracy, states, work[:24])
 
     return solve

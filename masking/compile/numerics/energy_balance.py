@@ -11,14 +11,11 @@ Automation 18 (2002) 1-10.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
+from masking.compile.numerics.arrays import Kernel
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.integrators import copy
-
-Kernel = Callable[..., Any]
 
 AVERAGED = 0.25  # bandwidth of the mean of twice the kinetic energy, as a part of that of the power's filters
 

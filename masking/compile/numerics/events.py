@@ -10,14 +10,12 @@ condition turns between them, and found on the far side by bisection, to the las
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.integrators import copy, dense_output, embedded_steps, forget
-
-Kernel = Callable[..., Any]
+from masking.compile.numerics.kernel_arguments import Accuracy
 
 INTERVALS = 8  # of a step, and one more at each of its ends
 EDGE = 1e-3  # the length of these
@@ -29,6 +27,17 @@ AT_ONCE = 100  # events at one instant
 # Rows of the work space after those of the integrator: when it began and the longest first step, inputs, which
 # conditions are below zero, the conditions at three points, those that are looked at, and a state.
 HEAD, INPUTS, BELOW, FIRST, SECOND, THIRD, SEEN, STATE = range(8)
+
+
+class Step(NamedTuple):
+    """A step of an integrator from y at a time t, with the coefficients of its dense output, work space, parameters."""
+
+    t: float
+    y: Vector
+    f: Matrix
+    length: float
+    known: Matrix
+    p: Vector
 
 
 def work_shape(size: int, values: int, inputs: int) -> tuple[int, int]:
@@ -56,17 +65,19 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
     interpolate = dense_output(size)
 
     @compiled
-    def look(t, y, f, length, known, p, x, into):
-        interpolate(y, f, x, known[STATE])
-        conditions(t + x * length, known[STATE], p, into)
+    def look(step, x, into):
+        state = step.known[STATE]
+        interpolate(step.y, step.f, x, state)
+        conditions(step.t + x * step.length, state, step.p, into)
 
     @compiled
-    def far_side(t, y, f, length, known, p, e, low, high):
+    def far_side(step, e, low, high):
         """Halve an interval at whose beginning the condition is below zero, and at whose end it is not."""
+        known = step.known
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             if low < middle < high:
-                look(t, y, f, length, known, p, middle, known[SEEN])
+                look(step, middle, known[SEEN])
                 if known[SEEN, e] < 0.0:
                     low = middle
                 else:
@@ -74,12 +85,13 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
         return high
 
     @compiled
-    def turn(t, y, f, length, known, p, e, low, high, sign):
+    def turn(step, e, low, high, sign):
         """Point of an interval at which a condition times a sign is above 0, and NONE where its top is not."""
+        known = step.known
         a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        look(t, y, f, length, known, p, a, known[SEEN])
+        look(step, a, known[SEEN])
         at_a = sign * known[SEEN, e]
-        look(t, y, f, length, known, p, b, known[SEEN])
+        look(step, b, known[SEEN])
         at_b = sign * known[SEEN, e]
         for _ in range(SEARCHES):
             if at_a > 0.0 or at_b > 0.0:
@@ -87,12 +99,12 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
             if at_a >= at_b:
                 high, b, at_b = b, a, at_a
                 a = high - GOLDEN * (high - low)
-                look(t, y, f, length, known, p, a, known[SEEN])
+                look(step, a, known[SEEN])
                 at_a = sign * known[SEEN, e]
             else:
                 low, a, at_a = a, b, at_b
                 b = low + GOLDEN * (high - low)
-                look(t, y, f, length, known, p, b, known[SEEN])
+                look(step, b, known[SEEN])
                 at_b = sign * known[SEEN, e]
         if at_a > 0.0:
             return a
@@ -109,25 +121,26 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
     @compiled
     def crossing(t, y, f, length, known, p):
         """Part of a step after which the first event comes, and NONE where none comes."""
-        look(t, y, f, length, known, p, 0.0, known[SECOND])
+        step = Step(t, y, f, length, known, p)
+        look(step, 0.0, known[SECOND])
         hit = NONE
         for i in range(1, INTERVALS + 3):
             before, low, high = point(max(i - 2, 0)), point(i - 1), point(i)
-            look(t, y, f, length, known, p, high, known[THIRD])
+            look(step, high, known[THIRD])
             dipped = -1
             for e in range(events):
                 a, b, c, is_below = known[FIRST, e], known[SECOND, e], known[THIRD, e], known[BELOW, e] > 0.0
                 is_start, found, after_dip = i == 1 and t == known[HEAD, 0], NONE, False
                 if is_below and c >= 0.0:
-                    found = far_side(t, y, f, length, known, p, e, low, high)
+                    found = far_side(step, e, low, high)
                 elif is_below and i > 1 and max(a, b, c) < 0.0 and b >= a and b >= c:
-                    top = turn(t, y, f, length, known, p, e, before, high, 1.0)
+                    top = turn(step, e, before, high, 1.0)
                     if top < NONE:
-                        found = far_side(t, y, f, length, known, p, e, before, top)
+                        found = far_side(step, e, before, top)
                 elif not is_below and c >= 0.0 and (is_start or (i > 1 and min(a, b) >= 0.0 and b <= a and b <= c)):
-                    bottom = turn(t, y, f, length, known, p, e, before, high, -1.0)
+                    bottom = turn(step, e, before, high, -1.0)
                     if bottom < NONE:
-                        found, after_dip = far_side(t, y, f, length, known, p, e, bottom, high), True
+                        found, after_dip = far_side(step, e, bottom, high), True
                 if found < hit:
                     hit, dipped = found, (e if after_dip else -1)
             if hit < NONE:
@@ -172,14 +185,13 @@ def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, 
 
     @compiled
     def solve(
-        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
-        work: Matrix,
-    ) -> tuple[int, float, int]:  # fmt: skip
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
+    ) -> tuple[int, float, int]:
         known = work[24:]
         copy(u, known[INPUTS], inputs)
         copy(y[size:], known[BELOW], events)
         known[HEAD, 0], known[HEAD, 1] = t, y[size + events]
-        found = solve_with(t, y, times, known, p, tolerance, fixed_step, states, work[:24])
+        found = solve_with(t, y, times, known, p, accuracy, states, work[:24])
         copy(known[BELOW], y[size:], events)
         return found
 
@@ -205,7 +217,7 @@ def assignment(before: Kernel, event: int, state: int, value: int) -> Kernel:
 
 
 def jumps(conditions: Kernel, events: int, targets: tuple[tuple[int, int], ...], most: int) -> Kernel:
-    """Make what happens at an instant at which conditions have crossed zero.
+    """Make the jumps at an instant at which conditions have crossed zero.
 
     The first event, in declared order, whose condition was below zero and is no longer makes its jump. This is
     repeated, with the state as it has become, until there is none.

@@ -15,15 +15,12 @@ changes sign.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.dop853 import E3, E5, STAGES, A, C, D
+from masking.compile.numerics.kernel_arguments import Accuracy, Samples, States, UnderWay
 from masking.compile.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
-
-Kernel = Callable[..., Any]
 
 # A matrix counts as singular where its health has fallen to this part of its first value.
 SINGULAR_PART = 1e-9
@@ -41,7 +38,7 @@ def is_singular(health, first):
 
 @compiled
 def fault(health, first):
-    """Return why a kernel must stop at a health, or REACHED where it need not."""
+    """Reason to stop at a health, or REACHED."""
     if not math.isfinite(health):
         return NOT_FINITE
     return SINGULAR if is_singular(health, first) else REACHED
@@ -183,9 +180,9 @@ def embedded_steps(
 
     @compiled
     def solve(
-        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
-        work: Matrix,
-    ) -> tuple[int, float, int]:  # fmt: skip
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
+    ) -> tuple[int, float, int]:
+        tolerance, fixed_step = accuracy
         m = times.size
         if m == 0:
             return REACHED, t, 0
@@ -259,10 +256,14 @@ def embedded_steps(
     return solve
 
 
-def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
+def classical_step(slope: Kernel, size: int) -> Kernel:
     """Make one step of the classical Runge-Kutta method.
 
     Source: Hairer, Norsett and Wanner (1993), Table II.1.2.
+
+    Args:
+        slope: `slope(t, stage, y, u, p, dy)` writes the derivatives at a stage, 0 to 3; u and p are anything.
+        size: number n of states.
 
     Returns:
         `advance(t, y, u, p, h, k, state)`, which moves y over h; `k` (4, n) and `state` (n,) are work space.
@@ -270,20 +271,30 @@ def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
 
     @compiled
     def advance(t, y, u, p, h, k, state):
-        derivative(t, y, u, p, k[0])
+        slope(t, 0, y, u, p, k[0])
         for i in range(size):
             state[i] = y[i] + 0.5 * h * k[0, i]
-        derivative(t + 0.5 * h, state, u, p, k[1])
+        slope(t + 0.5 * h, 1, state, u, p, k[1])
         for i in range(size):
             state[i] = y[i] + 0.5 * h * k[1, i]
-        derivative(t + 0.5 * h, state, u, p, k[2])
+        slope(t + 0.5 * h, 2, state, u, p, k[2])
         for i in range(size):
             state[i] = y[i] + h * k[2, i]
-        derivative(t + h, state, u, p, k[3])
+        slope(t + h, 3, state, u, p, k[3])
         for i in range(size):
             y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
     return advance
+
+
+def runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
+    """Make `classical_step` with the derivatives of a model."""
+
+    @compiled
+    def slope(t, stage, y, u, p, dy):
+        derivative(t, y, u, p, dy)
+
+    return classical_step(slope, size)
 
 
 @inlined
@@ -304,17 +315,17 @@ def steps_under_way(derivative: Kernel, size: int) -> Kernel:
     """Make a rig move under commands that act late, in equal steps of the classical Runge-Kutta method.
 
     Returns:
-        `move(t, y, queue, late, p, dt, substeps, acting, work)`, which moves y over the sample of length dt that
-        begins as the last row of `queue` (commands, actuators), the newest, is given; `late` (actuators,) in samples.
+        `move(t, y, under_way, p, dt, substeps, acting, work)`, which moves y over the sample of length dt that begins
+        as the newest command is given.
         Each step takes the mean of what acts in it; `acting` (actuators,) gets that of the last. `work` (5, n).
     """
     step = runge_kutta_4(derivative, size)
 
     @compiled
     def move(
-        t: float, y: Vector, queue: Matrix, late: Vector, p: Vector, dt: float, substeps: int, acting: Vector,
-        work: Matrix,
-    ) -> None:  # fmt: skip
+        t: float, y: Vector, under_way: UnderWay, p: Vector, dt: float, substeps: int, acting: Vector, work: Matrix
+    ) -> None:
+        queue, late = under_way
         rows, channels = queue.shape
         for i in range(substeps):
             for j in range(channels):
@@ -355,19 +366,17 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
         coordinates: how many of them are coordinates.
 
     Returns:
-        `run(begin, count, dt, substeps, every, y, u, p, first, out_y, out_u, work) -> (status, samples done, first)`,
-        where `begin` is the index of the first sample; `count` the number of samples; `dt` the time between them;
-        `substeps` the integration steps between them; `y` the state (n,), which is the last state afterwards; `u`
-        (k,) work space; `first` the health at the start of the run, 0 where this is the start; `out_y` and
-        `out_u` get the recorded states and inputs; `work` (5, n) is work space.
+        `run(samples, y, u, p, first, recorded, work) -> (status, samples done, first)`, where `y` is the state (n,),
+        which is the last state afterwards; `u` (k,) work space; `first` the health at the start of the run, 0 where
+        this is the start; `work` (5, n) is work space.
     """
     advance = runge_kutta_4(derivative, size)
 
     @compiled
     def run(
-        begin: int, count: int, dt: float, substeps: int, every: int, y: Vector, u: Vector, p: Vector, first: float,
-        out_y: Matrix, out_u: Matrix, work: Matrix,
-    ) -> tuple[int, int, float]:  # fmt: skip
+        samples: Samples, y: Vector, u: Vector, p: Vector, first: float, recorded: States, work: Matrix
+    ) -> tuple[int, int, float]:
+        begin, count, dt, substeps, every = samples
         k, state = work[:4], work[4]
         h = dt / substeps
         row = 0
@@ -382,8 +391,8 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
                 if not math.isfinite(u[i]):
                     return NOT_FINITE, index - begin, first
             if index % every == 0:
-                copy(y, out_y[row], size)
-                copy(u, out_u[row], u.size)
+                copy(y, recorded.states[row], size)
+                copy(u, recorded.inputs[row], u.size)
                 row += 1
             for i in range(substeps):
                 advance(t + i * h, y, u, p, h, k, state)

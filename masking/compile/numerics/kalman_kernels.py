@@ -11,16 +11,22 @@ Sequential Estimation (1977), chapters II, V and VII; Rauch, Tung and Striebel (
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-from masking.compile.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.integrators import copy
+from masking.compile.numerics.kernel_arguments import (
+    Filtered,
+    FilteredTwin,
+    FilterRecord,
+    FilterSteps,
+    LatentRig,
+    Steps,
+    TwinArrays,
+)
 from masking.compile.numerics.motion_sensitivities import (
     Derivatives,
-    Given,
     command_at,
     drive,
     motion_alone,
@@ -29,8 +35,6 @@ from masking.compile.numerics.motion_sensitivities import (
     take,
 )
 from masking.compile.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
-
-Kernel = Callable[..., Any]
 
 # Rows of the table of the parameters' limits: bounds, and the change after which derivatives are found anew.
 LOW, HIGH, CHANGE = range(3)
@@ -224,13 +228,9 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
         form: of the covariance.
 
     Returns:
-        `follow(begin, count, dt, substeps, is_linear, updates, coordinates, affected, y, theta, p, basis, moved,
-        moved_by, matrix, columns, commands, readings, r, q, limits, states, estimates, innovations, work) -> (status,
-        next sample)`, which follows samples from `begin` on, linearising the readings of a sample `updates` times, each
-        about the estimate before; `affected` are indices of the entries of p that depend on the parameters.
-        y (n,), theta (k,), p and the covariance `matrix` are those of the next sample afterwards. `r`
-        (sensors,) and `q` (n,) per second are variances; `limits` (3, k); `states` (m, n) and `estimates` (m, 2 k),
-        values and deviations, get what is estimated, and `innovations` (m, 2 sensors) these, then normalised.
+        `follow(steps, twin, matrix, columns, record, filtered, work) -> (status, next sample)`, which follows samples
+        from `begin` on, linearising the readings of a sample `updates` times, each about the estimate before. The
+        state, the parameters, p and the covariance `matrix` are those of the next sample afterwards.
     """
     advance = runge_kutta_4(motion_with_derivatives(slopes))
     carry_covariance, correct, variance_of = form.carry, form.correct, form.variance
@@ -255,11 +255,13 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
 
     @compiled
     def follow(
-        begin: int, count: int, dt: float, substeps: int, is_linear: int, updates: int, coordinates: int,
-        affected: IntVector, y: Vector, theta: Vector, p: Vector, basis: Matrix, moved: IntMatrix, moved_by: Vector,
-        matrix: Matrix, columns: Matrix, commands: Matrix, readings: Matrix, r: Vector, q: Vector, limits: Matrix,
-        states: Matrix, estimates: Matrix, innovations: Matrix, work: Matrix,
+        steps: FilterSteps, twin: FilteredTwin, matrix: Matrix, columns: Matrix, record: FilterRecord,
+        filtered: Filtered, work: Matrix,
     ) -> tuple[int, int]:  # fmt: skip
+        begin, count, dt, substeps, _, updates = steps
+        coordinates, affected, y, theta, p, basis, moved, moved_by = twin
+        commands, readings, r, q, limits = record
+        states, estimates, innovations = filtered
         k, channels, h, last = theta.size, commands.shape[1], dt / substeps, readings.shape[0] - 1
         n, sensors = y.size, r.size
         columns, of_columns = take(columns, n)
@@ -276,7 +278,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
         gain, seen, since, origin = vectors[5], vectors[6], vectors[7], vectors[8]
         u, end = vectors[9][:channels], vectors[10][:channels]
         none = vectors[11][:channels]  # the commands are those that act
-        given = Given(p, moved, moved_by, moved, moved_by, coordinates, none)
+        given = TwinArrays(p, moved, moved_by, moved, moved_by, coordinates, none)
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
         for i in range(affected.size):
@@ -339,7 +341,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
                 for j in range(size):
                     columns[i, j] = 1.0 if j == k + i else 0.0
             for step in range(substeps):
-                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                drive(commands, index, step, steps, given, u, end)
                 advance(t + step * h, y, u, end, given, h, stages, work)
                 carry(of_stages, of_columns, columns, h)
             carry_covariance(matrix, columns, q, dt, k, carried)
@@ -368,18 +370,19 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `follow(count, dt, substeps, is_linear, ports, x, p, gain, kept, commands, readings, filtered, predicted, work)
-        -> status` for x = (y, forces), with the indices `ports` of the forces in the parameter array,
-        which is written before (`predicted`) and after (`filtered`) each correction by `gain`
+        `follow(steps, rig, commands, readings, filtered, predicted, work) -> status` for x = (y, forces), which is
+        written before (`predicted`) and after (`filtered`) each correction by `gain`
         (n + forces, sensors). The part `kept` of the forces goes on to the next sample.
     """
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
     def follow(
-        count: int, dt: float, substeps: int, is_linear: int, ports: IntVector, x: Vector, p: Vector, gain: Matrix,
-        kept: float, commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix, work: Matrix,
+        steps: Steps, rig: LatentRig, commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix,
+        work: Matrix,
     ) -> int:  # fmt: skip
+        count, dt, substeps, is_linear = steps
+        ports, x, p, gain, kept = rig
         n, forces, sensors = x.size - ports.size, ports.size, readings.shape[1]
         channels, h = commands.shape[1], dt / substeps
         work[:] = 0.0

@@ -1,7 +1,7 @@
 """Kernels along a known motion: places and readings, a law with its derivatives, and first-order responses of sensors.
 
 Forces of latent sources on degrees of freedom stand beside the states (count, n + forces); `ports` are the indices of
-these forces in the parameter array. Functions of a rig are those of `variational` and `augmented`.
+these forces in the parameter array. Functions of a rig are those of `motion_sensitivities` and `augmented_motion`.
 """
 # ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
 # The types are numba's to infer.
@@ -9,16 +9,13 @@ these forces in the parameter array. Functions of a rig are those of `variationa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import IntVector, Matrix, Vector
+from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, VALUE
 from masking.compile.numerics.integrators import copy
+from masking.compile.numerics.kernel_arguments import Blocks, Course, KnownMotion, Pieces, Sources
 from masking.compile.numerics.motion_sensitivities import take
-
-Kernel = Callable[..., Any]
 
 NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
@@ -28,15 +25,16 @@ def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
     """Make the motion of places.
 
     Returns:
-        `follow(count, dt, coordinates, ports, p, states, commands, moved, work)`, which writes displacements, rates and
+        `follow(count, dt, coordinates, ports, p, motion, moved, work)`, which writes displacements, rates and
         accelerations of the places (count, 3 places).
     """
 
     @compiled
     def follow(
-        count: int, dt: float, coordinates: int, ports: IntVector, p: Vector, states: Matrix, commands: Matrix,
-        moved: Matrix, work: Matrix,
+        count: int, dt: float, coordinates: int, ports: IntVector, p: Vector, motion: KnownMotion, moved: Matrix,
+        work: Matrix,
     ) -> None:  # fmt: skip
+        states, commands = motion
         n, places = states.shape[1] - ports.size, moved.shape[1] // 3
         work[:] = 0.0
         followed, work = take(work, 2 * places)
@@ -61,14 +59,14 @@ def readings_along(sensed: Kernel) -> Kernel:
     """Make the readings along states.
 
     Returns:
-        `read(count, dt, ports, p, states, commands, readings, work)`, which writes them (count, sensors).
+        `read(count, dt, ports, p, motion, readings, work)`, which writes them (count, sensors).
     """
 
     @compiled
     def read(
-        count: int, dt: float, ports: IntVector, p: Vector, states: Matrix, commands: Matrix, readings: Matrix,
-        work: Matrix,
-    ) -> None:  # fmt: skip
+        count: int, dt: float, ports: IntVector, p: Vector, motion: KnownMotion, readings: Matrix, work: Matrix
+    ) -> None:
+        states, commands = motion
         n, sensors = states.shape[1] - ports.size, readings.shape[1]
         work[:] = 0.0
         by_state, work = take(work, sensors)
@@ -97,16 +95,17 @@ def law_along(law: Kernel) -> Kernel:
     Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
     Returns:
-        `follow(count, dt, pieces, number, has_state, x, rate, parameters, values, features, work)`, which writes
-        `features` (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,). A
-        state is integrated in `pieces` of a sample.
+        `follow(span, number, has_state, course, parameters, values, features, work)`, which writes `features`
+        (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
     """
 
     @compiled
     def follow(
-        count: int, dt: float, pieces: int, number: int, has_state: int, x: Vector, rate: Vector,
-        parameters: IntVector, values: Vector, features: Matrix, work: Matrix,
+        span: Pieces, number: int, has_state: int, course: Course, parameters: IntVector, values: Vector,
+        features: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
+        count, dt, pieces = span
+        x, rate = course
         rows, later, dz = work[:2], work[2:4], work[4]
         many, h, z = features.shape[1], dt / pieces, NEARLY_ZERO
         dz[:] = 0.0
@@ -125,10 +124,10 @@ def law_along(law: Kernel) -> Kernel:
                     half = z + relaxed(0.5 * h, later[1, BY_STATE]) * later[1, VALUE]
                     law(number, t + share * dt, px, pr, half, values, later)
                     decay = later[1, BY_STATE]
-                    span = relaxed(h, decay)
+                    weight = relaxed(h, decay)
                     for j in range(1, many):
-                        dz[j] += span * (decay * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
-                    z += span * (later[1, VALUE] + decay * (z - half))
+                        dz[j] += weight * (decay * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
+                    z += weight * (later[1, VALUE] + decay * (z - half))
 
     return follow
 
@@ -168,18 +167,20 @@ def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
         sensed: writes readings, and their derivatives.
 
     Returns:
-        `respond(count, dt, every, interval, is_direct, entries, initial, states, commands, p, features, means, work)`
-        for M responses: to the force `features` (count, M) at the affected entry `entries` (M,), or from the state with
-        index `initial` (M,) at 1 at the begin of each interval; -1 begins at rest. The motion is `states` (count, n),
-        and `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend
-        on entries of the parameter array at once.
+        `respond(blocks, is_direct, sources, motion, p, features, means, work)` for M responses: to the force
+        `features` (count, M) at the entry of its source, or from its initial state at 1 at the begin of each interval.
+        `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend on
+        entries of the parameter array at once.
     """
 
     @compiled
     def respond(
-        count: int, dt: float, every: int, interval: int, is_direct: int, entries: IntVector, initial: IntVector,
-        states: Matrix, commands: Matrix, p: Vector, features: Matrix, means: Matrix, work: Matrix,
+        blocks: Blocks, is_direct: int, sources: Sources, motion: KnownMotion, p: Vector, features: Matrix,
+        means: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
+        count, dt, every, interval = blocks
+        entries, initial = sources
+        states, commands = motion
         n, many = states.shape[1], features.shape[1]
         sensors = means.shape[1] // many
         work[:] = 0.0

@@ -9,16 +9,13 @@ computes depends on its run alone: a run gives the same numbers in any lane and 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.integrators import copy
+from masking.compile.numerics.kernel_arguments import Reached
 from masking.compile.numerics.stop_codes import REACHED
 from masking.compile.numerics.taylor_integrator import ALL_BUT_ROUNDING, obstacle, shortened
-
-Kernel = Callable[..., Any]
 
 
 def taylor(
@@ -44,9 +41,8 @@ def taylor(
         lanes: number of lanes, which are the columns of what the three functions read and write.
 
     Returns:
-        `solve(t, y, times, u, p, tolerance, ends, states, work)`, with arguments as those of the integrator of one run,
-        but for each of at least one run a row of `y` (runs, n), of `p` (runs, k) and of `ends` (runs, 3), which gets
-        the status, the time reached and the steps, and m rows of `states` (runs m, n); `work` as `lane_work` says.
+        `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but for
+        each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says.
     """
     smaller_orders = (order - order // 2 - 2) // 2
     first_terms = 10
@@ -83,9 +79,9 @@ def taylor(
 
     @compiled
     def solve(
-        t: float, y: Matrix, times: Vector, u: Vector, p: Matrix, tolerance: float, ends: Matrix, states: Matrix,
-        work: Matrix,
-    ) -> None:  # fmt: skip
+        t: float, y: Matrix, times: Vector, u: Vector, p: Matrix, tolerance: float, out: Reached, work: Matrix
+    ) -> None:
+        ends, states = out
         m, runs = times.size, y.shape[0]
         now, x, health, wanted, terms = work[0:1], work[1:2], work[2:3], work[3:4], work[first_terms:first_c]
         first, number, sample, steps, reached, row = work[4], work[5], work[6], work[7], work[8], work[9]

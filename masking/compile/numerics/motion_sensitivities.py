@@ -18,7 +18,7 @@ others, are linked to them:
 * `sensed(t, y, u, p, noise, s, by_state, by_entry)` writes the readings s and their derivatives;
 * `carry(by_state, by_column, columns, h)` moves the columns S (n, width) over a step, `codegen.column_step`.
 
-`given` stands for the arrays that a rig is simulated with, as one tuple: `Given` for a twin.
+`given` stands for the arrays that a rig is simulated with: `TwinArrays` for a twin.
 Kernels need work space of zeros, and take rows of it from the top.
 """
 # ruff: noqa: ANN001, ANN201, ANN202, PLR0917
@@ -27,38 +27,16 @@ Kernels need work space of zeros, and take rows of it from the top.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from masking.compile.numerics.arrays import IntMatrix, IntVector, Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.integrators import held_late
+from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
 from masking.compile.numerics.vectors import add_products, cleared
-
-Kernel = Callable[..., Any]
-
-
-class Given(NamedTuple):
-    """What a twin is simulated with.
-
-    Args:
-        p: the parameter array.
-        moved, moved_by: terms of (df/dp) B in the rates and their values, as `put_entries` takes them.
-        read, read_by: the same in the readings.
-        coordinates: how many of the states are coordinates, whose rates are the states that follow them.
-        late: samples after which each actuator acts.
-    """
-
-    p: Any
-    moved: Any
-    moved_by: Any
-    read: Any
-    read_by: Any
-    coordinates: Any
-    late: Any
 
 
 class Late(NamedTuple):
@@ -68,15 +46,10 @@ class Late(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of rates or readings, a row each.
+    """Derivatives of rates or readings, a row each."""
 
-    Args:
-        by_state: df/dy (rows, n).
-        by_column: (df/dp) B (rows, width), by what is estimated while the state is held.
-    """
-
-    by_state: Any
-    by_column: Any
+    by_state: Any  # df/dy (rows, n)
+    by_column: Any  # (df/dp) B (rows, width), by what is estimated while the state is held
 
 
 @inlined
@@ -101,8 +74,9 @@ def command_at(commands, index, channel, late, part, is_linear):
 
 
 @inlined
-def drive(commands, index, step, substeps, dt, is_linear, given, u, end):
+def drive(commands, index, step, steps, given, u, end):
     """Write the commands u that act at the begin and `end` of an integration step after a sample."""
+    substeps, is_linear = steps.substeps, steps.is_linear
     for a in range(u.shape[0]):
         late = given.late[a]
         if is_linear:
@@ -169,18 +143,18 @@ def readings_with_derivatives(sensed: Kernel) -> Kernel:
     """Make the readings of a twin and their derivatives.
 
     Returns:
-        `read(t, dt, y, commands, index, is_linear, given, s, made, work)`, which writes the readings s at a sample and
-        their derivatives; `work` has sensors + 2 rows.
+        `read(steps, y, commands, index, given, s, made, work)`, which writes the readings s at a sample and their
+        derivatives; `work` has sensors + 2 rows.
     """
 
     @inlined
-    def read(t, dt, y, commands, index, is_linear, given, s, made, work):
+    def read(steps, y, commands, index, given, s, made, work):
         sensors = made.by_state.shape[0]
         by_entry, work = take(work, sensors)
         u = work[1][: commands.shape[1]]
         for a in range(u.size):
-            u[a] = command_at(commands, index, a, given.late[a], 0.0, is_linear)
-        sensed(t, y, u, given.p, work[0], s, made.by_state, by_entry)
+            u[a] = command_at(commands, index, a, given.late[a], 0.0, steps.is_linear)
+        sensed(index * steps.dt, y, u, given.p, work[0], s, made.by_state, by_entry)
         put_entries(by_entry, given.read, given.read_by, 0, made.by_column)
 
     return read
@@ -232,16 +206,14 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
         derivative: writes y'.
 
     Returns:
-        `simulate(count, dt, substeps, is_linear, y, p, commands, readings, work)`, which writes `readings` (count,
-        sensors) from the state y on, which is the last state afterwards.
+        `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y on,
+        which is the last state afterwards.
     """
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
-    def simulate(
-        count: int, dt: float, substeps: int, is_linear: int, y: Vector, p: Vector, commands: Matrix, readings: Matrix,
-        work: Matrix,
-    ) -> None:  # fmt: skip
+    def simulate(steps: Steps, y: Vector, p: Vector, commands: Matrix, readings: Matrix, work: Matrix) -> None:
+        count, dt, substeps, _ = steps
         channels, h = commands.shape[1], dt / substeps
         rows, work = take(work, 4)
         noise, u, end, given = rows[0], rows[1][:channels], rows[2][:channels], Late(rows[3][:channels])
@@ -252,10 +224,42 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
             t = index * dt
             sensed(t, y, commands[index], p, noise, readings[index])
             for step in range(substeps):
-                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                drive(commands, index, step, steps, given, u, end)
                 advance(t + step * h, y, u, end, p, h, none, work)
 
     return simulate
+
+
+@inlined
+def restart(window, shooting, columns):
+    """Begin a shooting interval: with the state of its start, and columns of 1 for free states."""
+    first, free, starts, y, _ = shooting
+    for i in range(columns.shape[0]):
+        for j in range(first, columns.shape[1]):
+            columns[i, j] = 0.0
+    for i in range(starts.shape[1]):
+        is_free = window == 0
+        for m in range(free.size):
+            is_free |= free[m] == i
+        if is_free:
+            y[i] = starts[window, i]
+            for j in range(first):
+                columns[i, j] = 0.0
+    for i in range(free.size):
+        columns[free[i], first + i] = 1.0
+
+
+@inlined
+def add(at, width, rows, weighted, residuals, products, matrix, gradient):
+    """Add rows of readings to the normal equations from a row on, and forget their weights."""
+    many = rows.shape[0]
+    for i in range(width):
+        for m in range(many):
+            products[0, m] = weighted[m] * rows[m, i]
+            gradient[at + i] += products[0, m] * residuals[m]
+        for j in range(0, i + 1, LANES):
+            add_products(products, (0, 0), many, rows, 0, matrix, (at + i, j))
+    weighted[:many] = 0.0
 
 
 def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -> Kernel:
@@ -268,53 +272,25 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
         carry: moves columns over a step.
 
     Returns:
-        `accumulate(count, dt, substeps, interval, is_linear, k, free, starts, y, columns, given, commands, readings,
-        weights, matrix, gradient, squares, simulated, read_work, work) -> status`, which is 1 if the motion is no
-        longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`
-        (intervals, n), where the states `free` may have any value, each with a column of S behind the k of the basis;
-        columns beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J;
-        above its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient`
-        (J^T W r). `squares` gets squared residuals (sensors,), `simulated` the readings. A reading that is not a number
-        counts for nothing. States beyond n go on from one interval to the next. `columns` has `COLUMN_ROWS` rows for
-        each state: the first are the columns, the others work space. `read_work` is work space of `read`.
+        `accumulate(steps, interval, shooting, given, record, sums, read_work, work) -> status`, which is 1 if the
+        motion is no longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of
+        `starts`, where the states `free` may have any value, each with a column of S behind the k of the basis; columns
+        beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J; above
+        its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient`
+        (J^T W r). A reading that is not a number counts for nothing. States beyond n go on from one interval to the
+        next. `read_work` is work space of `read`.
     """
     advance = runge_kutta_4(flow)
 
     @inlined
-    def restart(window, first, free, starts, y, columns):
-        for i in range(columns.shape[0]):
-            for j in range(first, columns.shape[1]):
-                columns[i, j] = 0.0
-        for i in range(starts.shape[1]):
-            is_free = window == 0
-            for m in range(free.size):
-                is_free |= free[m] == i
-            if is_free:
-                y[i] = starts[window, i]
-                for j in range(first):
-                    columns[i, j] = 0.0
-        for i in range(free.size):
-            columns[free[i], first + i] = 1.0
-
-    @inlined
-    def add(at, width, rows, weighted, residuals, products, matrix, gradient):
-        many = rows.shape[0]
-        for i in range(width):
-            for m in range(many):
-                products[0, m] = weighted[m] * rows[m, i]
-                gradient[at + i] += products[0, m] * residuals[m]
-            for j in range(0, i + 1, LANES):
-                add_products(products, 0, 0, many, rows, 0, matrix, at + i, j)
-        weighted[:many] = 0.0
-
-    @inlined
-    def accumulate(
-        count, dt, substeps, interval, is_linear, first, free, starts, y, columns, given, commands, readings, weights,
-        matrix, gradient, squares, simulated, read_work, work,
-    ):  # fmt: skip
+    def accumulate(steps, interval, shooting, given, record, sums, read_work, work):
+        count, dt, substeps, _ = steps
+        first, free, y = shooting.k, shooting.free, shooting.y
+        commands, readings, weights = record
+        matrix, gradient, squares, simulated = sums
         n, channels, h, sensors = y.size, commands.shape[1], dt / substeps, readings.shape[1]
         width = first + free.size
-        columns, moved = take(columns, n)
+        columns, moved = take(shooting.columns, n)
         by_state, work = take(work, 4 * n)
         stages = Derivatives(by_state, moved)
         read_by_state, work = take(work, sensors)
@@ -327,13 +303,13 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
         for index in range(count):
             t, window = index * dt, index // interval
             if index == window * interval:
-                restart(window, first, free, starts, y, columns)
+                restart(window, shooting, columns)
             now = held * sensors
             made = Derivatives(read_by_state, rows[now : now + sensors])
-            read(t, dt, y, commands, index, is_linear, given, s, made, read_work)
+            read(steps, y, commands, index, given, s, made, read_work)
             for o in range(sensors):
                 for j in range(0, columns.shape[1], LANES):
-                    add_products(read_by_state, o, 0, n, columns, 0, rows, now + o, j)
+                    add_products(read_by_state, (o, 0), n, columns, 0, rows, (now + o, j))
                 if not math.isfinite(s[o]):
                     return 1
                 simulated[index, o] = s[o]
@@ -346,7 +322,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
                 add(window * width, width, rows, weighted, residuals, products, matrix, gradient)
                 held = 0
             for step in range(substeps):
-                drive(commands, index, step, substeps, dt, is_linear, given, u, end)
+                drive(commands, index, step, steps, given, u, end)
                 advance(t + step * h, y, u, end, given, h, stages, work)
                 carry(stages.by_state, stages.by_column, columns, h)
         return 0
@@ -358,25 +334,14 @@ def twin_normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kern
     """Make the normal equations of a twin over one record, from one initial state.
 
     Returns:
-        `normal(count, dt, substeps, is_linear, coordinates, k, free, starts, y, columns, p, moved, moved_by, read,
-        read_by, late, commands, readings, weights, matrix, gradient, squares, simulated, work) -> status`, as
-        `normal_equations`, with the arrays of `Given`; `starts` is (1, n).
+        `normal(steps, shooting, given, record, sums, work) -> status`, as `normal_equations`; `starts` is (1, n).
     """
     accumulate = normal_equations(readings_with_derivatives(sensed), drive, motion_with_derivatives(slopes), carry)
 
     @compiled
-    def normal(
-        count: int, dt: float, substeps: int, is_linear: int, coordinates: int, k: int, free: IntVector,
-        starts: Matrix, y: Vector, columns: Matrix, p: Vector, moved: IntMatrix, moved_by: Vector, read: IntMatrix,
-        read_by: Vector, late: Vector, commands: Matrix, readings: Matrix, weights: Vector, matrix: Matrix,
-        gradient: Vector, squares: Vector, simulated: Matrix, work: Matrix,
-    ) -> int:  # fmt: skip
-        given = Given(p, moved, moved_by, read, read_by, coordinates, late)
+    def normal(steps: Steps, shooting: Shooting, given: TwinArrays, record: Readings, sums: Sums, work: Matrix) -> int:
         work[:] = 0.0
-        read_work, work = take(work, readings.shape[1] + 2)
-        return accumulate(
-            count, dt, substeps, count, is_linear, k, free, starts, y, columns, given, commands, readings, weights,
-            matrix, gradient, squares, simulated, read_work, work,
-        )  # fmt: skip
+        read_work, work = take(work, record.readings.shape[1] + 2)
+        return accumulate(steps, steps.samples, shooting, given, record, sums, read_work, work)
 
     return normal

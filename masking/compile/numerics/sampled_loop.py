@@ -18,18 +18,25 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics import controller_rows as rows
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.compile.numerics.energy_balance import energy_balance
-from masking.compile.numerics.integrators import copy, fault
+from masking.compile.numerics.integrators import classical_step, copy, fault
+from masking.compile.numerics.kernel_arguments import Parts, Recorded, Rig, Samples, UnderWay, Unit
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
 
-Kernel = Callable[..., Any]
+
+class Disturbed(NamedTuple):
+    """Parameters of a model, the estimate z with its disturbance, and the length of a step."""
+
+    p: Vector
+    z: Vector
+    h: float
 
 
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
@@ -43,29 +50,21 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     n, size, order = sizes.coordinates, sizes.states, sizes.order
 
     @compiled
-    def slope(t, y, u, z, p, h, dy):
-        rate(t, y, u, p, dy)
+    def slope(t, stage, y, u, known, dy):
+        z = known.z
+        rate(t, y, u, known.p, dy)
         if order > 0:
             for i in range(n):
                 dy[n + i] += z[size + i]
         if order > 1:
             for i in range(n):
-                dy[n + i] += 0.5 * h * z[size + n + i]
+                dy[n + i] += 0.5 * known.h * z[size + n + i]
+
+    advance = classical_step(slope, size)
 
     @compiled
     def step(t, z, u, p, h, k, y):
-        slope(t, z, u, z, p, h, k[0])
-        for i in range(size):
-            y[i] = z[i] + 0.5 * h * k[0, i]
-        slope(t + 0.5 * h, y, u, z, p, h, k[1])
-        for i in range(size):
-            y[i] = z[i] + 0.5 * h * k[1, i]
-        slope(t + 0.5 * h, y, u, z, p, h, k[2])
-        for i in range(size):
-            y[i] = z[i] + h * k[2, i]
-        slope(t + h, y, u, z, p, h, k[3])
-        for i in range(size):
-            z[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+        advance(t, z, u, Disturbed(p, z, h), h, k, y)
         if order > 1:
             for i in range(n):
                 z[size + i] += h * z[size + n + i]
@@ -95,8 +94,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
     n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
     remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
     first, last = sizes.memory.start, sizes.memory.stop
-    saved, spare = (26, 27) if remembers else (0, 0)
-    shifting = 38 if jumping else 0
+    saved, spare = (rows.BEFORE, rows.MEMORY) if remembers else (rows.STATE, rows.STATE)
+    shifting = rows.JUMPED if jumping else rows.STATE
 
     @compiled
     def disturbance(z, ahead, d):
@@ -113,10 +112,9 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
             recall(t + h, y, past)
 
     @compiled
-    def internal(z, early, late, s0, s2, t, h, a, y, past, p, space):
+    def drift(z, early, late, s0, s2, y):
         for i in range(2 * n, size):
             y[i] = z[i] + early * s0[i] + late * s2[i]
-        remind(t, h, a, y, past, p, space)
 
     @compiled
     def shift(y, m):
@@ -126,9 +124,12 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
 
     @compiled
     def held(t, since, z, past, p, h, u, work):
-        y, d, u0, u1, u2 = work[0], work[1][:n], work[2][:m], work[3][:m], work[4][:m]
-        r0, r1, r2, g0, g2, v = work[5][:n], work[6][:n], work[7][:n], work[8][:n], work[9][:n], work[10][:n]
-        s0, s2, before, space, jumped = work[22], work[23], work[saved], work[spare:], work[shifting]
+        y, d, v = work[rows.STATE], work[rows.LACKING][:n], work[rows.WANTED][:n]
+        u0, u1, u2 = work[rows.EARLY_INPUTS][:m], work[rows.MIDDLE_INPUTS][:m], work[rows.LATE_INPUTS][:m]
+        r0, r1, r2 = work[rows.EARLY][:n], work[rows.MIDDLE][:n], work[rows.LATE][:n]
+        g0, g2 = work[rows.EARLY_PART][:n], work[rows.LATE_PART][:n]
+        s0, s2 = work[rows.EARLY_RATES], work[rows.LATE_RATES]
+        before, space, jumped = work[saved], work[spare:], work[shifting]
         copy(z, y, size)
         remind(t, 0.0, z, y, past, p, space)
         disturbance(z, 0.0, d)
@@ -139,7 +140,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
             y[n + i] = z[n + i] + h * r0[i]
         if jumping:
             mean_jump(t, h, z, y, past, p, space, jumped)
-        internal(z, h, 0.0, s0, s0, t, h, z, y, past, p, space)
+        drift(z, h, 0.0, s0, s0, y)
+        remind(t, h, z, y, past, p, space)
         shift(y, jumped)
         disturbance(z, h, d)
         law(t + h, since, y, d, p, u2, r2, g2)
@@ -148,7 +150,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
             v[i] = z[n + i] + h / 12.0 * (g2[i] - g0[i])
             y[i] = z[i]
             y[n + i] = v[i]
-        internal(z, 0.0, 0.0, s0, s2, t, 0.0, z, y, past, p, space)
+        drift(z, 0.0, 0.0, s0, s2, y)
+        remind(t, 0.0, z, y, past, p, space)
         shift(y, jumped)
         copy(y, before, size)
         disturbance(z, 0.0, d)
@@ -156,14 +159,16 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
         for i in range(n):
             y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
             y[n + i] = v[i] + h / 8.0 * (3.0 * r0[i] + r2[i])
-        internal(z, 0.375 * h, 0.125 * h, s0, s2, t, 0.5 * h, before, y, past, p, space)
+        drift(z, 0.375 * h, 0.125 * h, s0, s2, y)
+        remind(t, 0.5 * h, before, y, past, p, space)
         copy(y, before, size)
         disturbance(z, 0.5 * h, d)
         law(t + 0.5 * h, since, y, d, p, u1, r1, g0)
         for i in range(n):
             y[i] = z[i] + h * v[i] + h * h / 6.0 * (2.0 * r0[i] + r2[i])
             y[n + i] = v[i] + 0.5 * h * (r0[i] + r2[i])
-        internal(z, 0.5 * h, 0.5 * h, s0, s2, t + 0.5 * h, 0.5 * h, before, y, past, p, space)
+        drift(z, 0.5 * h, 0.5 * h, s0, s2, y)
+        remind(t + 0.5 * h, 0.5 * h, before, y, past, p, space)
         disturbance(z, h, d)
         law(t + h, since, y, d, p, u2, r2, g2)
         for i in range(m):
@@ -223,44 +228,55 @@ def advance_queue(queue, u, m):
         copy(u, queue[last:], m)
 
 
-def control_with_model(
-    law: Kernel, rate: Kernel, measure: Kernel, allocate: Kernel, wire: Kernel, virtual: Kernel, momentum: Kernel,
-    remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes,
-) -> Kernel:  # fmt: skip
+def observe_past(follow: Kernel, notice: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
+    """Make `observe(t, h, x, z, p, work)`, which brings the memory of a virtual system to an estimate z at a sample."""
+    remembers, length, then = sizes.remembered + sizes.lags > 0, sizes.estimate, sizes.past
+
+    @compiled
+    def observe(t, h, x, z, p, work):
+        if remembers:
+            past = x[then.start : then.stop]
+            follow(t - h, h, x[:length], z, past, p, work[rows.MEMORY :])
+            notice(t, z, past, p, work[rows.MEMORY])
+            recall(t, z, past)
+
+    return observe
+
+
+def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
     What was applied, not what was demanded, moves the model: in saturation nothing winds up. While the rig is at rest
     before homing, the offsets of the sensors follow what they read beyond the model's rest position.
 
     Returns:
-        `control(t, h, s, x, p, gain, table, demanded, applied, work) -> health` for the readings `s` at time t; x is
-        the memory, as `Sizes.power` says, and `gain` (estimate, sensors) the observer's.
+        `control(t, h, s, unit, demanded, applied, work) -> health` for the readings `s` at time t.
     """
     m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
-    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    (follow, glide, mean_jump), then = follow_memory(remember, recall, conditions, sizes), sizes.past
-    step, held, limit = predict(rate, sizes), hold(law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
-    balance = energy_balance(virtual, momentum, sizes)
+    rate, measure, allocate, wire = parts.rate, parts.measure, parts.allocate, parts.wire
+    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(parts.lagged, sizes)
+    (follow, glide, mean_jump), then = follow_memory(parts.remember, recall, parts.conditions, sizes), sizes.past
+    observe = observe_past(follow, notice, recall, sizes)
+    step, held, limit = predict(rate, sizes), hold(parts.law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
+    balance = energy_balance(parts.virtual, parts.momentum, sizes)
 
     @compiled
     def move(t, z, u, past, p, h, work):
         if remembers:
-            copy(z, work[26], length)
-        step(t, z, u, p, h, work[13:17], work[17])
+            copy(z, work[rows.BEFORE], length)
+        step(t, z, u, p, h, work[rows.SLOPES : rows.STAGE], work[rows.STAGE])
         if remembers:
-            follow(t, h, work[26], z, past, p, work[27:])
-            notice(t + h, z, past, p, work[27])
+            follow(t, h, work[rows.BEFORE], z, past, p, work[rows.MEMORY :])
+            notice(t + h, z, past, p, work[rows.MEMORY])
 
     @compiled
-    def control(
-        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
-        applied: Vector, work: Matrix,
-    ) -> float:  # fmt: skip
+    def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
+        x, p, gain, table = unit
         now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
         delay = queue.size // m
-        ahead, u, expected = work[11], work[12][:m], work[18]
+        ahead, u, expected = work[rows.AHEAD], work[rows.INPUTS][:m], work[rows.EXPECTED]
         acts, standing, past = t + delay * h, x[rest.start : rest.stop], x[then.start : then.stop]
         measure(t, z, p, expected)
         for j in range(offsets):
@@ -270,12 +286,10 @@ def control_with_model(
         for i in range(length):
             for j in range(s.size):
                 z[i] += gain[i, j] * (s[j] - expected[j])
-        if remembers:
-            follow(t - h, h, now, z, past, p, work[27:])
-            notice(t, z, past, p, work[27])
-            recall(t, z, past)
+        observe(t, h, x, z, p, work)
         if is_balanced:
-            z[last] = balance(t, h, z, x[remembered.start : remembered.stop], p, work[24], work[25])
+            balanced, momentum = work[rows.BALANCED], work[rows.MOMENTUM]
+            z[last] = balance(t, h, z, x[remembered.start : remembered.stop], p, balanced, momentum)
         copy(z, now, length)
         copy(z, ahead, length)
         for j in range(delay):
@@ -305,19 +319,16 @@ def skip_with_differences(remember: Kernel, lagged: Kernel, conditions: Kernel, 
     """
     n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
-    remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(lagged, sizes)
-    (follow, _, _), then = follow_memory(remember, recall, conditions, sizes), sizes.past
+    recall, notice = recall_past(sizes), notice_past(lagged, sizes)
+    follow, _, _ = follow_memory(remember, recall, conditions, sizes)
+    observe = observe_past(follow, notice, recall, sizes)
 
     @compiled
     def skip(t: float, h: float, x: Vector, p: Vector, table: Matrix, command: Vector, work: Matrix) -> None:
         now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
         for i in range(n):
             z[i] += h * z[n + i]
-        if remembers:
-            past = x[then.start : then.stop]
-            follow(t - h, h, now, z, past, p, work[27:])
-            notice(t, z, past, p, work[27])
-            recall(t, z, past)
+        observe(t, h, x, z, p, work)
         copy(z, now, length)
         warm(command, table, h, power)
 
@@ -332,22 +343,20 @@ def control_with_differences(
     Source: Rijlaarsdam (2008), chapter 6; its velocities are late by half a sample, its output by half a sample more.
 
     Returns:
-        `control` with the arguments of `control_with_model`; here `gain` (n, sensors) gives the coordinates of
-        readings, and the memory holds the last coordinates where `control_with_model` has its estimate.
+        `control` as that of `control_with_model`, whose memory holds the last coordinates where that has its estimate.
     """
     n, m, length, fixed = sizes.coordinates, sizes.inputs, sizes.estimate, sizes.fixed
     next_one = length + sizes.actuators
     limit, recall, notice = limiter(sizes), recall_past(sizes), notice_past(lagged, sizes)
-    remembers, then = sizes.remembered + sizes.lags > 0, sizes.past
     follow, _, _ = follow_memory(remember, recall, conditions, sizes)
+    observe = observe_past(follow, notice, recall, sizes)
 
     @compiled
-    def control(
-        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
-        applied: Vector, work: Matrix,
-    ) -> float:  # fmt: skip
+    def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
+        x, p, gain, table = unit
         now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
-        d, u, r, g = work[1][:n], work[2][:m], work[5][:n], work[8][:n]
+        d, u = work[rows.LACKING][:n], work[rows.EARLY_INPUTS][:m]
+        r, g = work[rows.EARLY][:n], work[rows.EARLY_PART][:n]
         for i in range(n):
             position = 0.0
             for j in range(s.size):
@@ -355,11 +364,7 @@ def control_with_differences(
             z[n + i] = (position - z[i]) / h
             z[i] = position
             d[i] = 0.0
-        if remembers:
-            past = x[then.start : then.stop]
-            follow(t - h, h, now, z, past, p, work[27:])
-            notice(t, z, past, p, work[27])
-            recall(t, z, past)
+        observe(t, h, x, z, p, work)
         copy(z, now, length)
         acts = t + (x.size - fixed) // m * h
         health = law(t, acts, z, d, p, u, r, g)
@@ -383,26 +388,26 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
         size: number of the rig's states.
 
     Returns:
-        `run(begin, count, h, substeps, every, y, x, p, c, gain, table, queue, late, noise, first, states, estimates,
-        sensed, demanded, applied, work) -> (status, samples done, first)`, where `p` are the parameters of the
-        rig and `c` those of the controller; `queue` (commands, actuators) holds the commands under way, the newest
-        last, and `late` (actuators,) after how many samples they act; `noise` (count, sensors); row k // every of the
-        tables gets what happened at sample k, from sample 0 on; `first` as for `integrators.sampled`.
+        `run(samples, rig, unit, noise, first, recorded, work) -> (status, samples done, first)`; `noise`
+        (count, sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as for
+        `integrators.sampled`.
     """
 
     @compiled
     def loop(
-        begin: int, count: int, h: float, substeps: int, every: int, y: Vector, x: Vector, p: Vector, c: Vector,
-        gain: Matrix, table: Matrix, queue: Matrix, late: Vector, noise: Matrix, first: float, states: Matrix,
-        estimates: Matrix, sensed: Matrix, demanded: Matrix, applied: Matrix, work: Matrix,
-    ) -> tuple[int, int, float]:  # fmt: skip
+        samples: Samples, rig: Rig, unit: Unit, noise: Matrix, first: float, recorded: Recorded, work: Matrix
+    ) -> tuple[int, int, float]:
+        begin, count, h, substeps, every = samples
+        y, p, queue, late = rig
+        under_way = UnderWay(queue, late)
         sensors, channels = noise.shape[1], queue.shape[1]
-        s, wanted, given = work[19][:sensors], work[20][:channels], work[21][:channels]
+        s, wanted = work[rows.SENSED][:sensors], work[rows.DEMANDED][:channels]
+        given, stages = work[rows.APPLIED][:channels], work[rows.SLOPES : rows.STAGE + 1]
         row = 0
         for index in range(begin, begin + count):
             t = index * h
             sense(t, y, p, noise[index - begin], s)
-            health = control(t, h, s, x, c, gain, table, wanted, given, work)
+            health = control(t, h, s, unit, wanted, given, work)
             first = health if first == 0.0 else first
             status = fault(health, first)
             if status != REACHED:
@@ -411,14 +416,14 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
                 if not math.isfinite(given[i]):
                     return NOT_FINITE, index - begin, first
             if index >= 0 and index % every == 0:
-                copy(y, states[row], size)
-                copy(x, estimates[row], estimates.shape[1])
-                copy(s, sensed[row], sensors)
-                copy(wanted, demanded[row], channels)
-                copy(given, applied[row], channels)
+                copy(y, recorded.states[row], size)
+                copy(unit.x, recorded.estimates[row], recorded.estimates.shape[1])
+                copy(s, recorded.sensed[row], sensors)
+                copy(wanted, recorded.demanded[row], channels)
+                copy(given, recorded.applied[row], channels)
                 row += 1
             copy(given, queue[queue.shape[0] - 1], channels)
-            move(t, y, queue, late, p, h, substeps, given, work[13:18])
+            move(t, y, under_way, p, h, substeps, given, stages)
         return REACHED, count, first
 
     return loop

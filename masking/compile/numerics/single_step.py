@@ -5,21 +5,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.integrators import fault
+from masking.compile.numerics.kernel_arguments import Unit
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
-
-Kernel = Callable[..., Any]
 
 
 @compiled
 def status_of(health, first, commands):
-    """Return why a controller must stop after a step, or REACHED; keep the health of the first step in `first`."""
+    """Reason to stop after a step, or REACHED; `first` keeps the health of the first step."""
     if first[0] == 0.0:
         first[0] = health
     status = fault(health, first[0])
@@ -37,17 +34,16 @@ def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
         sizes: of the controller.
 
     Returns:
-        `answer(index, h, s, x, p, gain, table, demanded, applied, first, work) -> status` for the readings s of a
-        sample, as `control` has them; `first` (1,) is 0 at the beginning.
+        `answer(index, h, s, unit, demanded, applied, first, work) -> status` for the readings s of a sample, as
+        `control` has them; `first` (1,) is 0 at the beginning.
     """
     channels = sizes.actuators
 
     @compiled
     def answer(
-        index: int, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
-        applied: Vector, first: Vector, work: Matrix,
-    ) -> int:  # fmt: skip
-        health = control(index * h, h, s, x, p, gain, table, demanded, applied, work)
+        index: int, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, first: Vector, work: Matrix
+    ) -> int:
+        health = control(index * h, h, s, unit, demanded, applied, work)
         return status_of(health, first, applied[:channels])
 
     return answer

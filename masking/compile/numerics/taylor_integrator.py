@@ -8,10 +8,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.integrators import (
     MOST_STEPS,
@@ -20,9 +18,8 @@ from masking.compile.numerics.integrators import (
     copy,
     fault,
 )
+from masking.compile.numerics.kernel_arguments import Accuracy
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
-
-Kernel = Callable[..., Any]
 
 ALL_BUT_ROUNDING = 1.0 - 1e-12  # a step of this part of what remains is the last
 
@@ -37,7 +34,7 @@ def shortened(radius, k, term, largest):
 
 @inlined
 def obstacle(t, h, remaining, health, first, steps):
-    """Return why a step of length h from t cannot be taken, or REACHED where it can."""
+    """Reason against a step of length h from t, or REACHED."""
     status = fault(health, first)
     if status != REACHED:
         return status
@@ -61,11 +58,10 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         size: number n of states.
 
     Returns:
-        `solve(t, y, times, u, p, tolerance, fixed_step, states, work) -> (status, time reached, steps)`, where `t` is
-        the initial time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of
-        which ends the integration; `u` the inputs, held constant; `tolerance` the local error of a step relative
-        to the largest state; `fixed_step` the length of every step, 0 to control it; `states` (m, n) gets the
-        states; `work` (order + 1, n) is work space.
+        `solve(t, y, times, u, p, accuracy, states, work) -> (status, time reached, steps)`, where `t` is the initial
+        time; `y` the state (n,), which is the last state afterwards; `times` monotone (m,), the last of which ends the
+        integration; `u` the inputs, held constant; `accuracy` the local error of a step relative to the largest state;
+        `states` (m, n) gets the states; `work` (order + 1, n) is work space.
     """
 
     @compiled
@@ -105,9 +101,9 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
 
     @compiled
     def solve(
-        t: float, y: Vector, times: Vector, u: Vector, p: Vector, tolerance: float, fixed_step: float, states: Matrix,
-        work: Matrix,
-    ) -> tuple[int, float, int]:  # fmt: skip
+        t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
+    ) -> tuple[int, float, int]:
+        tolerance, fixed_step = accuracy
         m = times.size
         if m == 0:
             return REACHED, t, 0

@@ -23,17 +23,19 @@ _ALIGNED: Final = 8  # bytes of a number
 _FUSED: Final = ("contract",)  # a product and a sum in one, rounded once
 
 
-def _add_products(context, by, r, c, n, table, first, out, o, at):
+def _add_products(context, by, begin, n, table, first, out, target):
     """Add n rows of a table, each times a number, to another row, in the vector that begins at a column.
 
+    With `begin` = (r, c) and `target` = (o, at), whole numbers,
     `out[o, at:] += by[r, c]*table[first, at:] + by[r, c + 1]*table[first + 1, at:] + ...`
     """
 
     def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:  # noqa: ANN401
-        by, r, c, n, table, first, out, o, at = (
+        by, begin, n, table, first, out, target = (
             _Table(context, builder, kind, value) if isinstance(kind, types.Array) else value
             for kind, value in zip(signature.args, values, strict=True)
         )
+        (r, c), (o, at) = (cgutils.unpack_tuple(builder, pair, 2) for pair in (begin, target))
         factor, target = by.at(r, c), out.vector(o, at)
         total = cgutils.alloca_once_value(builder, builder.load(target, align=_ALIGNED))
         with cgutils.for_range(builder, n) as loop:
@@ -47,7 +49,7 @@ def _add_products(context, by, r, c, n, table, first, out, o, at):
         builder.store(builder.load(total), target, align=_ALIGNED)
         return context.get_dummy_value()
 
-    return types.void(by, r, c, n, table, first, out, o, at), write
+    return types.void(by, begin, n, table, first, out, target), write
 
 
 add_products: Any = intrinsic(_add_products)

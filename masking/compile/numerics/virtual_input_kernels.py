@@ -15,14 +15,12 @@ array p of the control law. Behind the parameters stands a tail:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from masking.compile.numerics.arrays import Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
+from masking.compile.numerics.kernel_arguments import Unit
 
-Kernel = Callable[..., Any]
 PIECE = 5  # numbers of a polynomial
 HALVINGS = 32  # of the points between which a time is looked for
 OF_PUSH = 3  # numbers of a push before what was found
@@ -162,19 +160,17 @@ def control(
     read, feel = reading(sensors), feeling(pushes)
 
     @compiled
-    def step(
-        t: float, h: float, s: Vector, x: Vector, p: Vector, gain: Matrix, table: Matrix, demanded: Vector,
-        applied: Vector, work: Matrix,
-    ) -> float:  # fmt: skip
+    def step(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
+        p = unit.p
         at = first_table(t, p)
         for _ in range(series):
             at += 1 + PIECE * (math.floor(p[at]) + 1)
         at = read(s, p, at)
         if pushed > 0:
-            z = x[following.start : following.stop]
+            z = unit.x[following.start : following.stop]
             found = p[at + pushed : p.size - 1]
             push(t, z[:size], z[size : size + n], p, found)
             feel(found, p, at, h)
-        return bare(t, h, s, x, p, gain, table, demanded, applied, work)
+        return bare(t, h, s, unit, demanded, applied, work)
 
     return step

@@ -11,20 +11,38 @@ its beginning. `conditions(t, y, p, w)` writes the conditions of its events, and
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import NamedTuple
 
+from masking.compile.numerics import controller_rows as rows
+from masking.compile.numerics.arrays import Kernel, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.events import jumps
-from masking.compile.numerics.integrators import copy
-
-Kernel = Callable[..., Any]
+from masking.compile.numerics.integrators import classical_step, copy
 
 # measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
 STEPS = 4
 EVENTS = 8  # in one of these
 HALVINGS = 16  # of one of these, to find an event
+
+
+class Motion(NamedTuple):
+    """A motion of length h from state a at time t to state b, whose internal states are on their way."""
+
+    t: float
+    h: float
+    a: Vector
+    b: Vector
+
+
+class Piece(NamedTuple):
+    """A part of a motion, from a point x of it on; the past, the parameters, and the state of a stage."""
+
+    x: float
+    part: float
+    past: Vector
+    p: Vector
+    y: Vector
 
 
 def notice_past(lagged: Kernel, sizes: Sizes) -> Kernel:
@@ -83,7 +101,7 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
 
     Returns:
         `follow(t, h, a, b, past, p, work)`, for a motion of length h from state a at time t to state b; reads z in a
-        and writes it in b; `work` (11, states) is work space, of which the last six rows are for events.
+        and writes it in b; `work` is work space from the row `MEMORY` of `controller_rows` on.
         `glide`, with the same arguments, which passes over events as if there were none.
         `mean_jump(t, h, a, b, past, p, work, m)`, which writes by how much z is further on the mean of the motion than
         without its events.
@@ -92,7 +110,8 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
     jump = jumps(conditions, events, sizes.targets, EVENTS)
 
     @compiled
-    def place(a, b, h, x, y):
+    def place(motion, x, y):
+        a, b, h = motion.a, motion.b, motion.h
         for i in range(n):
             way, early, late = b[i] - a[i], h * a[n + i], h * b[n + i]
             square, cube = 3.0 * way - 2.0 * early - late, early + late - 2.0 * way
@@ -100,36 +119,29 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
             y[n + i] = (early + x * (2.0 * square + 3.0 * x * cube)) / h
 
     @compiled
-    def advance(t, h, a, b, x, part, past, p, y, k):
-        begin, dt = t + x * h, part * h
-        place(a, b, h, x, y)
+    def slope(t, stage, z, motion, piece, dz):
+        y = piece.y
+        if stage != 2:  # which is where the stage before is
+            place(motion, piece.x + (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)) * piece.part, y)
+            recall(t, y, piece.past)
         for i in range(first, last):
-            y[i] = b[i]
-        recall(begin, y, past)
-        remember(begin, y, p, k[0])
-        place(a, b, h, x + 0.5 * part, y)
-        for i in range(first, last):
-            y[i] = b[i] + 0.5 * dt * k[0, i - first]
-        recall(begin + 0.5 * dt, y, past)
-        remember(begin + 0.5 * dt, y, p, k[1])
-        for i in range(first, last):
-            y[i] = b[i] + 0.5 * dt * k[1, i - first]
-        remember(begin + 0.5 * dt, y, p, k[2])
-        place(a, b, h, x + part, y)
-        for i in range(first, last):
-            y[i] = b[i] + dt * k[2, i - first]
-        recall(begin + dt, y, past)
-        remember(begin + dt, y, p, k[3])
-        for i in range(first, last):
-            m = i - first
-            b[i] += dt / 6.0 * (k[0, m] + 2.0 * (k[1, m] + k[2, m]) + k[3, m])
+            y[i] = z[i - first]
+        remember(t, y, piece.p, dz)
+
+    step = classical_step(slope, last - first)
 
     @compiled
-    def look(t, h, a, b, x, p, y, w):
-        place(a, b, h, x, y)
+    def advance(motion, x, part, past, p, work):
+        piece = Piece(x, part, past, p, work[rows.STATE])
+        begin, slopes = motion.t + x * motion.h, work[rows.MEMORY_SLOPES : rows.MEMORY_STAGE]
+        step(begin, motion.b[first:last], motion, piece, part * motion.h, slopes, work[rows.MEMORY_STAGE])
+
+    @compiled
+    def look(motion, x, p, y, w):
+        place(motion, x, y)
         for i in range(first, last):
-            y[i] = b[i]
-        conditions(t + x * h, y, p, w)
+            y[i] = motion.b[i]
+        conditions(motion.t + x * motion.h, y, p, w)
 
     @compiled
     def has_crossed(below, w):
@@ -140,25 +152,26 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
         return found
 
     @compiled
-    def again(t, h, a, b, x, end, past, p, work):
+    def again(motion, x, end, past, p, work):
         for i in range(first, last):
-            b[i] = work[6, i]
-        advance(t, h, a, b, x, end - x, past, p, work[0], work[1:5])
-        look(t, h, a, b, end, p, work[0], work[7])
+            motion.b[i] = work[rows.MEMORY_BEFORE, i]
+        advance(motion, x, end - x, past, p, work)
+        look(motion, end, p, work[rows.STATE], work[rows.CONDITIONS])
 
     @compiled
-    def advance_over_events(t, h, a, b, x, part, past, p, work):
-        y, k, before, w, below, counts = work[0], work[1:5], work[6], work[7], work[8], work[9]
-        at, end, total = x, x + part, work[10]
-        look(t, h, a, b, at, p, y, w)
+    def advance_over_events(motion, x, part, past, p, work):
+        b, y, before, w = motion.b, work[rows.STATE], work[rows.MEMORY_BEFORE], work[rows.CONDITIONS]
+        below, counts, total = work[rows.BELOW], work[rows.COUNTS], work[rows.TOTAL]
+        at, end = x, x + part
+        look(motion, at, p, y, w)
         for e in range(events):
             below[e] = 1.0 if w[e] < 0.0 else 0.0
         for _ in range(EVENTS):
             if at < end:
                 for i in range(first, last):
                     before[i] = b[i]
-                advance(t, h, a, b, at, end - at, past, p, y, k)
-                look(t, h, a, b, end, p, y, w)
+                advance(motion, at, end - at, past, p, work)
+                look(motion, end, p, y, w)
                 if has_crossed(below, w) == 0:
                     for i in range(first, last):
                         total[i] += 0.5 * (end - at) * (before[i] + b[i])
@@ -167,46 +180,43 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
                     low, high = at, end
                     for _ in range(HALVINGS):
                         middle = 0.5 * (low + high)
-                        again(t, h, a, b, at, middle, past, p, work)
+                        again(motion, at, middle, past, p, work)
                         if has_crossed(below, w) == 0:
                             low = middle
                         else:
                             high = middle
-                    again(t, h, a, b, at, high, past, p, work)
-                    jump(t + high * h, y, p, below, counts, w)
+                    again(motion, at, high, past, p, work)
+                    jump(motion.t + high * motion.h, y, p, below, counts, w)
                     for i in range(first, last):
                         total[i] += 0.5 * (high - at) * (before[i] + b[i])
                         b[i] = y[i]
                     at = high
         if at < end:
-            advance(t, h, a, b, at, end - at, past, p, y, k)
-
-    @compiled
-    def follow(t, h, a, b, past, p, work):
-        y, k = work[0], work[1:5]
-        for i in range(first, last):
-            b[i] = a[i]
-        if first < last and h > 0.0 and t > -0.25 * h:
-            copy(a, y, first)
-            for j in range(STEPS):
-                if events > 0:
-                    advance_over_events(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, work)
-                else:
-                    advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
+            advance(motion, at, end - at, past, p, work)
 
     @compiled
     def glide(t, h, a, b, past, p, work):
-        y, k = work[0], work[1:5]
         for i in range(first, last):
             b[i] = a[i]
         if first < last and h > 0.0 and t > -0.25 * h:
-            copy(a, y, first)
+            copy(a, work[rows.STATE], first)
             for j in range(STEPS):
-                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, y, k)
+                advance(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
+
+    @compiled
+    def follow_over_events(t, h, a, b, past, p, work):
+        for i in range(first, last):
+            b[i] = a[i]
+        if first < last and h > 0.0 and t > -0.25 * h:
+            copy(a, work[rows.STATE], first)
+            for j in range(STEPS):
+                advance_over_events(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
+
+    follow = follow_over_events if events > 0 else glide
 
     @compiled
     def mean_jump(t, h, a, b, past, p, work, m):
-        total = work[10]
+        motion, total = Motion(t, h, a, b), work[rows.TOTAL]
         for i in range(first, last):
             m[i] = 0.0
             total[i] = 0.0
@@ -218,7 +228,7 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
             for j in range(STEPS):
                 for i in range(first, last):
                     m[i] -= 0.5 / STEPS * b[i]
-                advance(t, h, a, b, j / STEPS, 1.0 / STEPS, past, p, work[0], work[1:5])
+                advance(motion, j / STEPS, 1.0 / STEPS, past, p, work)
                 for i in range(first, last):
                     m[i] -= 0.5 / STEPS * b[i]
 

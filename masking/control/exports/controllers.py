@@ -36,7 +36,7 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     module.add_factory("clear", unit_kernels.clear, -sampled.before, exported=False)
     module.add_factory("instant", unit_kernels.instant, period, exported=False)
     constants = _begin(sampled, module, operations)
-    arguments = "readings commands x p demanded applied work first counters gain limits"
+    arguments = "readings commands x p gain limits demanded applied work first counters"
     step = Operation(tuple(arguments.split()), STEP, returns_status=True)
     add_operation(operations, module, "step", (unit_kernels.controller_step, ("control", "instant", a, period)), step)
     memory = {
@@ -49,7 +49,7 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     }
     if sampled.has_model:
         made: Kernel = (unit_kernels.miss_with_model, ("control", "instant", sizes, period))
-        arguments = "readings x p applied unsent before work counters blind limits"
+        arguments = "readings x p blind limits applied unsent before work counters"
         memory |= {"unsent": (a,), "before": (a,)}
         constants |= {"blind": np.zeros_like(sampled.gain)}
     else:
@@ -95,9 +95,9 @@ def _begin(sampled: SampledController, module: Module, operations: dict[str, Ope
         init = Operation((*common.split(), "memory0", "values", "holding"), INIT)
     else:
         n, is_held = sizes.coordinates, not sampled.homing and sampled.has_model
-        start = len(begun.p) - len(sampled.feed.tail()) - (2 * n + 1) if sampled.homing else -1
-        given = (sizes, len(begun.x), len(begun.p), start, 1.0 / sampled.rate, is_held)
-        made = (unit_kernels.beginning, ("clear", "measure", "still", "allocate", "wire", *given))
+        homing = len(begun.p) - len(sampled.feed.tail()) - (2 * n + 1) if sampled.homing else -1
+        start = unit_kernels.Start(len(begun.x), len(begun.p), homing, 1.0 / sampled.rate, is_held)
+        made = (unit_kernels.beginning, ("clear", "measure", "still", "allocate", "wire", sizes, start))
         found["memory0"][:n] = found["memory0"][sizes.next][:n] = 0.0
         sensing = known.sensing()[:, :n]
         found |= {"inverse": np.ascontiguousarray(np.linalg.pinv(sensing)), "limits": sampled.limits}

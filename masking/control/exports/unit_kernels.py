@@ -3,27 +3,55 @@
 They are written as those of `numerics` are, and translated with them. All memory of a unit is in arrays that it
 is given: `counters` holds the sample, the periods since the last step, and why the unit has stopped.
 """
-# ruff: noqa: ANN001, ANN202, PLR0917
+# ruff: noqa: ANN001, ANN202, ANN401, PLR0917
 # The types are those of the unit that a kernel is written for.
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from masking.compile.numerics.arrays import IntVector
+from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.integrators import copy, fault
+from masking.compile.numerics.kernel_arguments import UnderWay, Unit
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
-
-Kernel = Callable[..., Any]
 
 INDEX, WAITED, STATUS = range(3)
 COUNTERS = 3
 UNANSWERED = 7  # beside the stop codes: no step for longer than the watchdog allows
 LAST = 2**31 - 2
 NEWTON_STEPS = 20
+
+
+class Memory(NamedTuple):
+    """What a controller holds from step to step: its memory, parameters, first health, counters, and last commands."""
+
+    x: Vector
+    p: Vector
+    first: Vector
+    counters: IntVector
+    applied: Vector
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a controller begins.
+
+    Args:
+        memory: length of its memory.
+        parameters: their number.
+        homing: index of the parameters of the coordinates where homing begins; -1 where there are none.
+        period: seconds between samples.
+        is_held: whether the rig is held by commands from the beginning.
+    """
+
+    memory: int
+    parameters: int
+    homing: int
+    period: float
+    is_held: bool
 
 
 def clear(start: int) -> Kernel:
@@ -69,23 +97,22 @@ def resting(clear: Kernel, memory: int, parameters: int, actuators: int) -> Kern
     """Make the beginning of a controller of which nothing depends on the first readings.
 
     Returns:
-        `init(readings, x, p, first, counters, applied, memory0, values, holding)`.
+        `init(readings, unit, memory0, values, holding)`.
     """
 
-    def init(readings, x, p, first, counters, applied, memory0, values, holding):
-        copy(memory0, x, memory)
-        copy(values, p, parameters)
-        copy(holding, applied, actuators)
-        first[0] = 0.0
-        clear(counters)
+    def init(readings: Vector, unit: Memory, memory0: Vector, values: Vector, holding: Vector) -> None:
+        copy(memory0, unit.x, memory)
+        copy(values, unit.p, parameters)
+        copy(holding, unit.applied, actuators)
+        unit.first[0] = 0.0
+        clear(unit.counters)
 
     return init
 
 
 def beginning(
-    clear: Kernel, measure: Kernel, still: Kernel, allocate: Kernel, wire: Kernel, sizes: Sizes, memory: int,
-    parameters: int, start: int, period: float, is_held: bool,
-) -> Kernel:  # fmt: skip
+    clear: Kernel, measure: Kernel, still: Kernel, allocate: Kernel, wire: Kernel, sizes: Sizes, start: Start
+) -> Kernel:
     """Make the beginning of a controller on a rig that rests where the first readings say.
 
     The coordinates that give these readings are found by Newton's method, with the inverse of the sensors at rest.
@@ -97,19 +124,20 @@ def beginning(
         allocate: commands of inputs.
         wire: inputs of commands.
         sizes: of the controller.
-        memory: length of its memory.
-        parameters: their number.
-        start: index of the parameters of the coordinates where homing begins; -1 where there are none.
-        period: seconds between samples.
-        is_held: whether the rig is held by commands from the beginning.
+        start: how it begins.
 
     Returns:
-        `init(readings, x, p, first, counters, applied, work, memory0, values, inverse, limits)`.
+        `init(readings, unit, work, memory0, values, inverse, limits)`.
     """
+    memory, parameters, homing = start.memory, start.parameters, start.homing
+    period, is_held = start.period, start.is_held
     n, m, size, fixed, following = sizes.coordinates, sizes.inputs, sizes.states, sizes.fixed, sizes.next.start
     channels, powers = sizes.actuators, sizes.power.start
 
-    def init(readings, x, p, first, counters, applied, work, memory0, values, inverse, limits):
+    def init(
+        readings: Vector, unit: Memory, work: Matrix, memory0: Vector, values: Vector, inverse: Matrix, limits: Matrix
+    ) -> None:
+        x, p, first, counters, applied = unit
         y, expected, u = work[0], work[1], work[2]
         copy(memory0, x, memory)
         copy(values, p, parameters)
@@ -126,8 +154,8 @@ def beginning(
         copy(y, x, n)
         for i in range(n):
             x[following + i] = y[i]
-        if start >= 0:
-            copy(y, p[start:parameters], n)
+        if homing >= 0:
+            copy(y, p[homing:parameters], n)
         if is_held:
             still(0.0, y, p, u)
             allocate(u, p, applied)
@@ -148,17 +176,20 @@ def controller_step(control: Kernel, instant: Kernel, actuators: int, period: fl
     """Make the step of a sampled controller; where it cannot go on, commands are zero until `init`.
 
     Returns:
-        `step(readings, commands, x, p, demanded, applied, work, first, counters, gain, limits) -> status`.
+        `step(readings, commands, unit, demanded, applied, work, first, counters) -> status`.
     """
 
-    def step(readings, commands, x, p, demanded, applied, work, first, counters, gain, limits):
+    def step(
+        readings: Vector, commands: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix,
+        first: Vector, counters: IntVector,
+    ) -> Any:  # fmt: skip
         counters[WAITED] = 0
         for i in range(actuators):
             commands[i] = 0.0
         if counters[STATUS] != REACHED:
             return counters[STATUS]
         t = instant(counters[INDEX])
-        health = control(t, period, readings, x, p, gain, limits, demanded, applied, work)
+        health = control(t, period, readings, unit, demanded, applied, work)
         if first[0] == 0.0:
             first[0] = health
         status = fault(health, first[0])
@@ -178,14 +209,18 @@ def miss_with_model(control: Kernel, instant: Kernel, sizes: Sizes, period: floa
     """Make the step over a sample that was missed, as `masking.control.stepwise_controller.SampledStep` takes it.
 
     Returns:
-        `miss(readings, x, p, applied, unsent, before, work, counters, blind, limits)`, for the readings of the next
-        sample.
+        `miss(readings, unit, applied, unsent, before, work, counters)`, for the readings of the next sample and a gain
+        of zero.
     """
     channels, powers = sizes.actuators, sizes.power.start
 
-    def miss(readings, x, p, applied, unsent, before, work, counters, blind, limits):
+    def miss(
+        readings: Vector, unit: Unit, applied: Vector, unsent: Vector, before: Vector, work: Matrix,
+        counters: IntVector,
+    ) -> None:  # fmt: skip
+        x, limits = unit.x, unit.limits
         copy(x[powers : powers + channels], before, channels)
-        control(instant(counters[INDEX]), period, readings, x, p, blind, limits, unsent, unsent, work)
+        control(instant(counters[INDEX]), period, readings, unit, unsent, unsent, work)
         for i in range(channels):
             part = -math.expm1(-period / limits[i, TIME])
             x[powers + i] = before[i] + part * (limits[i, HEATING] * applied[i] * applied[i] - before[i])
@@ -297,7 +332,7 @@ def rig_step(move: Kernel, instant: Kernel, actuators: int, substeps: int, perio
 
     def step(commands, y, p, queue, acting, work, counters, late):
         copy(commands, queue[queue.shape[0] - 1], actuators)
-        move(instant(counters[INDEX]), y, queue, late, p, period, substeps, acting, work)
+        move(instant(counters[INDEX]), y, UnderWay(queue, late), p, period, substeps, acting, work)
         count(counters)
 
     return step

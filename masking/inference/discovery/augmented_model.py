@@ -21,6 +21,7 @@ from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import jacobian
 from masking.compile.numerics.arrays import Array, IntVector
 from masking.compile.numerics.effect_table import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
+from masking.compile.numerics.kernel_arguments import Course, Pieces
 from masking.compile.numerics.rig_sizes import PortSizes, whole_lanes
 from masking.control.rig.twin import LoweredTwin, Twin
 from masking.inference.discovery import compiled_laws as laws
@@ -475,15 +476,15 @@ class AugmentedModel:
             dt: time between samples, s.
             by: indices of these parameters.
         """
-        values, span = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)]), (len(x), dt, laws.pieces(x, rate, dt))
+        values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
-        x, rate = np.ascontiguousarray(x), np.ascontiguousarray(rate)
+        span, course = Pieces(len(x), dt, laws.pieces(x, rate, dt)), Course(*map(np.ascontiguousarray, (x, rate)))
         parts = [(self._number(instance), 1.0)]
         if instance.entry.attaches != "beside":
             parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
         total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
         for number, factor in parts:
-            self.kernels.along(*span, number, bool(instance.entry.states), x, rate, parameters, values, features)
+            self.kernels.along(span, number, bool(instance.entry.states), course, parameters, values, features)
             total += factor * features
         return total
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
@@ -123,12 +124,16 @@ class EstimationProblem:
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         late = given.late / self.dt
         status = rig.kernels.run(
-            len(record), self.dt, self.substeps, self.interval_samples, is_first_order(record.hold), rig.sizes.table, k,
-            np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives, p,
-            *terms(rig.equations, basis), given.table, given.estimated, given.values, given.support, given.acting,
-            record.late + late, given.late_columns, record.commands, record.counted(late), self.weights, matrices,
-            gradients, squares, simulated,
-        )  # fmt: skip
+            Steps(len(record), self.dt, self.substeps, is_first_order(record.hold)),
+            self.interval_samples,
+            Shooting(k, np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives),
+            AugmentedArrays(
+                *(rig.sizes.table, p, *terms(rig.equations, basis), given.table, given.estimated, given.values),
+                *(given.support, given.acting, record.late + late, given.late_columns, np.empty(len(late))),
+            ),
+            Readings(record.commands, record.counted(late), self.weights),
+            Sums(matrices, gradients, squares, simulated),
+        )
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
             raise IntegrationError("the simulated motion is no longer finite")
         matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)

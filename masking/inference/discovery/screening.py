@@ -16,6 +16,7 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array, IntVector
+from masking.compile.numerics.kernel_arguments import Blocks, KnownMotion, Sources
 from masking.compile.numerics.least_squares import System
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws
@@ -345,11 +346,14 @@ class Screen:
         self.work.add(self.blocks * every, many)
         is_direct = bool(rig.equations.meta["depends"][1])
         rig.kernels.respond(
-            self.blocks * every, self.thin / record.rate, every, self.interval_samples, is_direct,
-            at.astype(np.int64),
-            np.full(many, -1) if initial is None else initial, self._states, self._commands, p,
-            np.ascontiguousarray(features), found,
-        )  # fmt: skip
+            Blocks(self.blocks * every, self.thin / record.rate, every, self.interval_samples),
+            is_direct,
+            Sources(at.astype(np.int64), np.full(many, -1) if initial is None else initial),
+            KnownMotion(self._states, self._commands),
+            p,
+            np.ascontiguousarray(features),
+            found,
+        )
         return found.reshape(self.blocks, sensors, many)
 
     def _means(self, table: Array, every: int = 0) -> Array:

@@ -18,6 +18,7 @@ from scipy import linalg
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.kernel_arguments import LatentRig, Steps
 from masking.compile.numerics.steady_kalman import discretised, steady_filter
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel
@@ -136,9 +137,13 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     p, _ = rig.basis(theta)
     acting = np.ascontiguousarray(record.acting)
     status = rig.kernels.follow(
-        len(record), problem.dt, problem.substeps, is_first_order(record.hold), rig.latent, x, p.copy(), gains.forward,
-        gains.kept, acting, record.readings, states, predicted,
-    )  # fmt: skip
+        Steps(len(record), problem.dt, problem.substeps, is_first_order(record.hold)),
+        LatentRig(rig.latent, x, p.copy(), gains.forward, gains.kept),
+        acting,
+        record.readings,
+        states,
+        predicted,
+    )
     if status or not np.isfinite(states).all():
         raise IntegrationError("the record cannot be followed: the motion is no longer finite")
     sensed = np.empty_like(record.readings)

@@ -24,6 +24,7 @@ import numpy as np
 
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.kernel_arguments import Filtered, FilteredTwin, FilterRecord, FilterSteps
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.compile.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.control.rig.twin import Twin
@@ -297,13 +298,16 @@ class _Run:
                 p, basis = self._basis(theta)
             while at < end:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
+                moved_by = terms(sensing.equations, basis)[:2]
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
                 status, at = kernel(
-                    at, end - at, 1.0 / record.rate, substeps, is_linear, self.settings.iterated,
-                    sensing.sizes.coordinates, affected, y, theta, p, basis, *terms(sensing.equations, basis)[:2],
-                    matrix, derivatives, acting, readings, self.r, self.q, table, self.states, self.estimates,
-                    self.noises,
-                )  # fmt: skip
+                    FilterSteps(at, end - at, 1.0 / record.rate, substeps, is_linear, self.settings.iterated),
+                    FilteredTwin(sensing.sizes.coordinates, affected, y, theta, p, basis, *moved_by),
+                    matrix,
+                    derivatives,
+                    FilterRecord(acting, readings, self.r, self.q, table),
+                    Filtered(self.states, self.estimates, self.noises),
+                )
                 if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._remedy(status, at, len(theta)))
                 if status == LINEARISE:

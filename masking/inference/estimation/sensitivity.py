@@ -23,6 +23,7 @@ from masking.compile.codegen.native import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
 from masking.compile.numerics.arrays import Array, IntMatrix
+from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, RigSizes, whole_lanes
 from masking.control.rig.twin import LoweredTwin, Twin
 from masking.errors import IntegrationError, ModelError, nearest
@@ -282,11 +283,12 @@ class Sensitivity:
             np.zeros((COLUMN_ROWS * states, whole_lanes(size))),
         )
         status = self.kernels.normal(
-            count, 1.0 / record.rate, substeps, is_first_order(record.hold), self.sizes.coordinates, len(self.names),
-            np.arange(states), np.array([start], dtype=float), y, derivatives, p, *terms(self.equations, columns),
-            record.late, record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float), matrix,
-            gradient, squares, simulated,
-        )  # fmt: skip
+            Steps(count, 1.0 / record.rate, substeps, is_first_order(record.hold)),
+            Shooting(len(self.names), np.arange(states), np.array([start], dtype=float), y, derivatives),
+            TwinArrays(p, *terms(self.equations, columns), self.sizes.coordinates, record.late),
+            Readings(record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float)),
+            Sums(matrix, gradient, squares, simulated),
+        )
         if status:
             raise IntegrationError("the simulated motion is no longer finite")
         matrix = symmetric(matrix)

@@ -23,6 +23,7 @@ from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST, TIME
+from masking.compile.numerics.kernel_arguments import Guarded, Watched
 from masking.errors import PlantMismatchError
 
 if TYPE_CHECKING:
@@ -245,15 +246,14 @@ class Chain:
         sent, seen = np.zeros((len(past), channels)), np.zeros((sensed, safety_tables.SEEN_COLUMNS))
         seen[:, safety_tables.FINEST] = np.inf
         known = np.zeros(rules.estimated.shape[1]) if estimate is None else estimate
-        self._watch = kernels().watch.bind(
-            self._missed, h, self._values, known, _whole(rules.readings), seen, _whole(rules.motion), past, sent,
-            _whole(rules.limits), _whole(rules.weights), _whole(rules.estimated), np.zeros((channels, 2)), self._counts,
-            settings, self._found,
-        )  # fmt: skip
-        self._guard = kernels().guard.bind(
-            h, self._demanded, self.applied, _whole(rules.commands), np.zeros((channels, BUCKETS + 1)), sent,
-            self._counts, settings, self._found,
-        )  # fmt: skip
+        reaction, energy, counts = np.zeros((channels, 2)), np.zeros((channels, BUCKETS + 1)), self._counts
+        watched = Watched(
+            *(_whole(rules.readings), seen, _whole(rules.motion), past, sent, _whole(rules.limits)),
+            *(_whole(rules.weights), _whole(rules.estimated), reaction, counts, settings, self._found),
+        )
+        guarded = Guarded(_whole(rules.commands), energy, sent, counts, settings, self._found)
+        self._watch = kernels().watch.bind(self._missed, h, self._values, known, watched)
+        self._guard = kernels().guard.bind(h, self._demanded, self.applied, guarded)
 
     def _settings(self) -> NDArray[np.int64]:
         rules, rate = self.rules, self.rules.rate

@@ -14,8 +14,9 @@ from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
-from masking.compile.codegen.compiled_functions import Kernels, steps_between
+from masking.compile.codegen.compiled_functions import InPieces, Kernels, steps_between
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.kernel_arguments import Recorded, Rig, Samples, States, Unit
 from masking.compile.numerics.newton import root
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import Controller
@@ -139,7 +140,7 @@ def continuous_chunks(
         times = instants(begin, min(begin + starts.step, rows))
         found = integrate(
             loop.kernels, np.concatenate([before, times]), y, inputs, p,
-            schedule=schedule, tolerance=tolerance, progress=_within(progress, begin, len(times), rows), pieces=PIECES,
+            schedule=schedule, tolerance=tolerance, pieces=InPieces(PIECES, _within(progress, begin, len(times), rows)),
         )  # fmt: skip
         states = found.states[len(before) :]
         y, before = states[-1, : len(state)].copy(), times[-1:]
@@ -200,7 +201,7 @@ def sampled_chunks(
         if schedule is not None:
             schedule.set(begin / rate * (1.0 + 1e-12), p)
         status, done, first = loop.kernels.run_sampled(
-            begin, count, 1.0 / rate, substeps, every, y, u, p, first, out_y[row:], out_u[row:]
+            Samples(begin, count, 1.0 / rate, substeps, every), y, u, p, first, States(out_y[row:], out_u[row:])
         )
         check_status(loop.kernels, status, (begin + done) / rate, y, mend)
         if progress is not None:
@@ -283,9 +284,13 @@ def twin_chunks(
         noise = np.concatenate([noise, more]) if len(noise) else more
         row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
         status, done, first = kernels.run(
-            begin, count, 1.0 / rate, substeps, every, y, memory.x, p, memory.p, sampled.gain, sampled.limits, queue,
-            late, noise, first, *(table[row:] for table in out),
-        )  # fmt: skip
+            Samples(begin, count, 1.0 / rate, substeps, every),
+            Rig(y, p, queue, late),
+            Unit(memory.x, memory.p, sampled.gain, sampled.limits),
+            noise,
+            first,
+            Recorded(*(table[row:] for table in out)),
+        )
         check_status(kernels, status, (begin + done) / rate, y, mend)
         noise = noise[:0]
         if progress is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, Self, TypeAlias
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen.compiled_functions import Kernels, Trajectory
+from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, Trajectory
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.model.declaration import schema
@@ -148,8 +148,7 @@ def integrate(
     *,
     schedule: Schedule | None,
     tolerance: float,
-    progress: Callable[[float], None] | None = None,
-    pieces: int = 1,
+    pieces: InPieces = WHOLE,
 ) -> Trajectory:
     """Integrate compiled dynamics whose parameters change at instants, from one to the next.
 
@@ -160,9 +159,7 @@ def integrate(
     """
     times = np.ascontiguousarray(times, dtype=float)
     if schedule is None or not len(schedule.where):
-        return kernels.integrate(
-            times, state, inputs, parameters, tolerance=tolerance, progress=progress, pieces=pieces
-        )
+        return kernels.integrate(times, state, inputs, parameters, tolerance=tolerance, pieces=pieces)
     if np.any(np.diff(times) < 0.0):
         raise ModelError("inputs that are series are followed forwards in time; give times that increase")
     p, y, steps = parameters.copy(), np.array(state, dtype=float), 0
@@ -182,8 +179,8 @@ def integrate(
         states[row:last] = found.states[1:-1]
         events += found.events
         y, begin, row, steps = found.states[-1].copy(), float(end), last, steps + found.steps
-        if progress is not None:
-            progress(done / len(ends))
+        if pieces.progress is not None:
+            pieces.progress(done / len(ends))
     names, internal = kernels.meta["coordinates"], kernels.meta.get("states", ())
     return Trajectory(times, states, tuple(names), steps, tuple(internal), tuple(events))
 

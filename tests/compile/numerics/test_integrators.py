@@ -10,6 +10,7 @@ import scipy.special
 from scipy.integrate._ivp import dop853_coefficients as theirs
 
 from masking.compile.codegen import store
+from masking.compile.codegen.compiled_functions import InPieces
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.source import Module
 from masking.compile.numerics import dop853, integrators, taylor_integrator
@@ -314,7 +315,7 @@ class TestGivingUp:
     def test_pieces_make_no_difference_beyond_the_tolerance(self, testbed, method):
         times, done = np.linspace(0.0, 10.0, 101), []
         whole = self.run(testbed, method, times, [2.0, 0.0], parameters(k=1))
-        parts = self.run(testbed, method, times, [2.0, 0.0], parameters(k=1), pieces=7, progress=done.append)
+        parts = self.run(testbed, method, times, [2.0, 0.0], parameters(k=1), pieces=InPieces(7, done.append))
         np.testing.assert_allclose(parts.states, whole.states, atol=1e-10)
         assert len(done) == 7
         assert done == sorted(done)

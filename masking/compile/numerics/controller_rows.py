@@ -1,0 +1,20 @@
+"""Rows of the work space of a sampled controller."""
+
+from __future__ import annotations
+
+# A state, the accelerations that the model lacks, and at the beginning, the middle and the end of a sample the inputs
+# and the accelerations; at its beginning and end the parts of these that inputs give; the velocities that are wanted.
+STATE, LACKING, EARLY_INPUTS, MIDDLE_INPUTS, LATE_INPUTS, EARLY, MIDDLE, LATE, EARLY_PART, LATE_PART, WANTED = range(11)
+# The estimate when the inputs begin to act, inputs, the four slopes of a step and the state of one, expected readings.
+AHEAD, INPUTS, SLOPES, STAGE, EXPECTED = 11, 12, 13, 17, 18
+SENSED, DEMANDED, APPLIED = range(19, 22)  # of the rig
+# Rates of the state at the beginning and the end of a sample; the balance's motion and its momentum.
+EARLY_RATES, LATE_RATES, BALANCED, MOMENTUM = range(22, 26)
+WITHOUT_MEMORY = 26
+# With internal states or delays of the virtual system: the state before, then the rows of `virtual_memory`.
+BEFORE, MEMORY = 26, 27
+MEMORY_SLOPES, MEMORY_STAGE, MEMORY_BEFORE, CONDITIONS, BELOW, COUNTS, TOTAL = 1, 5, 6, 7, 8, 9, 10
+WITH_MEMORY = MEMORY + MEMORY_STAGE + 1
+# With events: these, and the mean jump.
+JUMPED = MEMORY + TOTAL + 1
+WITH_EVENTS = JUMPED + 1
