@@ -19,6 +19,7 @@ from tests.benchmarks.mujoco_records import generate, mjcf, motion
 pytest.importorskip("mujoco", reason="MuJoCo is not installed here; the extra `dev` brings it")
 
 CASES = {f"{case.effect}@{case.at}": case for case in mujoco_records.cases()}
+QUICK = {"@", "dry_friction@spring1", "parameter@w1", "saturation@V3"}
 SHARP = 2e-5  # m/s: so that tanh(v/vs) is nearly the sign
 
 
@@ -42,37 +43,32 @@ def test_two_engines_move_the_same_rig_alike():
     assert max(simulate(twin, running.data(record, "MuJoCo")).chi.values()) < 1e-6
 
 
-@pytest.fixture(scope="module")
-def laws():
-    """Return commands, motion by the laws in numpy, and motion without what is hidden (samples, 3), by case."""
-    u = told(CASES.values(), 3.0)
-    values, effects = zip(*map(law, CASES.values()), strict=True)
-    moved = Batch(Rigs(np.array(values)), effects).motion(u)
-    without = linear_response(Rigs(np.array([rig_of(case, off=False) for case in CASES.values()])), u)
-    return {name: (u[:, :, i], moved[:, :, i], without[:, :, i]) for i, name in enumerate(CASES)}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_what_is_hidden_moves_the_rig_as_its_law_says(laws, name):
-    u, moved, without = laws[name]
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.search) for name in CASES]
+)
+def test_what_is_hidden_moves_the_rig_as_its_law_says(name):
+    case = CASES[name]
+    u, (values, effects) = told([case], 3.0), law(case)
+    moved = Batch(Rigs(np.array([values])), [effects]).motion(u)[:, :, 0]
+    without = linear_response(Rigs(np.array([rig_of(case, off=False)])), u)[:, :, 0]
     size = np.sqrt((without**2).mean(axis=0))
-    error, effect = (
-        np.sqrt((x**2).mean(axis=0)) / size for x in (motion(mjcf(CASES[name]), u) - moved, moved - without)
-    )
+    by_mujoco = motion(mjcf(case), u[:, :, 0])
+    error, effect = (np.sqrt((x**2).mean(axis=0)) / size for x in (by_mujoco - moved, moved - without))
     assert (error < 0.01 * effect + 1e-9).all()
-    assert effect.max() > 0.01 or not CASES[name].effect
+    assert effect.max() > 0.01 or not case.effect
 
 
 @pytest.mark.parametrize(
     "name",
     [
         pytest.param("dry_friction@spring1", id="friction loss"),
-        pytest.param("parameter@w1", id="stiffness", marks=pytest.mark.search),
-        pytest.param("parameter@z2", id="damping", marks=pytest.mark.search),
-        pytest.param("saturation@V3", id="control range", marks=pytest.mark.search),
-        pytest.param("@", id="nothing", marks=pytest.mark.search),
+        pytest.param("parameter@w1", id="stiffness"),
+        pytest.param("parameter@z2", id="damping"),
+        pytest.param("saturation@V3", id="control range"),
+        pytest.param("@", id="nothing"),
     ],
 )
+@pytest.mark.search
 def test_discovery_finds_what_mujoco_hides(name):
     ((case, train, valid),) = generate([CASES[name]], 20.0, 20.0)
     answer = scoring.answer(running.discovered(case, train, valid)["answer"])

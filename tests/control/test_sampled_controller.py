@@ -54,13 +54,17 @@ def wanted(q, v):
     return LENGTH * OMEGA**2 * duffing(q / LENGTH, v / (LENGTH * OMEGA))
 
 
+@cache
+def duffing_motion(eta, rate, end):
+    return solve_ivp(
+        lambda _, y: np.concatenate([y[3:], duffing(y[:3], y[3:])]),
+        (0.0, end), [*eta, *rate], "DOP853", dense_output=True, rtol=1e-12, atol=1e-15,
+    ).sol  # fmt: skip
+
+
 def ideal(tau, eta=START, rate=(0.0, 0.0, 0.0)):
     """The Duffing oscillators by themselves, (m, 3)."""
-    found = solve_ivp(
-        lambda _, y: np.concatenate([y[3:], duffing(y[:3], y[3:])]),
-        (0.0, tau[-1]), [*eta, *rate], "DOP853", t_eval=tau, rtol=1e-12, atol=1e-15,
-    )  # fmt: skip
-    return found.y[:3].T
+    return duffing_motion(tuple(eta), tuple(rate), max(60.0, tau[-1]))(tau)[:3].T
 
 
 def relative(found, reference):

@@ -12,6 +12,7 @@ from masking.model.declaration import catalogue, registry
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted((EXAMPLES / "scripts").glob("*.py"))
 SHORT = 30.0  # longer than the slowest period of any of them
+STUDIES = {"09_silverbox", "10_discover_and_refine", "12_stability"}  # of half a minute each
 
 
 @pytest.mark.parametrize("path", catalogue.files("experiment").values(), ids=lambda path: path.stem)
@@ -32,10 +33,7 @@ def test_each_experiment_is_found_by_its_name():
 
 @pytest.mark.parametrize(
     "path",
-    [
-        pytest.param(path, id=path.stem, marks=pytest.mark.search if path.stem == "10_discover_and_refine" else ())
-        for path in SCRIPTS
-    ],
+    [pytest.param(path, id=path.stem, marks=pytest.mark.search if path.stem in STUDIES else ()) for path in SCRIPTS],
 )
 def test_script_runs(path):
     runpy.run_path(str(path), run_name="__main__")

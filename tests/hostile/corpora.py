@@ -11,7 +11,7 @@ from typing import Any
 from tests.hostile import binaries, declarations, judge, texts
 from tests.hostile.cases import RecordCase
 
-SAMPLE = 7  # one in so many
+SAMPLE = 21  # one in so many
 
 
 def of(kind: str, is_sample: bool) -> list[Any]:

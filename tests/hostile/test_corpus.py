@@ -136,7 +136,7 @@ def test_the_harmless_neighbours_are_read():
 
 
 @pytest.mark.parametrize(("kind", "least"), [("records", 1000), ("declarations", 1500)])
-def test_one_in_seven_of_the_corpus(kind, least):
+def test_one_in_some_of_the_corpus(kind, least):
     """Nothing is executed, read wrongly, ends in a traceback, or takes more than 10 s or 1 GiB.
 
     All of it: `python -m tests.benchmarks.hostile`.

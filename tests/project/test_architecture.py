@@ -103,7 +103,17 @@ FORBIDDEN_CALLS = {"eval", "exec", "compile", "sympify", "parse_expr", "parse_la
 
 FILES = sorted(ROOT.rglob("*.py"))
 MODULES = {".".join(p.relative_to(ROOT.parent).with_suffix("").parts).removesuffix(".__init__") for p in FILES}
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+class Trees(dict[Path, ast.Module]):
+    """The parsed text of each file, once it is asked for."""
+
+    def __missing__(self, path: Path) -> ast.Module:
+        self[path] = found = ast.parse(path.read_text(encoding="utf-8"))
+        return found
+
+
+TREES = Trees()
 
 
 def folder_of(parts: tuple[str, ...] | list[str]) -> str:
@@ -294,7 +304,7 @@ def test_packages_that_are_imported_are_declared_and_have_a_version():
     needed = {normal(line) for line in project["dependencies"]}
     optional = {normal(line) for lines in project["optional-dependencies"].values() for line in lines}
     lines = (ROOT.parent / "constraints.txt").read_text().splitlines()
-    roots = {name.partition(".")[0] for tree in TREES.values() for name in named(tree)}
+    roots = {name.partition(".")[0] for path in FILES for name in named(TREES[path])}
     known = packages_distributions()
     imports = {normal(known[root][0]) for root in roots - sys.stdlib_module_names - {"masking"} if root in known}
     assert needed <= imports <= needed | optional | BROUGHT.keys()

@@ -1,6 +1,7 @@
 """Energy certificates: the theorems of the thesis, and what must not be certified."""
 
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,12 @@ from masking.model.modelling.model import load_model
 def load(name, **values):
     model = load_model(name).with_parameters(**values)
     return model.dimensionless() if model.declaration.scales else model
+
+
+@cache
+def certified(name):
+    """Return the certificate of a packaged model."""
+    return certificate(load(name))
 
 
 def relations(found):
@@ -54,7 +61,7 @@ def test_the_energy_is_lost_in_the_beam_alone(name):
 
 @pytest.mark.parametrize("name", ANTI_PHASE)
 def test_every_motion_ends_in_anti_phase(name):
-    found = certificate(load(name))
+    found = certified(name)
     assert found.status == "proved"
     assert found.dissipation.status == "proved"
     assert found.boundedness.is_shown
@@ -67,7 +74,7 @@ def test_every_motion_ends_in_anti_phase(name):
 @pytest.mark.parametrize("name", ["huygens", "huygens_lagrangian", "pendula"])
 def test_pendulum_clocks_end_in_anti_phase_or_with_one_of_them_upside_down(name):
     """Theorem 9.1 as printed leaves out two equilibria: one pendulum at rest below, the other above."""
-    found = certificate(load(name))
+    found = certified(name)
     assert found.status == "proved"
     assert relations(found) == [{"th1 + th2", "th1' + th2'", "x", "x'"}]
     places = {(p.position["th1"], p.position["th2"], p.position["x"]) for p in found.others}
@@ -86,25 +93,25 @@ def test_the_two_equilibria_of_the_clocks_are_states_of_rest_off_the_manifold():
 
 
 def test_oscillators_that_differ_die_out():
-    found = certificate(load("setup_undamped"))
+    found = certified("setup_undamped")
     assert found.status == "proved"
     assert relations(found) == [{"x1", "x2", "x3", "x1'", "x2'", "x3'"}]
     assert "w1 - w2 != 0" in found.hypotheses  # where they are equal, anti-phase stays
 
 
 def test_a_set_up_that_is_damped_everywhere_comes_to_rest():
-    found = certificate(load("setup"))
+    found = certified("setup")
     forms = {str(s.form) for s in found.dissipation.squares}
     assert forms == {"x1' - x3'", "x2' - x3'", "x3'"}
     assert relations(found) == [{"x1", "x2", "x3", "x1'", "x2'", "x3'"}]
 
 
 def test_equal_parameters_are_one_symbol_and_hypotheses_are_told():
-    found = certificate(load("duffing"))
+    found = certified("duffing")
     assert "w1 = w2 = w > 0" in found.hypotheses
     assert "th1 = th2 = th > 0" in found.hypotheses
-    assert not any(text.startswith(("c1", "nu")) for text in certificate(load("setup_identical")).hypotheses)
-    assert certificate(load("huygens")).hypotheses[-1] == "mu <= 1"
+    assert not any(text.startswith(("c1", "nu")) for text in certified("setup_identical").hypotheses)
+    assert certified("huygens").hypotheses[-1] == "mu <= 1"
 
 
 def test_the_argument_of_conjecture_8_1():
@@ -144,7 +151,9 @@ def test_conjecture_8_1_does_not_hold_for_strong_gravity():
     assert away[run.t > 1950].max() < 0.5 * away[run.t < 50].max() < 0.1
 
 
-@pytest.mark.parametrize("nu", [0.1, 0.7004, 1.2, 1.6])
+@pytest.mark.parametrize(
+    "nu", [0.1, 1.6, pytest.param(0.7004, marks=pytest.mark.search), pytest.param(1.2, marks=pytest.mark.search)]
+)
 def test_conjecture_8_1_holds_for_weak_gravity(nu):
     found = certificate(load("discs_eccentric", nu1=nu, nu2=nu))
     assert found.others == ()
@@ -178,7 +187,12 @@ def hung_up(declared, springs, masses):
         ([2, 2], [3, 4], {"x1", "x2", "y", "x1'", "x2'", "y'"}),
         # Two pairs of equal springs: each pair is a symbol of its own.
         ([2, 2, 5, 5], [1, 1, 1, 1], {"x1 + x2", "x3 + x4", "x1' + x2'", "x3' + x4'", "y", "y'"}),
-        ([2, 2, 2, 2, 2], [1] * 5, {"x1 + x2 + x3 + x4 + x5", "x1' + x2' + x3' + x4' + x5'", "y", "y'"}),
+        pytest.param(
+            [2, 2, 2, 2, 2],
+            [1] * 5,
+            {"x1 + x2 + x3 + x4 + x5", "x1' + x2' + x3' + x4' + x5'", "y", "y'"},
+            marks=pytest.mark.search,
+        ),
     ],
 )
 def test_each_parameter_is_its_own_whatever_the_order_of_the_declaration(declared, springs, masses, stays):
@@ -485,10 +499,10 @@ def hung(declared, names, stiffness):
     ("names", "stiffness"),
     [
         (("x", "y", "z"), "K"),
-        (("x", "y", "z"), "c"),
-        (("K", "y", "c"), "k"),
         (("c", "K", "z"), "k"),
-        (("a0", "a1", "a2"), "k"),
+        pytest.param(("x", "y", "z"), "c", marks=pytest.mark.search),
+        pytest.param(("K", "y", "c"), "k", marks=pytest.mark.search),
+        pytest.param(("a0", "a1", "a2"), "k", marks=pytest.mark.search),
     ],
 )
 def test_constants_of_the_argument_have_names_of_their_own(declared, names, stiffness):

@@ -20,7 +20,7 @@ from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import simulate
 from masking.lab.records import readers
 from masking.lab.records.recording import Recording
-from masking.reports import discovery_page
+from masking.reports import discovery_figures, discovery_page
 from masking.reports.discovery_files import Origin
 from tests.benchmarks import hidden
 
@@ -134,6 +134,7 @@ def test_files_load_again_and_close_the_gap(discovered, folder):
     assert "masking discover" in twin.base.source
 
 
+@pytest.mark.search
 def test_an_effect_of_an_actuator_is_the_plants(discovered):
     _, told = discovered("saturation")
     assert [one.problems for one in masking.check(told["model"], told["plant"])] == [(), ()]
@@ -177,7 +178,8 @@ def test_page_says_what_helps(discovered, folder):
 
 def test_command_line(folder, capsys):
     record = folder / "none"
-    where = [str(record / "train"), "--validate", str(record / "valid"), "--plant", str(folder / "plant.yaml")]
+    parts = [f"{record / 'train'}@:6", "--validate", f"{record / 'valid'}@:6"]
+    where = [*parts, "--plant", str(folder / "plant.yaml")]
     assert main(["discover", *where, "--out", str(folder / "cli"), "--json", str(folder / "told.json")]) == 0
     assert "Nothing is missing" in capsys.readouterr().out
     assert json.loads((folder / "told.json").read_text())["verdict"] == "none"
@@ -185,8 +187,10 @@ def test_command_line(folder, capsys):
     assert "hold no parameter 'z9'" in json.loads(capsys.readouterr().out)["error"]
 
 
-def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder):
+def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder, monkeypatch):
     (found, _), (other, _), out = discovered("friction"), discovered("none"), folder / "twice"
+    drawn = {id(one): discovery_figures.figures(one) for one in (found, other)}
+    monkeypatch.setattr(discovery_figures, "figures", lambda one: drawn[id(one)])
     discovery_page.save(found, out, Origin({}))
     (out / "models" / "mine.yaml").write_text("name: mine")
     discovery_page.save(other, out, Origin({}))

@@ -105,6 +105,7 @@ def test_friction_that_turns_round_fast_is_simulated_in_finer_steps(discovered):
     assert found.problem.substeps > 1
 
 
+@pytest.mark.search
 def test_a_command_that_is_one_slow_sample_behind_is_a_delay(tmp_path):
     """Fitted without the delay, the mass is so wrong that screens put a lag and a delay of the sensor before it.
 
@@ -171,6 +172,7 @@ def shaken(folder, rates, seed, model=DAMPER):
     return masking.discover(folder / "record.npz", model=folder / "model.yaml", out=folder / "out")
 
 
+@pytest.mark.search
 def test_a_law_that_takes_the_element_away_is_that_law_instead_of_it(tmp_path):
     """The spring and damper that are declared are a Maxwell element, 1.5 times as stiff: nothing holds the mass."""
     stiffness, tau = 1350.0, 0.03
@@ -203,7 +205,14 @@ def test_no_parameter_is_named_where_a_fit_ended_elsewhere_and_none_is_far_off(t
     assert wrong_parameters.several(found.problem, elsewhere, []) == []
 
 
-@pytest.mark.parametrize("known", [("m",), ("m", "c"), ("m", "k", "c")])
+@pytest.mark.parametrize(
+    "known",
+    [
+        pytest.param(("m",), marks=pytest.mark.search),
+        pytest.param(("m", "c"), marks=pytest.mark.search),
+        ("m", "k", "c"),
+    ],
+)
 def test_parameters_without_uncertainty_stay_as_they_are(tmp_path, known):
     """The spring is a tenth stiffer than declared; where its stiffness is known, another spring is beside it."""
     model = DAMPER
@@ -274,7 +283,7 @@ elements:
 """
 
 
-@pytest.mark.parametrize("drag", [300.0, 60.0])
+@pytest.mark.parametrize("drag", [300.0, pytest.param(60.0, marks=pytest.mark.search)])
 def test_strong_damping_is_found_in_a_free_decay_of_which_one_of_two_masses_is_seen(tmp_path, drag):
     """The parameters of the model alone would run to a tenth of their values, since masses have no scale here."""
     times, rng = np.arange(3000) / 100.0, np.random.default_rng(17)

@@ -6,7 +6,6 @@ import os
 import resource
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -26,6 +25,7 @@ from masking.lab.runs import hardware, loop_rows
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import StreamedRows
 from tests.lab.runs.test_hardware import compiled, recovered, written
+from tests.support.forked import Forked
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +213,7 @@ hardware.run(made, SimulatedPlant(made.twin), stream=sys.argv[2])
 def test_of_a_run_that_is_killed_nothing_is_lost(tmp_path, both):
     compiled("linear_rig")
     path, folder = written(tmp_path, controller={"homing": 0.2}, duration=500), tmp_path / "run"
-    with subprocess.Popen([sys.executable, "-c", RUN, str(path), str(folder)]) as started:
+    with Forked([path, folder], RUN) as started:
         until = time.monotonic() + 60.0
         while not (folder / stream.ROWS).exists() or (folder / stream.ROWS).stat().st_size < 200_000:
             assert time.monotonic() < until

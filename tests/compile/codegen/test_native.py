@@ -126,16 +126,37 @@ def number():
 made = store.load("1.5", number)
 assert made.function("f")(0.0) == 1.5
 assert made.module().f.py_func(0.0) == 1.5
-print(json.dumps([str(made.path), made.objects["f"]]))
 """
 
 
-def child(cache, **more):
-    """Run a process that calls a kept function; return its output and what it said."""
+def process(cache, **more):
+    """Run a process that calls a kept function; return what it said."""
     environment = {**os.environ, "MASKING_CACHE": str(cache), **more}
     done = subprocess.run([sys.executable, "-c", CHILD], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout, done.stderr.splitlines()
+    return done.stderr.splitlines()
+
+
+@pytest.fixture
+def child(tmp_path, monkeypatch, capfd):
+    """Return a function that does the same in this process as if it were new, and gives what was said."""
+    monkeypatch.setattr(native, "_libraries", {})
+    monkeypatch.setattr(native, "_linker", cache(native._linker.__wrapped__))
+    monkeypatch.setattr(trusted_files, "_told", set())
+
+    def call(place):
+        monkeypatch.setenv("MASKING_CACHE", str(place))
+        monkeypatch.setattr(trusted_files, "_private", cache(trusted_files._private.__wrapped__))
+        native._libraries.clear()
+        native._linker.cache_clear()
+        trusted_files._told.clear()
+        for name in [name for name in sys.modules if name.startswith("masking_generated_")]:
+            monkeypatch.delitem(sys.modules, name)
+        capfd.readouterr()
+        exec(CHILD, {})  # noqa: S102  (the text of a process)
+        return capfd.readouterr().err.splitlines()
+
+    return call
 
 
 def own(file):
@@ -163,61 +184,63 @@ SPOILS = {
 
 
 @pytest.mark.parametrize(("spoil", "words"), SPOILS.values(), ids=SPOILS)
-def test_machine_code_and_text_that_may_not_be_trusted_are_made_anew(tmp_path, spoil, words):
+def test_machine_code_and_text_that_may_not_be_trusted_are_made_anew(tmp_path, child, spoil, words):
     child(tmp_path)
     for folder in ("modules", "texts", "objects"):
         (file,) = (tmp_path / folder).iterdir()
         assert own(file)
         spoil(file)
-        _, said = child(tmp_path)
-        assert len(said) == 1
-        assert said[0].startswith(f"masking: {file} ")
-        assert words in said[0]
+        (said,) = child(tmp_path)
+        assert said.startswith(f"masking: {file} ")
+        assert words in said
         assert own(file)
-        assert not child(tmp_path)[1]
+        assert not child(tmp_path)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-def test_files_of_another_user_are_not_executed(tmp_path):
+def test_files_of_another_user_are_not_executed(tmp_path, child):
     child(tmp_path)
     for folder in ("modules", "texts", "objects"):
         (file,) = (tmp_path / folder).iterdir()
         os.chown(file, 1234, 1234)
-        _, (said,) = child(tmp_path)
+        (said,) = child(tmp_path)
         assert said == f"masking: {file} is not executed: it belongs to another user; it is made anew"
         assert file.stat().st_uid == 0
     os.chown(tmp_path / "objects", 1234, 1234)
-    _, said = child(tmp_path)
+    said = child(tmp_path)
     assert "its folder belongs to another user; it is made anew" in said[0]
     assert "(the folder belongs to another user): they are kept in" in said[1]
 
 
-def test_a_folder_that_others_may_write_into_is_closed_to_them(tmp_path):
+def test_a_folder_that_others_may_write_into_is_closed_to_them(tmp_path, child):
     child(tmp_path)
     (tmp_path / "objects").chmod(0o777)
-    _, (said,) = child(tmp_path)
+    (said,) = child(tmp_path)
     assert "is not executed: other users may write into its folder; it is made anew" in said
     assert stat.S_IMODE((tmp_path / "objects").stat().st_mode) == 0o755
-    assert not child(tmp_path)[1]
+    assert not child(tmp_path)
 
 
-def test_compiled_python_beside_a_text_is_not_executed(tmp_path):
+def test_compiled_python_beside_a_text_is_not_executed(tmp_path, child):
     child(tmp_path)
     (text,) = (tmp_path / "texts").iterdir()
     python = text.with_suffix(".py")
     python.write_text("raise SystemExit(1)")
     py_compile.compile(str(python))
-    assert not child(tmp_path)[1]
+    assert not child(tmp_path)
 
 
-def test_where_files_cannot_be_written_they_go_to_a_private_folder(tmp_path):
+def test_where_files_cannot_be_written_they_go_to_a_private_folder(tmp_path, child):
     (tmp_path / "file").write_text("")
     (tmp_path / "here").mkdir()
-    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere"), Path("/dev/full")):
-        _, (said,) = child(place, TMPDIR=str(tmp_path / "here"))
+    places = tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere"), Path("/dev/full")
+    for place in places:
+        (said,) = child(place)
         assert said.startswith(f"masking: generated files cannot be kept in {place} (")
         assert said.endswith(" until this process ends")
-        assert not [*(tmp_path / "here").iterdir()]
+        assert [*trusted_files._private().rglob("*.o")]
+    assert process(places[0], TMPDIR=str(tmp_path / "here"))
+    assert not [*(tmp_path / "here").iterdir()]
 
 
 def test_without_any_place_machine_code_is_made_anew(tmp_path, monkeypatch, capsys):
@@ -242,14 +265,14 @@ def test_without_any_place_machine_code_is_made_anew(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     "code", [lambda code: code[:18] + b"\xff" + code[19:], lambda code: b"text", lambda code: code[:999]]
 )
-def test_machine_code_of_another_processor_is_made_anew(tmp_path, code):
+def test_machine_code_of_another_processor_is_made_anew(tmp_path, child, code):
     """Sealed as ours, but not for this processor, no machine code, or cut off before it was sealed."""
     child(tmp_path)
     (file,) = (tmp_path / "objects").iterdir()
     write_sealed(file, code(read_sealed(file)))
-    (said,) = (line for line in child(tmp_path)[1] if line.startswith("masking: "))  # the linker writes, too
+    (said,) = (line for line in process(tmp_path) if line.startswith("masking: "))  # the linker writes, too
     assert said.startswith(f"masking: {file} is no machine code of this processor (")
-    assert not child(tmp_path)[1]
+    assert not child(tmp_path)
 
 
 def test_a_file_that_is_cut_at_any_length_or_changed_anywhere_is_not_read(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -415,7 +416,7 @@ def fresh(code, **environment):
 
 
 def test_the_generated_text_is_the_same_in_every_process():
-    names = ("duffing", "huygens", "huygens_lagrangian", "setup_springs")
+    names = ("duffing", "huygens_lagrangian")
     here = {n: module_text(n) for n in names}
     assert here["duffing"] == module_text("duffing")
     code = f"print(json.dumps({{n: module(Model(registry.load_model(n)).equations).text() for n in {names!r}}}))"
@@ -525,10 +526,14 @@ def package(tmp_path, monkeypatch):
     forget()
 
 
-def test_every_source_of_the_package_is_part_of_the_key(package):
+def test_every_source_of_the_package_is_part_of_the_key(package, monkeypatch):
     copy, forget = package
-    before = store.key({"a": 1})
-    for file in sorted(copy.rglob("*.py")):  # printers, laws, filters: all of them
+    files, content, read = sorted(copy.rglob("*.py")), Path.read_bytes, []
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", lambda file: read.append(file) or content(file))
+        before = store.key({"a": 1})
+    assert sorted(read) == files  # printers, laws, filters: all of them
+    for file in files[::20]:
         text = file.read_bytes()
         file.write_bytes(text + b"\n")
         forget()

@@ -47,7 +47,17 @@ def test_an_fmu_is_valid_and_its_sources_give_its_binary(name, kind, tmp_path):
         assert len(sources) == 2
 
 
-@pytest.mark.parametrize("name", [name for name in catalogue.names("experiment") if exported.is_exported(name)])
+QUICK = {"cart_bristles", "cart_felt_observer", "delayed_oscillators_rig", "duffing", "huygens_rig"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.search)
+        for name in catalogue.names("experiment")
+        if exported.is_exported(name)
+    ],
+)
 def test_every_exported_controller_is_a_valid_fmu(name, tmp_path, monkeypatch):
     monkeypatch.setattr(
         fmu_unit, "has_binary", lambda: False
@@ -58,7 +68,7 @@ def test_every_exported_controller_is_a_valid_fmu(name, tmp_path, monkeypatch):
         assert validation.validate_fmu(str(path)) == []
 
 
-@pytest.mark.parametrize("name", ["cart_felt", "cart_felt_observer"])
+@pytest.mark.parametrize("name", [pytest.param("cart_felt", marks=pytest.mark.search), "cart_felt_observer"])
 def test_an_fmu_feels_the_push_that_the_kernel_feels(name, tmp_path):
     case = exported.Sampled(Experiment.load(name), name)
     case.samples = 300

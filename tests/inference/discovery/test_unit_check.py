@@ -194,11 +194,12 @@ def test_a_gain_that_is_a_factor_between_units_is_that_unit(kind, name, unit, ti
     assert doubt.is_gain is expected
 
 
-def test_what_is_found_in_other_units_is_written_in_these(tmp_path):
-    """An offset and a cubic spring, of readings in mm with a range and noise that a plant declares in m."""
+@pytest.mark.parametrize("off", [0.0, pytest.param(0.3, marks=pytest.mark.search)])
+def test_what_is_found_in_other_units_is_written_in_these(tmp_path, off):
+    """A cubic spring and an offset, of readings in mm with a range and noise that a plant declares in m."""
     rng, t = np.random.default_rng(5), np.arange(1200) / RATE
     f, x = hard_spring(t, rng)
-    offset = 0.3 * x.std()
+    offset = off * x.std()
     np.savez(tmp_path / "record.npz", t=t, f=f, s=1e3 * (x + offset + 1e-3 * x.std() * rng.standard_normal(len(t))))
     (tmp_path / "model.yaml").write_text(SPRING)
     (tmp_path / "plant.yaml").write_text(
@@ -208,12 +209,13 @@ def test_what_is_found_in_other_units_is_written_in_these(tmp_path):
     out = tmp_path / "found"
     found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml", out=out)
     assert "declare unit: mm (sensors.s.unit)" in discovery_text.sentence(found)
-    assert {(one.name, one.on) for one in found.effects} == {("hardening_spring", "spring"), ("sensor_offset", "s")}
+    beside = {("sensor_offset", "s")} if off else set()
+    assert {(one.name, one.on) for one in found.effects} == {("hardening_spring", "spring")} | beside
     made = discovery_inputs.rig(None, out / "plant.yaml")
     sensor = made.declaration.sensors["s"]
     assert (sensor.unit, sensor.range, sensor.jump) == ("mm", (-200.0, 200.0), 100.0)
-    steps, found_there = made.declaration.effects.values()
+    steps, *found_there = made.declaration.effects.values()
     assert steps.parameters["step"] == pytest.approx(1e-4)
-    assert found_there.parameters["e0"] == pytest.approx(1e3 * offset, rel=0.01)
+    assert [one.parameters["e0"] for one in found_there] == [pytest.approx(1e3 * offset, rel=0.01)] * bool(off)
     simulated = masking.simulate(out / "plant.yaml", tmp_path / "record.npz")
     assert simulated.chi["s"] < 1.1 * simulated.floor["s"]

@@ -3,8 +3,6 @@
 import inspect
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import zlib
@@ -34,6 +32,7 @@ from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
 from masking.lab.runs.realtime import run_rig
+from tests.support.forked import Forked
 
 pytestmark = pytest.mark.realtime
 
@@ -100,10 +99,7 @@ from masking.lab.runs.realtime import run_rig
 @contextmanager
 def process(code: str, *arguments: object):
     """Run code in a process of its own; give it and the first line that it prints."""
-    script = IMPORTS + inspect.getsource(MassSpring) + code
-    with subprocess.Popen(
-        [sys.executable, "-c", script, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as started:
+    with Forked(arguments, IMPORTS + inspect.getsource(MassSpring) + code) as started:
         try:
             yield started, started.stdout.readline().strip()
         finally:

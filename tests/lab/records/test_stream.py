@@ -192,6 +192,17 @@ def fed(rows, made, rate=1000.0, kill=()):
     return noticed
 
 
+def fed_in_pages(rows, made, size=20):
+    """Put rows that begin with their number, a few at a time: the next once these are on disk, or no place is left."""
+    row, until = np.zeros(WIDTH), time.monotonic() + 60.0
+    for n in range(rows):
+        row[:] = n
+        made.ring.put(row)
+        while n % size == size - 1 and not made.is_full and stream.written(made.folder) <= n:
+            assert time.monotonic() < until
+            time.sleep(0.001)
+
+
 def test_a_recorder_that_is_killed_is_replaced_and_no_row_is_lost(tmp_path):
     made = Recorder(tmp_path, COLUMNS, 1000.0, tmp_path)
     noticed = fed(900, made, kill=(100, 450))
@@ -264,7 +275,7 @@ def limited(monkeypatch, size):
 def test_where_the_disk_is_full_the_rest_goes_to_the_second_place(tmp_path, monkeypatch):
     limited(monkeypatch, 40_000)
     made = Recorder(tmp_path / "run", COLUMNS, 1000.0, tmp_path / "spare")
-    fed(1000, made, rate=4000.0)
+    fed_in_pages(1000, made)
     made.close()
     found = stream_content.read(tmp_path / "run")
     assert found.table[:, 0].tolist() == list(range(1000))
@@ -277,7 +288,7 @@ def test_where_the_disk_is_full_the_rest_goes_to_the_second_place(tmp_path, monk
 def test_where_both_places_are_full_it_is_said_and_what_is_there_is_sound(tmp_path, monkeypatch):
     limited(monkeypatch, 20_000)
     made = Recorder(tmp_path / "run", COLUMNS, 1000.0, tmp_path / "spare")
-    fed(2000, made, rate=4000.0)
+    fed_in_pages(2000, made)
     assert made.is_full
     made.close()
     found = stream_content.read(tmp_path / "run")

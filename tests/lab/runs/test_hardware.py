@@ -9,8 +9,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -36,6 +34,7 @@ from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry
 from tests.control.test_sampled_controller import LENGTH, OMEGA, ideal, relative
+from tests.support.forked import Forked
 
 RATE = 1000.0
 WATCHDOG = 20  # ms
@@ -95,14 +94,11 @@ def before(experiment: Experiment) -> int:
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
-MASKING = (sys.executable, "-m", "masking")
-
 
 @contextmanager
 def serving(plant: str | Path, *options: object):
     """Serve a twin in a process of its own; give it and its address."""
-    command = (*MASKING, "rig", "serve", plant, "--address", NOWHERE, "--sessions", 1, *options)
-    with subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
+    with Forked(["rig", "serve", plant, "--address", NOWHERE, "--sessions", 1, *options]) as started:
         try:
             said = started.stderr.readline()
             assert " is served at " in said, said + started.stderr.read()
@@ -115,8 +111,7 @@ def serving(plant: str | Path, *options: object):
 @contextmanager
 def controlling(experiment: Path, address: str, out: Path):
     """Run an experiment on a plant in a process of its own, and give that, once it holds the plant."""
-    command = (*MASKING, "rig", "run", experiment, "--plant", address, "--out", out, "--json")
-    with subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
+    with Forked(["rig", "run", experiment, "--plant", address, "--out", out, "--json"]) as started:
         try:
             wait_until_held(address, started)
             yield started
@@ -124,7 +119,7 @@ def controlling(experiment: Path, address: str, out: Path):
             started.kill()
 
 
-def wait_until_held(address: str, controller: subprocess.Popen) -> None:
+def wait_until_held(address: str, controller: Forked) -> None:
     """Wait until a plant refuses others because it has a controller; a hello without settings is refused anyway."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.connect(wire.parse_address(address))
@@ -137,7 +132,7 @@ def wait_until_held(address: str, controller: subprocess.Popen) -> None:
             text = wire.decode(line.recv(65535)).text
 
 
-def ended(controller: subprocess.Popen) -> tuple[int, str, str]:
+def ended(controller: Forked) -> tuple[int, str, str]:
     """Wait for a process; return its status and what it printed."""
     out, err = controller.communicate(timeout=30.0)
     return controller.returncode, out, err
@@ -398,7 +393,7 @@ def offset(found: Recording, own: Recording, first: int) -> int:
 
 
 @pytest.mark.realtime
-@both
+@pytest.mark.parametrize("plant", ["tue_rig", pytest.param("linear_rig", marks=pytest.mark.search)])
 def test_in_real_time_the_rig_moves_as_offline_within_the_noise(offline, plant, tmp_path):
     path, experiment, expected = offline(plant)
     others = [offline(plant, seed)[2] for seed in (1, 2)]
@@ -503,7 +498,14 @@ def applied(own: Recording) -> np.ndarray:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("seconds", [0.35, 1.3, 2.2], ids=["in the homing", "after the release", "later"])
+@pytest.mark.parametrize(
+    "seconds",
+    [
+        pytest.param(0.35, id="in the homing"),
+        pytest.param(1.3, id="after the release", marks=pytest.mark.search),
+        pytest.param(2.2, id="later"),
+    ],
+)
 def test_a_controller_that_is_killed_leaves_the_rig_at_zero(tmp_path, seconds):
     cut = cut_short(tmp_path, seconds, signal.SIGKILL)
     own = cut.own
@@ -550,8 +552,13 @@ def recovered(folder: Path):
 
 
 @pytest.mark.realtime
-@pytest.mark.realtime
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(signal.SIGINT, id="SIGINT"),
+        pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.search),  # in the gate, in the homing
+    ],
+)
 def test_a_controller_that_is_told_to_stop_leaves_the_rig_at_zero_and_keeps_its_record(tmp_path, number):
     cut = cut_short(tmp_path, 1.8, number)
     assert cut.err == "masking: interrupted: SIGINT, SIGTERM or SIGHUP came; the record ends there\n"

@@ -177,6 +177,7 @@ class TestDiscovery:
             assert abs(value - truth) < 4.0 * std
         assert found.simulation_error.validation[1]["x"] < 1.1 * found.simulation_error.validation_noise_floor["x"]
 
+    @pytest.mark.search
     def test_a_law_is_one_entry_also_in_the_dictionary_of_the_package(self, folder, own, magnet, monkeypatch):
         for entry in (MAGNET_ENTRY, effects.load(own)["ripple"]):  # in this order its kernels are those of the file's
             monkeypatch.setitem(EFFECTS, entry.name, entry)
