@@ -11,7 +11,7 @@ from masking.compile.numerics.arrays import Array
 from masking.control.closed_loop import ClosedLoop
 from masking.control.closed_loop import module as module_of
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Kernel, Operation, Unit, add_operation, identifier
+from masking.control.exports.unit import Channel, Operations, Unit, identifier
 from masking.control.sampled_controller import SampledController
 
 INIT = "Begin, on a rig at rest, with its first readings."
@@ -32,13 +32,11 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     module, sizes, known = Module(name, {}), sampled.sizes, sampled.instruments
     sampled.add_to(module)
     period, a = 1.0 / sampled.rate, sizes.actuators
-    operations: dict[str, Operation] = {}
-    module.add_factory("clear", unit_kernels.clear, -sampled.before, exported=False)
-    module.add_factory("instant", unit_kernels.instant, period, exported=False)
-    constants = _begin(sampled, module, operations)
+    operations = Operations(module, -sampled.before, period)
+    constants = _begin(sampled, operations)
     arguments = "readings commands x p gain limits demanded applied work first counters"
-    step = Operation(tuple(arguments.split()), STEP, returns_status=True)
-    add_operation(operations, module, "step", (unit_kernels.controller_step, ("control", "instant", a, period)), step)
+    made = (unit_kernels.controller_step, "control", "instant", a, period)
+    operations.add("step", STEP, arguments, *made, returns_status=True)
     memory = {
         "x": constants["memory0"].shape,
         "p": constants["values"].shape,
@@ -48,19 +46,15 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
         "work": (sizes.work[0], max(sizes.work[1], len(known.sensors))),
     }
     if sampled.has_model:
-        made: Kernel = (unit_kernels.miss_with_model, ("control", "instant", sizes, period))
         arguments = "readings x p blind limits applied unsent before work counters"
+        operations.add("miss", MISS, arguments, unit_kernels.miss_with_model, "control", "instant", sizes, period)
         memory |= {"unsent": (a,), "before": (a,)}
         constants |= {"blind": np.zeros_like(sampled.gain)}
     else:
-        made, arguments = (
-            (unit_kernels.miss_with_differences, ("skip", "instant", period)),
-            "x p applied work counters limits",
-        )
-    add_operation(operations, module, "miss", made, Operation(tuple(arguments.split()), MISS))
+        arguments = "x p applied work counters limits"
+        operations.add("miss", MISS, arguments, unit_kernels.miss_with_differences, "skip", "instant", period)
     patience = max(1, math.ceil(watchdog * sampled.rate - 1e-9))
-    watch = Operation(("commands", "counters"), WATCH, returns_status=True)
-    add_operation(operations, module, "watch", (unit_kernels.watchdog, (a, patience)), watch)
+    operations.add("watch", WATCH, "commands counters", unit_kernels.watchdog, a, patience, returns_status=True)
     sensors = [Channel(n, s.unit, f"measures {s.measures.text}") for n, s in known.plant.sensors.items()]
     names = [*known.model.coordinates, *(f"{c}'" for c in known.model.coordinates), *known.model.declaration.states]
     names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
@@ -83,26 +77,26 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     )
 
 
-def _begin(sampled: SampledController, module: Module, operations: dict[str, Operation]) -> dict[str, Array]:
-    """Add how a controller begins; return the constants of it."""
+def _begin(sampled: SampledController, operations: Operations) -> dict[str, Array]:
+    """Add the beginning of a controller; its constants."""
     sizes, known = sampled.sizes, sampled.instruments
     begun = sampled.begin(known.readings(np.zeros(sizes.coordinates)))
     found = {"memory0": begun.x.copy(), "values": begun.p.copy()}
     common = "readings x p first counters applied"
     if sampled.rest:
-        made: Kernel = (unit_kernels.resting, ("clear", len(begun.x), len(begun.p), sizes.actuators))
+        made = (unit_kernels.resting, "clear", len(begun.x), len(begun.p), sizes.actuators)
         found["holding"] = begun.holding
-        init = Operation((*common.split(), "memory0", "values", "holding"), INIT)
+        operations.add("init", INIT, f"{common} memory0 values holding", *made)
     else:
         n, is_held = sizes.coordinates, not sampled.homing and sampled.has_model
         homing = len(begun.p) - len(sampled.feed.tail()) - (2 * n + 1) if sampled.homing else -1
         start = unit_kernels.Start(len(begun.x), len(begun.p), homing, 1.0 / sampled.rate, is_held)
-        made = (unit_kernels.beginning, ("clear", "measure", "still", "allocate", "wire", sizes, start))
+        parts = ("clear", "measure", "still", "allocate", "wire", sizes, start)
         found["memory0"][:n] = found["memory0"][sizes.next][:n] = 0.0
         sensing = known.sensing()[:, :n]
         found |= {"inverse": np.ascontiguousarray(np.linalg.pinv(sensing)), "limits": sampled.limits}
-        init = Operation((*common.split(), "work", "memory0", "values", "inverse", "limits"), INIT)
-    add_operation(operations, module, "init", made, init)
+        arguments = f"{common} work memory0 values inverse limits"
+        operations.add("init", INIT, arguments, unit_kernels.beginning, *parts)
     return found
 
 
@@ -119,16 +113,11 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     model = loop.plant
     names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *loop.internal]
     values = controller.values()
-    operations: dict[str, Operation] = {}
-    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
-    made: Kernel = (unit_kernels.law_beginning, ("clear", len(values)))
-    init = Operation(("p", "first", "counters", "values"), "Begin.")
-    add_operation(operations, module, "init", made, init)
-    given = ("step", len(names), len(model.coordinates), len(model.inputs))
+    operations = Operations(module, 0, None)
+    operations.add("init", "Begin.", "p first counters values", unit_kernels.law_beginning, "clear", len(values))
+    made = (unit_kernels.law_step, "step", len(names), len(model.coordinates), len(model.inputs))
     text = "Answer the rig's states at a time with its inputs; zero once it has stopped."
-    arguments = ("time", "readings", "commands", "p", "first", "counters")
-    step = Operation(arguments, text, returns_status=True)
-    add_operation(operations, module, "step", (unit_kernels.law_step, given), step)
+    operations.add("step", text, "time readings commands p first counters", *made, returns_status=True)
     inputs, notes = model.declaration.inputs, [STATES_READ]
     if controller.virtual.states:
         notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")

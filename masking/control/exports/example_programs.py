@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
-from masking.control.exports.calls import Names, begin, read, step
+from masking.control.exports.calls import Names, begin, filled, read, step
 from masking.control.exports.unit import Unit
-
-TEMPLATES = Path(__file__).parent / "templates"
 
 
 def programs(unit: Unit, real: str) -> dict[str, str]:
@@ -38,10 +35,4 @@ def programs(unit: Unit, real: str) -> dict[str, str]:
     found = {f"{unit.name}_{file}": file for file in ("linux.c", "cortex_m4.c")} | {"cortex_m4.ld": "cortex_m4.ld"}
     if unit.kind in {"controller", "plant"}:
         found |= {f"{unit.name}_arduino.ino": f"{unit.kind}.ino", "frames.h": "frames.h"}
-    return {name: _filled((TEMPLATES / file).read_text(encoding="utf-8"), marks) for name, file in found.items()}
-
-
-def _filled(text: str, marks: dict[str, str]) -> str:
-    for mark, value in marks.items():
-        text = text.replace(f"@{mark}@", value)
-    return text
+    return {name: filled(file, marks) for name, file in found.items()}

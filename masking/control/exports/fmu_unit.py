@@ -21,73 +21,15 @@ from masking.control.exports.c_unit import CUnit
 from masking.control.exports.unit import Channel, Unit
 from masking.errors import ModelError
 
-TEMPLATES = Path(__file__).parent / "templates"
 VERSIONS = (2, 3)
 FOLDERS = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 CREATED = (1980, 1, 1, 0, 0, 0)  # of every file, so that the same unit gives the same bytes
 
-GLUE = """/* The unit of this FMU: its variables, how it begins, and its step. */
-
-#ifndef FMU_UNIT_H
-#define FMU_UNIT_H
-
-#include <math.h>
-#include <string.h>
-
-#include "{name}.h"
-
-#define TOKEN "{token}"
-#define INPUTS {inputs}
-#define OUTPUTS {outputs}
-#define STATES {states}
-#define PERIOD {period!r} /* 0: any length of a step */
-
-typedef struct {{
-    {name}_state unit;
-    double inputs[{inputs_size}];
-    double outputs[{outputs_size}];
-    double time;
-}} instance_t;
-
-static void begin(instance_t *i)
-{{
-    {begin}
-}}
-
-/* Step to the end of a communication step, with inputs that are held; return what is wrong, if anything. */
-static const char *advance(instance_t *i, double time, double length)
-{{
-    const double count = PERIOD > 0.0 ? floor(length / PERIOD + 0.5) : 1.0;
-    int status = 0;
-    if (PERIOD > 0.0 && (count < 1.0 || fabs(length - count * PERIOD) > 1e-6 * PERIOD)) {{
-        return "the length of a communication step must be a multiple of the period, " "{period!r}";
-    }}
-    i->time = time;
-    for (double k = 0.0; k < count; k++) {{
-        {advance}
-    }}
-    i->time = time + length;
-    return status == 0 ? NULL : "the unit has stopped: a matrix became singular, or a number is not finite";
-}}
-
-/* Value references: 0 the time, then inputs, outputs, states. */
-static const double *variable(const instance_t *i, unsigned int reference)
-{{
-    if (reference == 0) {{
-        return &i->time;
-    }}
-    if (reference <= INPUTS) {{
-        return &i->inputs[reference - 1];
-    }}
-    if (reference <= INPUTS + OUTPUTS) {{
-        return &i->outputs[reference - 1 - INPUTS];
-    }}
-    return reference <= INPUTS + OUTPUTS + STATES ? &i->unit.{memory}[reference - 1 - INPUTS - OUTPUTS] : NULL;
-}}
-
-#endif
-"""
+MARKS = {
+    2: {"FMI": "fmi2", "COMPONENT": "fmi2Component", "STATE": "FMUstate", "DESERIALIZE": "DeSerialize"},
+    3: {"FMI": "fmi3", "COMPONENT": "fmi3Instance", "STATE": "FMUState", "DESERIALIZE": "Deserialize"},
+}  # of what the two standards have in common
 
 
 @dataclass(frozen=True)
@@ -126,7 +68,9 @@ def _write(unit: Unit, path: Path, version: int) -> Path:
     token = digest(unit.title, *sources.values())
     token = "{" + "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:])) + "}"
     sources["fmu_unit.h"] = _glue(unit, token)
-    sources[f"fmi{version}.c"] = (TEMPLATES / f"fmi{version}.c").read_text(encoding="utf-8")
+    sources[f"fmi{version}.c"] = calls.filled(
+        f"fmi{version}.c", {"SHARED": calls.filled("fmi_shared.c", MARKS[version])}
+    )
     files: dict[str, bytes] = {"modelDescription.xml": _xml(_description(unit, token, version, sources))}
     if version == 3:
         files["sources/buildDescription.xml"] = _xml(_build(unit, sources))
@@ -160,19 +104,19 @@ def _glue(unit: Unit, token: str) -> str:
         begun.append("memcpy(i->outputs, i->unit.applied, sizeof(i->unit.applied));")
     elif unit.kind == "law":
         begun += [f"const int {calls.step(unit, names)}", "(void)status;"]
-    return GLUE.format(
-        name=unit.name,
-        token=token,
-        inputs=len(unit.inputs),
-        outputs=len(unit.outputs),
-        states=len(unit.states),
-        inputs_size=max(1, len(unit.inputs)),
-        outputs_size=len(unit.outputs),
-        period=unit.period or 0.0,
-        begin="\n    ".join(filter(None, begun)),
-        advance="\n        ".join(filter(None, (calls.step(unit, names), calls.read(unit, names)))),
-        memory=next(iter(unit.memory)),
-    )
+    marks = {
+        "NAME": unit.name,
+        "TOKEN": token,
+        "INPUTS": str(len(unit.inputs)),
+        "OUTPUTS": str(len(unit.outputs)),
+        "STATES": str(len(unit.states)),
+        "INPUTS_SIZE": str(max(1, len(unit.inputs))),
+        "PERIOD": repr(unit.period or 0.0),
+        "BEGIN": "\n    ".join(filter(None, begun)),
+        "ADVANCE": "\n        ".join(filter(None, (calls.step(unit, names), calls.read(unit, names)))),
+        "MEMORY": next(iter(unit.memory)),
+    }
+    return calls.filled("fmu_unit.h", marks)
 
 
 def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str]) -> Element:

@@ -10,7 +10,7 @@ from masking.compile.codegen.compiled_functions import steps_between
 from masking.compile.codegen.source import Module
 from masking.compile.numerics import integrators
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Kernel, Operation, Unit, add_operation, identifier
+from masking.control.exports.unit import Channel, Operations, Unit, identifier
 from masking.control.rig.twin import Twin
 from masking.model.modelling import lowering
 from masking.model.modelling.model import Model
@@ -29,18 +29,17 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     state, values, late = twin.unpowered(), twin.values(), twin.late(rate)
     a, rows, period = len(twin.actuators), 1 + math.ceil(late.max(initial=0.0)), 1.0 / rate
     substeps = twin.substeps(rate)
-    operations: dict[str, Operation] = {}
-    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
-    module.add_factory("instant", unit_kernels.instant, period, exported=False)
-    made: Kernel = (unit_kernels.rig_beginning, ("clear", len(state), len(values), rows, a))
-    init = Operation(("y", "p", "queue", "acting", "counters", "state0", "values"), "Begin at rest, without power.")
-    add_operation(operations, module, "init", made, init)
-    text = "Read the sensors; noise holds samples of mean 0 and deviation 1."
-    read = Operation(("noise", "readings", "y", "p", "acting", "counters"), text)
-    add_operation(operations, module, "read", (unit_kernels.rig_reading, ("sense_under", "instant")), read)
-    made = (unit_kernels.rig_step, ("move", "instant", a, substeps, period))
-    arguments = ("commands", "y", "p", "queue", "acting", "work", "counters", "late")
-    add_operation(operations, module, "step", made, Operation(arguments, "Move by one period under commands."))
+    operations = Operations(module, 0, period)
+    begin = (unit_kernels.rig_beginning, "clear", len(state), len(values), rows, a)
+    operations.add("init", "Begin at rest, without power.", "y p queue acting counters state0 values", *begin)
+    text, arguments = (
+        "Read the sensors; noise holds samples of mean 0 and deviation 1.",
+        "noise readings y p acting counters",
+    )
+    operations.add("read", text, arguments, unit_kernels.rig_reading, "sense_under", "instant")
+    step = (unit_kernels.rig_step, "move", "instant", a, substeps, period)
+    arguments = "commands y p queue acting work counters late"
+    operations.add("step", "Move by one period under commands.", arguments, *step)
     sensors, units = twin.declaration.sensors, twin.declaration.actuators or twin.base.inputs
     return Unit(
         identifier(name),
@@ -79,21 +78,17 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     lengths = np.resize(model.lengths, size) if n else np.ones(size)
     substeps = steps_between(lambda y, out: model.kernels.derivative(0.0, y, u, values, out), state, lengths, rate)
     module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", size, exported=False)
-    operations: dict[str, Operation] = {}
-    module.add_factory("clear", unit_kernels.clear, 0, exported=False)
-    module.add_factory("instant", unit_kernels.instant, period, exported=False)
-    made: Kernel = (unit_kernels.model_beginning, ("clear", size, len(values)))
-    init = Operation(("y", "p", "counters", "state0", "values"), "Begin in the initial state.")
-    add_operation(operations, module, "init", made, init)
+    operations = Operations(module, 0, period)
+    begin = (unit_kernels.model_beginning, "clear", size, len(values))
+    operations.add("init", "Begin in the initial state.", "y p counters state0 values", *begin)
     names = [*model.coordinates, *(f"{c}'" for c in model.coordinates), *d.states]
     if d.outputs:
-        made, arguments = (unit_kernels.model_outputs, ("outputs", "instant", n, size)), "inputs readings y p counters"
+        read = (unit_kernels.model_outputs, "outputs", "instant", n, size)
+        operations.add("read", "Read the outputs now.", "inputs readings y p counters", *read)
     else:
-        made, arguments = (unit_kernels.model_states, (size,)), "readings y"
-    add_operation(operations, module, "read", made, Operation(tuple(arguments.split()), "Read the outputs now."))
-    made = (unit_kernels.model_step, ("advance", "instant", substeps, period))
-    step = Operation(("inputs", "y", "p", "work", "counters"), "Move by one period under inputs that are held.")
-    add_operation(operations, module, "step", made, step)
+        operations.add("read", "Read the outputs now.", "readings y", unit_kernels.model_states, size)
+    step = (unit_kernels.model_step, "advance", "instant", substeps, period)
+    operations.add("step", "Move by one period under inputs that are held.", "inputs y p work counters", *step)
     units = "scales" if model.is_dimensionless else "SI"
     outputs = [Channel(o, units) for o in d.outputs] or [Channel(c, units) for c in names]
     return Unit(

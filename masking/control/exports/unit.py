@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-
-Kernel = tuple[Callable[..., Any], tuple[object, ...]]
+from masking.control.exports import unit_kernels
 
 
 @dataclass(frozen=True)
@@ -89,25 +88,33 @@ class Unit:
         return (self._output,) if is_written else ()
 
 
-def add_operation(
-    operations: dict[str, Operation],
-    module: Module,
-    name: str,
-    kernel: Kernel,
-    operation: Operation,
-) -> None:
-    """Add an operation to those of a unit, and its kernel to the module.
+class Operations(dict[str, Operation]):
+    """Operations of a unit by name, whose kernels are added to its module with them.
 
     Args:
-        operations: by name.
         module: of the unit.
-        name: of the operation.
-        kernel: the factory of its kernel, and what it is given.
-        operation: what is called.
+        start: its first sample.
+        period: as that of the unit.
     """
-    factory, given = kernel
-    module.add_factory(f"unit_{name}", factory, *given, exported=False)
-    operations[name] = operation
+
+    def __init__(self, module: Module, start: int, period: float | None) -> None:
+        self.module = module
+        module.add_factory("clear", unit_kernels.clear, start, exported=False)
+        if period is not None:
+            module.add_factory("instant", unit_kernels.instant, period, exported=False)
+
+    def add(self, name: str, text: str, arguments: str, *kernel: Any, returns_status: bool = False) -> None:  # noqa: ANN401
+        """Add an operation.
+
+        Args:
+            name: of the operation.
+            text: what it does, in one sentence.
+            arguments: of its kernel, as `Operation` has them, in one line.
+            kernel: its factory, and what that is given.
+            returns_status: whether it returns a status.
+        """
+        self.module.add_factory(f"unit_{name}", *kernel, exported=False)
+        self[name] = Operation(tuple(arguments.split()), text, returns_status)
 
 
 def identifier(text: str) -> str:

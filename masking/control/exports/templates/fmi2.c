@@ -43,6 +43,8 @@ static fmi2Status fail(fmi2Component c, fmi2String message)
     return fmi2Error;
 }
 
+@SHARED@
+
 EXPORT const char *fmi2GetTypesPlatform(void)
 {
     return "default";
@@ -51,12 +53,6 @@ EXPORT const char *fmi2GetTypesPlatform(void)
 EXPORT const char *fmi2GetVersion(void)
 {
     return "2.0";
-}
-
-EXPORT fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
-{
-    (void)c, (void)on, (void)count, (void)categories;
-    return fmi2OK;
 }
 
 EXPORT fmi2Component fmi2Instantiate(
@@ -92,26 +88,6 @@ EXPORT fmi2Status fmi2SetupExperiment(
 EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
     (void)c;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c)
-{
-    begin(&((component_t *)c)->instance);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2Terminate(fmi2Component c)
-{
-    (void)c;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2Reset(fmi2Component c)
-{
-    component_t *component = c;
-    memset(&component->instance, 0, sizeof(component->instance));
-    begin(&component->instance);
     return fmi2OK;
 }
 
@@ -151,63 +127,6 @@ NONE(fmi2GetString, fmi2String)
 NONE(fmi2SetInteger, const fmi2Integer)
 NONE(fmi2SetBoolean, const fmi2Boolean)
 NONE(fmi2SetString, const fmi2String)
-
-EXPORT fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    if (*state == NULL) {
-        *state = malloc(sizeof(instance_t));
-    }
-    if (*state == NULL) {
-        return fail(c, "fmi2GetFMUstate: there is no memory left");
-    }
-    memcpy(*state, &((component_t *)c)->instance, sizeof(instance_t));
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
-{
-    memcpy(&((component_t *)c)->instance, state, sizeof(instance_t));
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    (void)c;
-    free(*state);
-    *state = NULL;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    (void)c, (void)state;
-    *size = sizeof(instance_t);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
-{
-    if (size < sizeof(instance_t)) {
-        return fail(c, "fmi2SerializeFMUstate: the state is longer than the array");
-    }
-    memcpy(bytes, state, sizeof(instance_t));
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
-{
-    if (size != sizeof(instance_t)) {
-        return fail(c, "fmi2DeSerializeFMUstate: the bytes are no state of this FMU");
-    }
-    if (*state == NULL) {
-        *state = malloc(sizeof(instance_t));
-    }
-    if (*state == NULL) {
-        return fail(c, "fmi2DeSerializeFMUstate: there is no memory left");
-    }
-    memcpy(*state, bytes, sizeof(instance_t));
-    return fmi2OK;
-}
 
 EXPORT fmi2Status fmi2GetDirectionalDerivative(
     fmi2Component c, const fmi2ValueReference unknown[], size_t unknowns, const fmi2ValueReference known[],

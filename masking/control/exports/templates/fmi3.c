@@ -45,7 +45,7 @@ typedef void (*fmi3UnlockPreemptionCallback)(void);
 #define EXPORT __attribute__((visibility("default")))
 
 typedef struct {
-    instance_t state;
+    instance_t instance;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
 } component_t;
@@ -59,15 +59,11 @@ static fmi3Status fail(fmi3Instance instance, fmi3String message)
     return fmi3Error;
 }
 
+@SHARED@
+
 EXPORT const char *fmi3GetVersion(void)
 {
     return "3.0";
-}
-
-EXPORT fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t count, const fmi3String categories[])
-{
-    (void)instance, (void)on, (void)count, (void)categories;
-    return fmi3OK;
 }
 
 EXPORT fmi3Instance fmi3InstantiateCoSimulation(
@@ -83,7 +79,7 @@ EXPORT fmi3Instance fmi3InstantiateCoSimulation(
     if (component != NULL) {
         component->environment = environment;
         component->log = log;
-        begin(&component->state);
+        begin(&component->instance);
     }
     return component;
 }
@@ -116,33 +112,13 @@ EXPORT fmi3Status fmi3EnterInitializationMode(
     fmi3Float64 stop)
 {
     (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
-    ((component_t *)instance)->state.time = start;
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
-{
-    begin(&((component_t *)instance)->state);
+    ((component_t *)instance)->instance.time = start;
     return fmi3OK;
 }
 
 EXPORT fmi3Status fmi3EnterStepMode(fmi3Instance instance)
 {
     (void)instance;
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3Terminate(fmi3Instance instance)
-{
-    (void)instance;
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3Reset(fmi3Instance instance)
-{
-    component_t *component = instance;
-    memset(&component->state, 0, sizeof(component->state));
-    begin(&component->state);
     return fmi3OK;
 }
 
@@ -153,7 +129,7 @@ EXPORT fmi3Status fmi3GetFloat64(
         return fail(instance, "fmi3GetFloat64: give one value for each value reference");
     }
     for (size_t i = 0; i < count; i++) {
-        const double *found = variable(&((component_t *)instance)->state, vr[i]);
+        const double *found = variable(&((component_t *)instance)->instance, vr[i]);
         if (found == NULL) {
             return fail(instance, "fmi3GetFloat64: there is no variable of this value reference");
         }
@@ -172,7 +148,7 @@ EXPORT fmi3Status fmi3SetFloat64(
         if (vr[i] < 1 || vr[i] > INPUTS) {
             return fail(instance, "fmi3SetFloat64: only inputs can be set");
         }
-        ((component_t *)instance)->state.inputs[vr[i] - 1] = values[i];
+        ((component_t *)instance)->instance.inputs[vr[i] - 1] = values[i];
     }
     return fmi3OK;
 }
@@ -238,73 +214,15 @@ EXPORT fmi3Status fmi3SetClock(
     return count == 0 ? fmi3OK : fail(instance, "fmi3SetClock: there are no clocks");
 }
 
-EXPORT fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
-{
-    if (*state == NULL) {
-        *state = malloc(sizeof(instance_t));
-    }
-    if (*state == NULL) {
-        return fail(instance, "fmi3GetFMUState: there is no memory left");
-    }
-    memcpy(*state, &((component_t *)instance)->state, sizeof(instance_t));
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
-{
-    memcpy(&((component_t *)instance)->state, state, sizeof(instance_t));
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
-{
-    (void)instance;
-    free(*state);
-    *state = NULL;
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size)
-{
-    (void)instance, (void)state;
-    *size = sizeof(instance_t);
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3Byte bytes[], size_t size)
-{
-    if (size < sizeof(instance_t)) {
-        return fail(instance, "fmi3SerializeFMUState: the state is longer than the array");
-    }
-    memcpy(bytes, state, sizeof(instance_t));
-    return fmi3OK;
-}
-
-EXPORT fmi3Status fmi3DeserializeFMUState(
-    fmi3Instance instance, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
-{
-    if (size != sizeof(instance_t)) {
-        return fail(instance, "fmi3DeserializeFMUState: the bytes are no state of this FMU");
-    }
-    if (*state == NULL) {
-        *state = malloc(sizeof(instance_t));
-    }
-    if (*state == NULL) {
-        return fail(instance, "fmi3DeserializeFMUState: there is no memory left");
-    }
-    memcpy(*state, bytes, sizeof(instance_t));
-    return fmi3OK;
-}
-
 EXPORT fmi3Status fmi3DoStep(
     fmi3Instance instance, fmi3Float64 time, fmi3Float64 length, fmi3Boolean no_state_before, fmi3Boolean *event,
     fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last)
 {
     (void)no_state_before;
     component_t *component = instance;
-    const char *message = advance(&component->state, time, length);
+    const char *message = advance(&component->instance, time, length);
     *event = *terminate = *early = false;
-    *last = component->state.time;
+    *last = component->instance.time;
     return message == NULL ? fmi3OK : fail(instance, message);
 }
 
