@@ -2,5 +2,5 @@
 
 In: series, or a model.
 Out: masking error, synchronisation, stability and its proofs.
-Imports: numerics, codegen, modelling.
+Imports: numerics, display, codegen, modelling.
 """

@@ -1,4 +1,4 @@
-"""A controller and the model of the plant that it drives, compiled together."""
+"""Closed loop: a controller and the model of the plant that it drives, compiled together."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class ClosedLoop:
         return store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
 
     def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
-        """Return what each block gives at one state of the rig.
+        """Results of the blocks at one state of the rig.
 
         Args:
             t: time of the rig, s.

@@ -42,7 +42,7 @@ class Instruments:
 
     @classmethod
     def of(cls, twin: Twin) -> Instruments:
-        """Return those of a twin, whose model the controller has."""
+        """Instruments of a twin, whose model the controller has."""
         return cls(twin.declaration, twin.model, twin.kernels.meta["factors"], twin.noise(), twin.delay)
 
     @property
@@ -57,7 +57,7 @@ class Instruments:
 
     @cached_property
     def allocation(self) -> Array:
-        """Return what each input gets of each actuator (inputs, actuators)."""
+        """Allocation: input per unit of each command (inputs, actuators)."""
         return allocation(self.plant, self.model.declaration, self.model.parameter_values())
 
     @cached_property
@@ -114,7 +114,7 @@ class Instruments:
         return known[actuator].unit
 
     def plan(self, rate: float, noise: float | None) -> Plan:
-        """Return what an observer is designed for: the model linearised at rest, the sensors and their noise.
+        """Plan of an observer: the model linearised at rest, the sensors and their noise.
 
         Args:
             rate: samples per second.
@@ -186,14 +186,14 @@ class Instruments:
         return q
 
     def readings(self, q: Array) -> Array:
-        """Return what the sensors read (sensors,) of a rig at rest at coordinates (n,)."""
+        """Readings (sensors,) of a rig at rest at coordinates (n,)."""
         names = self.model.coordinates
         at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
         pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
         return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
 
     def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
-        """Return what a sensor measures of a rig at rest, in SI units; outputs are those without further forces."""
+        """Measured value of a rig at rest, in SI units; outputs are those without further forces."""
         outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
 

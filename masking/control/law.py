@@ -1,4 +1,4 @@
-"""Controller: the whole control law in one visible order.
+"""Control law: the whole of it in one visible order.
 
 The law is u = L + G T^-1[D]. With rig accelerations a = a0 + B u and virtual coordinates eta = T(q), so that
 eta'' = J a + J' v, it solves

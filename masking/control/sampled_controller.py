@@ -22,7 +22,7 @@ from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
-from masking.control.blocks import check_actuation
+from masking.control.blocks import check_actuation, dot
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer
@@ -239,7 +239,7 @@ class SampledController:
         return Beginning(x, p, command)
 
     def _past(self) -> Array:
-        """Return what the memory holds of delayed expressions before the release, as `Sizes.past` says."""
+        """Memory of delayed expressions before the release, as `Sizes.past` says."""
         sizes, n = self.sizes, self.sizes.coordinates
         if not sizes.lags:
             return np.empty(0)
@@ -249,7 +249,7 @@ class SampledController:
         return np.concatenate([[-1.0, 1.0 / self.rate], self.lags, np.tile(values, sizes.kept)])
 
     def _standing(self, q: Array) -> Array:
-        """Return what the memory holds of a rest at coordinates (n,), as `Sizes.rest` says."""
+        """Memory of a rest at coordinates (n,), as `Sizes.rest` says."""
         if not self.rest:
             return np.empty(0)
         part = -np.expm1(-SETTLED / (self.rest * self.rate))
@@ -330,8 +330,8 @@ class _Lowered:
         self.forces = sampled.feed.forces(self.graph, controller, known, disturbance)
         measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
-        self.commands = [self._dot(row, u) for row in allocation]
-        self.inputs = [self._dot(row, out) for row in wires]
+        self.commands = [dot(self.graph, row, u) for row in allocation]
+        self.inputs = [dot(self.graph, row, out) for row in wires]
 
     def _add_balance(self, controller: Controller, p: ControllerParameters, time: Node) -> None:
         """Add what the energy balance calls."""
@@ -382,9 +382,6 @@ class _Lowered:
         nodes = self._array(f"k_{name}", "p", count, self._next, varying=False)
         self._next += count
         return nodes
-
-    def _dot(self, a: Sequence[Node], b: Sequence[Node]) -> Node:
-        return self.graph.total([self.graph.mul(x, y) for x, y in zip(a, b, strict=True)])
 
 
 @dataclass(frozen=True)

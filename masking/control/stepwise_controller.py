@@ -1,4 +1,4 @@
-"""A controller to hold in one's hand: one step for each sample, in a loop of one's own.
+"""Stepwise controller: one step for each sample, in a loop of one's own.
 
 Each object has its own arrays: one object for each loop, and any number of loops side by side, in threads too.
 """
@@ -80,7 +80,7 @@ class SampledStep:
             sampled.kernels.skip.prepare()
 
     def virtual(self) -> tuple[Array, Array, BoundFunction]:
-        """Return what computes the virtual motion from the estimate.
+        """Computation of the virtual motion from the estimate.
 
         Returns:
             an array (1,) for the time in s, the virtual coordinates and velocities (2 k,), and what computes them.
@@ -307,7 +307,7 @@ def _copy(given: ArrayLike, target: Array, what: str, names: Sequence[str]) -> N
 
 
 def _stopped(where: str) -> Callable[[], NoReturn]:
-    """Return what a controller that has stopped is called as."""
+    """Call of a controller that has stopped."""
 
     def refuse() -> NoReturn:
         raise CommandError(f"the controller stopped at {where}; call reset to begin again")

@@ -1,4 +1,4 @@
-"""Feed: what a sampled controller gives its virtual system as inputs that are not declared as expressions."""
+"""Virtual inputs: series, readings and estimated forces that a sampled controller feeds to its virtual system."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Feed:
         return np.append(tail, len(tail) + 1.0)
 
     def lasting(self, p: Array) -> Array:
-        """Return what lasts of each push (1, pushes), SI units, where the parameters with their tail are p."""
+        """Lasting part of each push (1, pushes), SI units, in the parameters p with their tail."""
         count, last = len(self.pushes), len(p) - 1
         return p[last - 4 * count : last - count].reshape(1, count, 3)[:, :, 2].copy() if count else np.empty((1, 0))
 

@@ -18,6 +18,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import STEP, Root, equilibrium, jacobian, root
 from masking.control.blocks import Transform
+from masking.display.json_text import plain
 from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
 
@@ -71,14 +72,10 @@ class ZeroDynamics:
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON can hold it."""
-        return {
-            "coordinates": list(self.names),
-            "rest": dict(zip(self.names, map(float, self.rest), strict=True)),
-            "eigenvalues": [[float(x.real), float(x.imag)] for x in self.eigenvalues],
-            "verdict": self.verdict,
-            "how": self.how,
-            "words": str(self),
-        }
+        rest = dict(zip(self.names, self.rest, strict=True))
+        own = {"coordinates": self.names, "rest": rest, "eigenvalues": self.eigenvalues}
+        tree: dict[str, Any] = plain({**own, "verdict": self.verdict, "how": self.how, "words": str(self)})
+        return tree
 
 
 @dataclass(frozen=True)

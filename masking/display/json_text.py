@@ -41,7 +41,7 @@ def json_text(content: Any) -> str:  # noqa: ANN401  # a tree of values
 
 
 def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tree of values
-    """A tree of values as JSON can hold it: results and named tuples as mappings, arrays as lists, infinities as text.
+    """A tree of values as JSON can hold it: results and named tuples as mappings, arrays and complex numbers as lists.
 
     Args:
         value: as that of `json_text`.
@@ -56,6 +56,8 @@ def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tre
         value = value.as_dict()
     elif hasattr(value, "_asdict"):  # a named tuple
         value = value._asdict()
+    if isinstance(value, complex):
+        value = [value.real, value.imag]
     match value:
         case None | bool() | int() | str():
             return value

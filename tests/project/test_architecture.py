@@ -38,9 +38,9 @@ FLOORS: dict[str, set[str]] = {
     "modelling": {"numerics", "declaration", "display", "effects", "codegen"},
     "records": {"numerics", "display"},
     "signals": {"numerics", "records"},
-    "analysis": {"numerics", "codegen", "modelling"},
+    "analysis": {"numerics", "codegen", "display", "modelling"},
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
-    "control": {"numerics", "declaration", "codegen", "modelling", "rig"},
+    "control": {"numerics", "declaration", "display", "codegen", "modelling", "rig"},
     "plants": {"numerics", "codegen", "records", "rig"},
     "exports": {"numerics", "codegen", "modelling", "rig", "control"},
     "runs": {

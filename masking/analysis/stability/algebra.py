@@ -158,7 +158,7 @@ class Solution:
 def solve_constants(
     equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses, angles: Sequence[sp.Symbol] = ()
 ) -> tuple[Solution, ...]:
-    """Return what real constants must be for expressions of them to vanish: every solution, none where there is none.
+    """Values of real constants at which expressions of them vanish: every solution; empty where there is none.
 
     Factors that have a sign are left out, powers are taken away, equations that are linear in one unknown are solved
     for it, and what is known of its sine or cosine is put in.
@@ -198,7 +198,7 @@ def solve_constants(
 
 
 def _solved(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: Hypotheses) -> Solution | None:
-    """Return what follows without a choice; None where there is no solution."""
+    """Solution as far as it follows without a choice; None where there is none."""
     pending, values = [normal(e) for e in equations], dict[sp.Symbol, sp.Expr]()
     trigonometric: dict[sp.Expr, sp.Expr] = {}
     for _ in range(_MOST_ROUNDS):
@@ -271,7 +271,7 @@ def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr
 
 
 def _linear(expression: sp.Expr, unknowns: Sequence[sp.Symbol], given: Hypotheses) -> tuple[sp.Symbol, sp.Expr] | None:
-    """Unknown that an equation gives, and what it is; None where there is none."""
+    """Unknown that an equation gives, and its value; None where there is none."""
     for unknown in unknowns:
         if not expression.has(unknown) or not expression.is_polynomial(unknown):
             continue

@@ -16,6 +16,8 @@ from masking.model.modelling.model import Model
 
 LABELS: Final = ("rest", "in-phase", "anti-phase", "other", "lost")
 _ROWS = 400  # samples of the last part
+_REST = 1e-3  # of the largest value of the grid: what stays below is at rest
+_TOLERANCE = 1e-8  # local relative error of integration, far below what tells two ends apart
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,7 @@ def basins(
     duration: float,
     last: float,
     initial: Mapping[str, float] | None = None,
-    tolerance: float = 1e-8,
     near: float = 0.1,
-    rest: float = 1e-3,
     progress: Callable[[float], None] | None = None,
 ) -> Basins:
     """Simulate from a grid of initial states and tell where each motion ends.
@@ -61,10 +61,8 @@ def basins(
         duration: of each motion, in units of the model's time.
         last: the last part of it, some periods, from which the end is classified.
         initial: of all other states; as declared where not given.
-        tolerance: local relative error of integration.
         near: in phase where |a - b|, in anti-phase where |a + b| of the oscillations a and b about their means stays
-            below this part of the larger one.
-        rest: at rest where both stay below this part of the largest value of the grid.
+            below this part of the larger one; at rest where both stay below 0.1 % of the largest value of the grid.
         progress: called with the part done.
 
     Raises:
@@ -80,8 +78,8 @@ def basins(
     ends = np.zeros((len(a), len(b)), dtype=np.int64)
     for i, value in enumerate(a):
         ensemble = {first[0]: np.full(len(b), value), second[0]: b}
-        found = model.simulate(times, initial, tolerance=tolerance, ensemble=ensemble)
-        ends[i] = end_of(found[pair[0]][:, 1:], found[pair[1]][:, 1:], near, rest * size)
+        found = model.simulate(times, initial, tolerance=_TOLERANCE, ensemble=ensemble)
+        ends[i] = end_of(found[pair[0]][:, 1:], found[pair[1]][:, 1:], near, _REST * size)
         if progress is not None:
             progress((i + 1) / len(a))
     return Basins((first[0], second[0]), a, b, ends)

@@ -39,7 +39,7 @@ class Boundedness:
 
 
 def boundedness(motion: Motion) -> Boundedness:
-    """Find out whether the energy of a model keeps its motion bounded."""
+    """Boundedness of the motion of a model, by its energy."""
     try:
         kinetic, potential = parts_of_energy(motion)
         if not is_kinetic(kinetic, motion):
@@ -163,7 +163,7 @@ def squares(
 
 
 def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Expr]]]:
-    """Return why a potential may not grow in directions that are no angles, '' where it does; and level directions."""
+    """Reason why a potential may not grow in directions that are no angles, '' where it does; and level directions."""
     lines = [q for q in motion.q if q not in motion.circles]
     given, forms, remainder = motion.given, [], sp.Integer(0)
     for term in sp.Add.make_args(sp.expand_mul(potential)):
@@ -173,7 +173,8 @@ def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Ex
             return f"the term {term} of the energy is not bounded", []
         form = _even_power(term, lines, given)
         if form is not None:
-            forms.append((form, _power_of(term, lines)))
+            _, power = _power(term.as_independent(*lines, as_Add=False)[1])
+            forms.append((form, int(power)))
         elif not (term.has(sp.Max, sp.Min) and given.declared_sign(term, strictly=False) == 1):  # else it is >= 0
             remainder += term
     remainder = sp.expand(remainder)
@@ -264,10 +265,6 @@ def _power(dependent: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     if len(bases) != 1 or not plain.is_even:
         return dependent, sp.Integer(0)
     return bases.pop(), sum((n for _, n in parts), sp.Integer(0))
-
-
-def _power_of(term: sp.Expr, lines: Sequence[sp.Symbol]) -> int:
-    return int(_power(term.as_independent(*lines, as_Add=False)[1])[1])
 
 
 def _even_power(term: sp.Expr, lines: Sequence[sp.Symbol], given: Hypotheses) -> sp.Expr | None:

@@ -1,4 +1,4 @@
-"""Bounds: a number that an expression is nowhere below on a box, by branch and bound with intervals.
+"""Branch and bound with intervals: a number that an expression is nowhere below on a box.
 
 Boxes in which the expression is surely larger than at some point are left out, the others are cut. On each it is
 enclosed by intervals and by the mean-value form f(m) + f'(X) (X - m).

@@ -7,7 +7,7 @@ set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy as sp
@@ -21,6 +21,7 @@ from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.analysis.stability.sublevel import Basin, basins
+from masking.display.json_text import plain
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
@@ -103,11 +104,11 @@ class Certificate:
     def as_dict(self) -> dict[str, Any]:
         """Certificate as JSON can hold it."""
         d, i = self.dissipation, self.invariant
-        return {
+        tree: dict[str, Any] = plain({
             "model": self.name,
             "status": self.status,
             "conclusion": self.conclusion,
-            "hypotheses": list(self.hypotheses),
+            "hypotheses": self.hypotheses,
             "energy": None if self.energy is None else str(self.energy),
             "dissipation": d
             and {
@@ -116,18 +117,19 @@ class Certificate:
                 "forms": [str(form) for form in d.forms],
                 "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
             },
-            "boundedness": self.boundedness and asdict(self.boundedness),
+            "boundedness": self.boundedness,
             "invariant_set": i
             and {
                 "is_found": i.is_found,
                 "families": [[str(r) for r in family.relations] for family in i.families],
                 "equilibria": i.equilibria,
-                "steps": list(i.steps),
+                "steps": i.steps,
             },
-            "other_equilibria": None if self.others is None else [asdict(point) for point in self.others],
-            "reasons": list(self.reasons),
-            "basins": [asdict(basin) for basin in self.basins],
-        }
+            "other_equilibria": self.others,
+            "reasons": self.reasons,
+            "basins": self.basins,
+        })  # fmt: skip
+        return tree
 
 
 def certificate(model: Model, box: Box | None = None) -> Certificate:
@@ -162,7 +164,7 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 
 
 def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
-    """Conclude where the energy does not grow."""
+    """Certificate where the energy does not grow."""
     found, others, reasons, status = None, None, tuple[str, ...](), lost.status
     if lost.box is not None or not lost.forms:
         text, further = _without_set(lost, bounded)
@@ -217,7 +219,7 @@ def _values(given: Hypotheses) -> tuple[str, ...]:
 
 
 def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:
-    """Conclude where V' is no sum of squares of velocities, so that there is no elimination."""
+    """Conclusion where V' is no sum of squares of velocities, so that there is no elimination."""
     if lost.box is not None:
         return f"the energy does not grow while the motion stays in the box {_box(lost.box)}", (
             "That motion stays there is not shown, so that nothing follows for its end.",
@@ -229,7 +231,7 @@ def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[st
 def _conclusion(  # noqa: PLR0911  # one way each
     bounded: Boundedness, found: InvariantSet, others: tuple[RestPoint, ...] | None
 ) -> tuple[str, tuple[str, ...]]:
-    """Return what every motion does, and the open points."""
+    """Sentence on the end of every motion, and the open points."""
     is_every = bounded.is_shown or (bounded.is_adrift and not found.is_of_bounded)
     who = "every motion" if is_every else "every motion that is bounded"
     if not found.is_found:
@@ -262,7 +264,7 @@ def _conclusion(  # noqa: PLR0911  # one way each
 
 
 def _union(families: tuple[Family, ...]) -> str:
-    """Name the sets that a motion converges to, taken together: where they meet, it may come near to several."""
+    """Sets that a motion converges to, taken together: where they meet, it may come near to several."""
     if len(families) > _MOST_SETS:
         return f"the union of {len(families)} sets that differ in what moves together, such as {families[0]}"
     if len(families) > 1:

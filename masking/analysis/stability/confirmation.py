@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from mpmath.ctx_iv import MPIntervalContext
 
+from masking.analysis.stability.graph_values import values_of
 from masking.analysis.stability.intervals import Interval
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.printers import needed
 from masking.errors import ModelError
 
 _REACH = 1e-12  # of a root, the least half side of the box in which it is confirmed
@@ -25,7 +25,7 @@ _iv.prec = 100
 
 
 def enclosed_again(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Any]:
-    """Return what nodes of a graph may be over one box, as mpmath's intervals, ends `a` and `b`.
+    """Enclosures of nodes of a graph over one box, as mpmath's intervals, ends `a` and `b`.
 
     Args:
         graph: the expressions.
@@ -35,22 +35,8 @@ def enclosed_again(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Int
     Raises:
         ModelError: an operation has no enclosure, or not there.
     """
-    found: dict[Node, Any] = {}
-    for node in needed(graph, nodes):
-        name, *arguments = graph.operations[node]
-        if node in given:
-            found[node] = _iv.mpf([float(given[node].low), float(given[node].high)])
-        elif name == "number":
-            value = float(arguments[0])
-            slack = 0.0 if value.is_integer() else 8.0 * float(np.spacing(abs(value)))
-            found[node] = _iv.mpf(value) + _iv.mpf([-slack, slack])
-        elif name not in _RULES:
-            raise ModelError(f"the operation '{name}' has no enclosure by mpmath")
-        else:
-            inner = [found[int(a)] for a in arguments]
-            is_square = name == "mul" and arguments[0] == arguments[1]
-            found[node] = inner[0] ** 2 if is_square else _RULES[str(name)](*inner)
-    return [found[node] for node in nodes]
+    known = {node: _iv.mpf([float(x.low), float(x.high)]) for node, x in given.items()}
+    return values_of(graph, nodes, known, _RULES, "enclosure by mpmath")
 
 
 def has_root(
@@ -97,6 +83,11 @@ def has_root(
     return False
 
 
+def _number(value: float) -> Any:  # noqa: ANN401  # mpmath has no types
+    slack = 0.0 if value.is_integer() else 8.0 * float(np.spacing(abs(value)))
+    return _iv.mpf(value) + _iv.mpf([-slack, slack])
+
+
 def _sinh(x: Any) -> Any:  # noqa: ANN401  # mpmath has no types
     low, high = _iv.mpf(x.a), _iv.mpf(x.b)
     ends = (_iv.exp(low) - _iv.exp(-low)) / 2, (_iv.exp(high) - _iv.exp(-high)) / 2
@@ -108,6 +99,8 @@ def _sign(x: Any) -> Any:  # noqa: ANN401  # mpmath has no types
 
 
 _RULES: dict[str, Callable[..., Any]] = {
+    "number": _number,
+    "square": lambda x: x**2,
     "neg": lambda x: -x,
     "add": lambda x, y: x + y,
     "sub": lambda x, y: x - y,

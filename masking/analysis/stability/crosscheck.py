@@ -64,7 +64,7 @@ def contradiction_on_a_box(motion: Motion, box: Box) -> str:
 
 
 def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, *, is_bounded: bool) -> str:
-    """Return what contradicts a proof; '' where nothing does.
+    """Sentence that contradicts a proof; '' where nothing does.
 
     Args:
         motion: whose energy does not grow.
@@ -124,7 +124,7 @@ class _Motions:
         self.low, self.high = (np.array([sides[x.name][k] for x in state]) for k in (0, 1))
 
     def contradiction(self, neutral: Sequence[Array]) -> str:
-        """Simulate from states of neutral modes (2 n,) and random ones; return what contradicts, or ''."""
+        """Contradiction by motions from states of neutral modes (2 n,) and random ones; '' for none."""
         n, size = len(self.motion.q), float(np.max(self.high[: len(self.motion.q)], initial=0.0))
         starts = []
         for shape in neutral:

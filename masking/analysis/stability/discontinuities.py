@@ -1,4 +1,4 @@
-"""Jumps: where an expression with steps or in pieces may not be continuous."""
+"""Discontinuities: where an expression with steps or in pieces may not be continuous."""
 
 from __future__ import annotations
 

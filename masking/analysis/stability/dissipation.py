@@ -65,7 +65,7 @@ class Dissipation:
 
 
 def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa: PLR0911  # one way each
-    """Find out whether the energy of a model can grow.
+    """Whether the energy of a model can grow.
 
     Args:
         motion: the equations; its hypotheses get those that the proof needs.
@@ -234,7 +234,7 @@ class _Hessian:
         self.entries = [self.graph.lower(x, symbols) for x in sp.hessian(rate, used)]
 
     def edge(self, boxes: Interval) -> Array:
-        """Return what no eigenvalue is above, for each box (m, states) and row (m, n)."""
+        """Upper bounds of the eigenvalues, for each box (m, states) and row (m, n)."""
         given = self.values | {node: boxes[:, i] for i, node in enumerate(self.at)}
         m, n = len(boxes.low), self.n
         entries = Interval.stacked(enclose(self.graph, self.entries, given), m)

@@ -231,7 +231,8 @@ class _Rest:
         is_global = not given and all(a or n in known for n, a in zip(names, self.angles, strict=True))
         sides = Interval(np.array([[a for a, _ in box.values()]]), np.array([[b for _, b in box.values()]]))
         roots, undecided = self._cut(sides)
-        sure = [self._is_confirmed(low, high) for low, high in roots]
+        rest = (self.graph, self.nodes, self.slopes, self.at)
+        sure = [has_root(*rest, given=self.values, box=Interval(low, high)) for low, high in roots]
         doubtful = [np.stack([low, high], axis=1)[None] for (low, high), ok in zip(roots, sure, strict=True) if not ok]
         undecided = np.concatenate([undecided, *doubtful])
         points = tuple(self._point(low, high) for (low, high), ok in zip(roots, sure, strict=True) if ok)
@@ -326,9 +327,6 @@ class _Rest:
             if not any(np.all((box.low[0] <= b) & (a <= box.high[0])) for a, b in found):
                 found.append((box.low[0], box.high[0]))
         return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
-
-    def _is_confirmed(self, low: Array, high: Array) -> bool:
-        return has_root(self.graph, self.nodes, self.slopes, self.at, given=self.values, box=Interval(low, high))
 
     def _point(self, low: Array, high: Array) -> Equilibrium:
         position = {q.name: float(x) for q, x in zip(self.q, 0.5 * (low + high), strict=True)}

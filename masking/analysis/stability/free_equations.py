@@ -1,4 +1,4 @@
-"""Motion: the free equations of a model in exact symbols, and derivatives along them."""
+"""Free equations: the motion of a model without inputs, in exact symbols, and derivatives along it."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Motion:
         return nodes, values
 
     def enclosed(self, nodes: Mapping[sp.Symbol, Node]) -> dict[Node, Interval]:
-        """Return what holds the exact declared values of parameters, by node."""
+        """Intervals that hold the exact declared values of parameters, by node."""
         symbols = self.given.symbols.items()
         return {nodes[s]: Interval.around(self.given.exact[name]) for name, s in symbols if not s.is_number}
 

@@ -14,9 +14,9 @@ import sympy as sp
 
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.free_equations import Motion
+from masking.analysis.stability.graph_values import values_of
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.printers import needed
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 
@@ -94,21 +94,14 @@ class Growth:
 
 def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
     """Nodes of a graph at many states at once, in floating point."""
-    found: dict[Node, Any] = {}
     with np.errstate(all="ignore"):
-        for node in needed(graph, nodes):
-            name, *arguments = graph.operations[node]
-            if node in given:
-                found[node] = given[node]
-            elif name == "number":
-                found[node] = float(arguments[0])
-            else:
-                found[node] = _RULES[str(name)](*(found[int(a)] for a in arguments))
-    return [found[node] for node in nodes]
+        return values_of(graph, nodes, given, _RULES, "value in floating point")
 
 
 _SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
 _RULES: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _SAME_NAME} | {
+    "number": float,
+    "square": lambda x: x * x,
     "neg": np.negative,
     "add": np.add,
     "sub": np.subtract,

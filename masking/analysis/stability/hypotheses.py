@@ -47,7 +47,7 @@ class Hypotheses:
 
     @cached_property
     def exact(self) -> dict[str, sp.Expr]:
-        """Return them as the decimals that are written."""
+        """Parameters by name, as the decimals that are written."""
         return self.model.exact_values()
 
     @cached_property
@@ -64,7 +64,7 @@ class Hypotheses:
 
     @cached_property
     def symbols(self) -> dict[str, sp.Expr]:
-        """Return what stands for each parameter: a symbol with the sign of its value, or 0."""
+        """Symbol of each parameter by name, with the sign of its value; 0 where that is 0."""
         made: dict[str, sp.Expr] = {}
         for group in self.groups:
             value = self.values[group[0]]
@@ -105,7 +105,7 @@ class Hypotheses:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Return that the inputs are 0, for people; nothing where the model has none."""
+        """Hypothesis that the inputs are 0, for people; empty where the model has none."""
         names = [str(u) for u in self.model.equations.symbols.u]
         if not names:
             return ()
@@ -158,11 +158,8 @@ class Hypotheses:
             self.coincidences.append(factor)
 
     def _around(self, part: float) -> dict[sp.Expr, Interval]:
-        return {s: Interval.of(x - part * abs(x), x + part * abs(x)) for s, x in self._declared.items()}
-
-    @property
-    def _declared(self) -> dict[sp.Expr, float]:
-        return {s: self.values[name] for name, s in self.symbols.items() if not s.is_number}
+        declared = {s: self.values[name] for name, s in self.symbols.items() if not s.is_number}
+        return {s: Interval.of(x - part * abs(x), x + part * abs(x)) for s, x in declared.items()}
 
     def _sign(self, expression: sp.Expr, strictly: bool, of_factor: Callable[[sp.Expr], int | None]) -> int | None:
         if expression.is_zero:
@@ -212,7 +209,7 @@ class Hypotheses:
         return found
 
     def _ranges(self) -> dict[sp.Expr, Interval]:
-        """Return what the parameters may be: on the side of 0 that their values are on, and within declared bounds."""
+        """Ranges of the parameters: the side of 0 that their values are on, within declared bounds."""
         found: dict[sp.Expr, Interval] = {}
         for group in self.groups:
             value = self.values[group[0]]
@@ -241,7 +238,7 @@ class Hypotheses:
         return 1 if found.low > -slack else -1 if found.high < slack else None
 
     def _suppose_bounds(self, factor: sp.Expr, known: dict[sp.Expr, Interval]) -> None:
-        """Tell of the declared bounds that a sign rests on."""
+        """Suppose the declared bounds that a sign rests on."""
         for symbol in sorted(factor.free_symbols & known.keys(), key=str):
             low, high = float(known[symbol].low), float(known[symbol].high)
             if low == high:

@@ -17,8 +17,8 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.analysis.stability.graph_values import values_of
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.printers import needed
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 
@@ -113,7 +113,7 @@ def square(x: Interval) -> Interval:
 
 
 def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Interval]:
-    """Return what nodes of a graph may be over boxes.
+    """Enclosures of nodes of a graph over boxes.
 
     Args:
         graph: the expressions.
@@ -123,22 +123,7 @@ def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval])
     Raises:
         ModelError: an operation has no enclosure here, such as `floor`, or a symbol is not given.
     """
-    found: dict[Node, Interval] = {}
-    for node in needed(graph, nodes):
-        name, *arguments = graph.operations[node]
-        if node in given:
-            found[node] = given[node]
-        elif name == "number":
-            value = float(arguments[0])
-            found[node] = Interval.of(value) if value.is_integer() else _outward(Interval.of(value), ulps=_ULPS)
-        elif name not in _RULES:
-            what = f"the symbol {arguments[0]}" if name == "symbol" else f"the operation '{name}'"
-            raise ModelError(f"{what} has no enclosure by intervals")
-        else:
-            inner = [found[int(a)] for a in arguments]
-            is_square = name == "mul" and arguments[0] == arguments[1]
-            found[node] = square(inner[0]) if is_square else _RULES[str(name)](*inner)
-    return [found[node] for node in nodes]
+    return values_of(graph, nodes, given, _RULES, "enclosure by intervals")
 
 
 def _outward(low: Array | Interval, high: Array | None = None, ulps: int = 1) -> Interval:
@@ -179,6 +164,10 @@ def _sine(x: Interval, shift: float = 0.0) -> Interval:
     )
 
 
+def _number(value: float) -> Interval:
+    return Interval.of(value) if value.is_integer() else _outward(Interval.of(value), ulps=_ULPS)
+
+
 def _cosh(x: Interval) -> Interval:
     a = np.where(x.contains_zero(), 0.0, np.minimum(np.abs(x.low), np.abs(x.high)))
     with np.errstate(over="ignore"):
@@ -215,6 +204,8 @@ def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
 
 
 _RULES: dict[str, Callable[..., Interval]] = {
+    "number": _number,
+    "square": square,
     "neg": lambda x: -x,
     "add": lambda x, y: x + y,
     "sub": lambda x, y: x - y,

@@ -81,7 +81,7 @@ def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
 
 
 def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> InvariantSet:
-    """Return what forms of the velocities of a linear model do not observe."""
+    """Invariant set of a linear model: what forms of the velocities do not observe."""
     relations = unobserved(motion, forms)
     family = Family(relations)
     if len(relations) == 2 * len(motion.q):
@@ -151,7 +151,7 @@ class _Elimination:
         return tuple(j for j in range(len(self.motion.q)) if j not in self.frozen[0])
 
     def _tied(self, symbols: Sequence[sp.Symbol], values: Sequence[sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
-        """Return what the frozen ones among symbols are, the values of the forms given."""
+        """Values of the frozen symbols by those of the forms."""
         pivots, reduced = self.frozen
         rest = [sum((reduced[k, j] * symbols[j] for j in self.moving), sp.Integer(0)) for k in range(len(pivots))]
         return {symbols[i]: values[k] - rest[k] for k, i in enumerate(pivots)}
@@ -253,7 +253,7 @@ class _Elimination:
         return r if any(self.given.is_nonzero(c) for c in fixed) else None
 
     def _integrated(self, relation: sp.Expr, moving: Sequence[sp.Symbol]) -> tuple[sp.Expr, list[sp.Symbol]]:
-        """Apply the first rule as often as it can be; return the relation, and the constants that are not known."""
+        """Relation after the first rule, applied as often as it can be, and the constants that are not known."""
         constants = list(self.constants)
         for _ in range(_MOST_RULES):
             if _is_affine(relation, moving):
@@ -447,7 +447,7 @@ def _only_in_waves(expression: sp.Expr, r: sp.Symbol) -> bool:
 
 
 def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, motion: Motion) -> list[sp.Expr]:
-    """Return what r2 may be, as linear functions of r1.
+    """Values of r2 as linear functions of r1.
 
     An affine relation gives r2 = K + sigma r1 with a new constant K; a product of sines, by the third rule, one
     relation for each factor, angles modulo one turn.

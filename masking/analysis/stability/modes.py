@@ -14,6 +14,7 @@ from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
+from masking.display.json_text import Result
 from masking.errors import ModelError, nearest
 from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
@@ -42,7 +43,7 @@ class Driven(Protocol):
 
 
 @dataclass(frozen=True)
-class Mode:
+class Mode(Result):
     """A motion e^(lambda t) of a linear system.
 
     Args:
@@ -50,6 +51,7 @@ class Mode:
         shape: complex amplitude of each coordinate, the largest is 1.
     """
 
+    json_names = ("eigenvalue", "frequency", "damping", "shape")
     eigenvalue: complex
     shape: dict[str, complex]
 
@@ -137,7 +139,7 @@ def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
 
 
 def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
-    """Dy'/dy (1, m^2) over a box around a state, a part of each coordinate or velocity wide."""
+    """Dy'/dy (1, m^2) over a box around a state, a part of each wide, or of 1 where it is 0."""
     if not model.is_autonomous:
         raise ModelError(
             f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
@@ -154,15 +156,12 @@ def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
     rates = [*nodes[len(s.q) : 2 * len(s.q)], *lowered.accelerations, *lowered.rates]
     entries = [x for row in derivatives(graph, rates, nodes) for x in row]
     values = dict.fromkeys((lowered.symbols[s.t], *(lowered.symbols[u] for u in s.u)), Interval.of(0.0))
-    values |= {lowered.symbols[x]: _about(given.get(x.name, 0.0), reach) for x in states}
+    for x in states:
+        at = given.get(x.name, 0.0)
+        slack = reach * (abs(at) or 1.0)
+        values[lowered.symbols[x]] = Interval.of(at - slack, at + slack)
     values |= {lowered.symbols[p]: Interval.of(x) for p, x in zip(s.p, model.values(), strict=True)}
     return Interval.stacked(enclose(graph, entries, values), 1)
-
-
-def _about(x: float, reach: float) -> Interval:
-    """Return what is within a part of a number, or of 1 where it is 0."""
-    slack = reach * (abs(x) or 1.0)
-    return Interval.of(x - slack, x + slack)
 
 
 def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:

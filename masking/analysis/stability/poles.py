@@ -63,7 +63,7 @@ class Oscillator:
 
     @property
     def size(self) -> sp.Expr:
-        """Return what x is multiplied by for the cubic term to be y^3."""
+        """Factor of x with which the cubic term is y^3."""
         return sp.sqrt(self.cubic) if self.kind == "cubic" else sp.Integer(1)
 
     @property
@@ -195,7 +195,8 @@ class Cancellation:
             if len(used) < 2 or used[0][0] < 0:
                 continue
             is_one_class = all(self._vanishes(x.stiffness - used[0][1].stiffness) for _, x in used)
-            if (is_one_class or self._may_mix(members)) and self._is_zero(signs, members):
+            residue = sum((sign * x.residue for sign, x in used), sp.Integer(0))
+            if (is_one_class or self._may_mix(members)) and self._vanishes(residue):
                 (found if is_one_class else mixed).append(signs)
         for signs in mixed:
             if not _is_union(signs, found):
@@ -209,11 +210,8 @@ class Cancellation:
             return len(members) > 2
         return any(sum(self._vanishes(x.stiffness - y.stiffness) for y in members) > 2 for x in members)
 
-    def _is_zero(self, signs: Group, members: Sequence[Oscillator]) -> bool:
-        return self._vanishes(_sum(signs, [x.residue for x in members]))
-
     def _arranged(self, members: Sequence[Oscillator]) -> Iterator[tuple[dict[sp.Symbol, sp.Expr], bool]]:
-        """Yield what the coordinates of one kind are in each set, and whether any of them moves."""
+        """Coordinates of one kind in each set, and whether any of them moves."""
         groups = self._groups(members)
         supports = [frozenset(i for i, s in enumerate(g) if s) for g in groups]
 
@@ -237,7 +235,7 @@ class Cancellation:
                 yield values, bool(some)
 
     def _linear(self) -> dict[sp.Symbol, sp.Expr]:
-        """Return what the last linear oscillator of each frequency is by the others: their weighted sum is 0."""
+        """Last linear oscillator of each frequency by the others: their weighted sum is 0."""
         left, found = self._of_kind("linear"), dict[sp.Symbol, sp.Expr]()
         while left:
             alike = [x for x in left if self._vanishes(x.stiffness - left[0].stiffness)]
@@ -246,10 +244,6 @@ class Cancellation:
             found[last.place] = last.centre - normal(total / last.weight)
             left = [x for x in left if x not in alike]
         return found
-
-
-def _sum(signs: Group, values: Sequence[sp.Expr]) -> sp.Expr:
-    return sum((s * x for s, x in zip(signs, values, strict=True)), sp.Integer(0))
 
 
 def _is_part(part: Group, whole: Group) -> bool:
@@ -271,7 +265,7 @@ def _is_union(signs: Group, groups: Sequence[Group]) -> bool:
 
 
 def _together(group: Group, members: Sequence[Oscillator]) -> dict[sp.Symbol, sp.Expr]:
-    """Return what all of a group but the first are by the first."""
+    """Coordinates of a group by the first of it."""
     (sign, first), *others = ((s, x) for s, x in zip(group, members, strict=True) if s)
     return {
         x.place: x.centre + sign * s * normal(first.size / x.size) * (first.place - first.centre) for s, x in others

@@ -13,6 +13,7 @@ from masking.analysis.stability.equilibria import Box, Equilibria, Equilibrium, 
 from masking.analysis.stability.lyapunov import Exponent
 from masking.analysis.stability.modes import Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
 from masking.compile.numerics.arrays import Array, Complex
+from masking.display.json_text import plain
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
@@ -78,11 +79,9 @@ class Stability:
 
     def as_dict(self) -> dict[str, Any]:
         """Study as JSON can hold it."""
-        return {
+        tree: dict[str, Any] = plain({
             "name": self.name,
-            "equilibria": None
-            if self.rest is None
-            else {
+            "equilibria": self.rest and {
                 "sentence": str(self.rest),
                 "is_complete": self.rest.is_complete,
                 "is_global": self.rest.is_global,
@@ -91,12 +90,11 @@ class Stability:
             },
             "reason": self.reason,
             "upsilon": self.upsilon if self.upsilon is None or math.isfinite(self.upsilon) else None,
-            "exponent": self.exponent and self.exponent.as_dict(),
-            "certificate": self.certificate.as_dict(),
-            "loop": None
-            if self.loop is None
-            else {"eigenvalues": _numbers(self.loop.eigenvalues), "distance": self.loop.distance},
-        }
+            "exponent": self.exponent,
+            "certificate": self.certificate,
+            "loop": self.loop,
+        })  # fmt: skip
+        return tree
 
 
 def study(model: Model, box: Box | None = None) -> Stability:
@@ -178,24 +176,12 @@ def _upsilon(model: Model, rest: Equilibria | None) -> float | None:
         return None
 
 
-def _numbers(values: Complex) -> list[list[float]]:
-    return [[float(x.real), float(x.imag)] for x in values]
-
-
 def _point(point: Equilibrium, found: Modes) -> dict[str, Any]:
     return {
         "position": point.position,
         "radius": point.radius,
         "verdict": point.verdict,
         "is_proved_unstable": point.is_unstable,
-        "eigenvalues": _numbers(found.eigenvalues),
-        "modes": [
-            {
-                "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
-                "frequency": mode.frequency,
-                "damping": mode.damping,
-                "shape": {name: [x.real, x.imag] for name, x in mode.shape.items()},
-            }
-            for mode in found.modes
-        ],
+        "eigenvalues": found.eigenvalues,
+        "modes": found.modes,
     }

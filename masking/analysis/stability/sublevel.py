@@ -113,7 +113,7 @@ class _Landscape:
         self.minors = [Bound(motion, curvature[:k, :k].det(method="berkowitz")) for k in range(1, curvature.rows + 1)]
 
     def basins(self, bounded: Boundedness | None) -> Iterator[Basin]:
-        """Yield an estimate for each minimum for which there is one; see the function of this name."""
+        """Estimate for each minimum that has one; see the function of this name."""
         whole = equilibria(self.motion.model)
         rest = self._rest(whole)
         for here in rest:
@@ -142,7 +142,7 @@ class _Landscape:
         return points
 
     def _pivots(self, here: _Rest) -> list[sp.Expr] | None:
-        """Return what is to be positive for V' <= 0, and V' = 0 only along equilibria; None where that is not seen."""
+        """Expressions whose signs give V' <= 0, and V' = 0 only along equilibria; None where that is not seen."""
         motion, v = self.motion, self.motion.v
         matrix = sp.hessian(-motion.energy_rate, v) / 2
         whole = (sp.Matrix([v]) * matrix * sp.Matrix(v))[0]

@@ -1,4 +1,4 @@
-"""Synchronisation of oscillators: measures, a verdict on a record, any functional, and a detector that runs along.
+"""Synchronisation of oscillators: measures, a verdict on a record, and a detector that runs along.
 
 All of it is mathematics on series: it knows neither rigs nor recordings. Numbers of sections, figures, definitions and
 formulas are those of Rijlaarsdam (2008).
@@ -7,11 +7,8 @@ formulas are those of Rijlaarsdam (2008).
 from __future__ import annotations
 
 from masking.analysis.synchronisation.detector import Detector, Watch
-from masking.analysis.synchronisation.functional import Held, held
 from masking.analysis.synchronisation.measures import (
     AntiPhase,
-    about_drift,
-    analytic_signal,
     anti_phase,
     interpolate,
     mean_phase,
@@ -19,7 +16,6 @@ from masking.analysis.synchronisation.measures import (
     period,
     phase_difference,
     principal,
-    proportion,
     running_peak,
     synchronisation_time,
 )
@@ -28,20 +24,15 @@ from masking.analysis.synchronisation.synchronisation_verdict import Synchronisa
 __all__ = [
     "AntiPhase",
     "Detector",
-    "Held",
     "Synchronisation",
     "Watch",
-    "about_drift",
-    "analytic_signal",
     "anti_phase",
-    "held",
     "interpolate",
     "mean_phase",
     "peak_sum",
     "period",
     "phase_difference",
     "principal",
-    "proportion",
     "running_peak",
     "synchronisation",
     "synchronisation_time",

@@ -59,7 +59,8 @@ def phase_difference(t: Series, a: Series, b: Series) -> Series:
         RecordError: the record holds fewer than three periods.
     """
     grid, a, b = on_even_grid(t, a, b)
-    found: Series = np.unwrap(np.angle(analytic_signal(a) * np.conj(analytic_signal(b))))
+    signal, other = (Oscillation.of(x).analytic_signal() for x in (a, b))
+    found: Series = np.unwrap(np.angle(signal * np.conj(other)))
     return found if grid is t else np.interp(t, grid, found)
 
 
@@ -302,20 +303,6 @@ class Oscillation:
         spectrum[size // 2 + 1 :] = 0.0
         signal = np.fft.ifft(spectrum)
         return signal[len(before) : len(before) + len(a)]
-
-
-def about_drift(a: Series) -> Series:
-    """Evenly sampled motion about its drift (samples,), as `Oscillation` has it."""
-    return Oscillation.of(a).series
-
-
-def analytic_signal(a: Series) -> NDArray[np.complex128]:
-    """Analytic signal of an evenly sampled motion about its drift (samples,), as `Oscillation` has it.
-
-    Raises:
-        RecordError: it has fewer than three periods.
-    """
-    return Oscillation.of(a).analytic_signal()
 
 
 def _window(size: int) -> Series:

@@ -251,7 +251,7 @@ def _line(t: Series, phase: Series) -> tuple[float, float]:
 def _described(
     t: Series, ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisation, record: _Record
 ) -> Synchronisation:
-    """Return what a lock is: its phase, alpha, eps and the time from which on it holds.
+    """Verdict of a lock: its phase, alpha, eps and the time from which on it holds.
 
     `t` and the motions `ends` are those of the end of the record.
     """

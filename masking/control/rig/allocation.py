@@ -14,7 +14,7 @@ from masking.model.declaration.units import factor_of
 
 
 def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
-    """Return what each input of a model, in SI units, gets of each actuator, in its unit (inputs, actuators).
+    """Input of a model, in SI units, per unit of each actuator, in its unit (inputs, actuators).
 
     Args:
         plant: the plant file; without `actuators`, each input is an actuator.

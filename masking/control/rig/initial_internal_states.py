@@ -1,4 +1,4 @@
-"""Beginnings: how far from where they are declared the internal states of a twin may be when a record begins."""
+"""Initial internal states of a twin: how far from the declared ones a record may begin."""
 
 from __future__ import annotations
 

@@ -276,7 +276,7 @@ class Twin:
 
     @cached_property
     def allocation(self) -> Array:
-        """Return what each input of the model gets of each actuator (inputs, actuators)."""
+        """Allocation: input of the model per unit of each command (inputs, actuators)."""
         return allocation(self.declaration, self.base, self.model.parameter_values())
 
     def noise(self) -> dict[str, float]:
@@ -472,7 +472,7 @@ class LoweredTwin:
         return self.graph.symbol(name, varying=varying)
 
     def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
-        """Return what the effects at one sensor or actuator make of a value, one after the other."""
+        """Value after the effects at one sensor or actuator, one after the other."""
         for effect in (e for e in self.twin._on(where, at) if e.entry.expression):
             result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from masking.analysis.synchronisation import (
-    analytic_signal,
     anti_phase,
     interpolate,
     mean_phase,
@@ -19,6 +18,7 @@ from masking.analysis.synchronisation import (
     principal,
     running_peak,
 )
+from masking.analysis.synchronisation.measures import Oscillation
 from masking.errors import RecordError
 
 T = np.arange(0.0, 40.3 * 2 * np.pi, 0.1)
@@ -60,7 +60,7 @@ def test_analytic_signal_is_scipys_where_the_record_is_periodic(cycles):
     t = np.arange(512) * 2 * np.pi * cycles / 512
     a = np.cos(t + 0.3)
     # scipy takes the record as one period of an endless signal, which here it is.
-    np.testing.assert_allclose(analytic_signal(a), scipy.signal.hilbert(a), atol=0.02)
+    np.testing.assert_allclose(Oscillation.of(a).analytic_signal(), scipy.signal.hilbert(a), atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The verdict on a record of two oscillators, and any functional of motions: the digest's section 7, closed forms."""
+"""The verdict on a record of two oscillators: the digest's section 7, closed forms."""
 
 import functools
 import math
@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from masking.analysis.synchronisation import (
-    about_drift,
-    held,
     interpolate,
     period,
     synchronisation,
     synchronisation_time,
 )
+from masking.analysis.synchronisation.measures import Oscillation
 from masking.errors import RecordError
 from masking.model.modelling.model import load_model
 
@@ -212,7 +211,7 @@ def test_period_amid_noise_and_drift(noise, drift):
     assert period(T, a) == pytest.approx(true, rel=1e-5 + 2e-3 * noise)
     # Four coefficients from 8000 samples: the rms of what is taken out too much is noise sqrt(4 / 8000) = 0.022 noise,
     # more where the window leaves few samples.
-    wrong = about_drift(a) - (a - drift * (T / T[-1]) ** 2)
+    wrong = Oscillation.of(a).series - (a - drift * (T / T[-1]) ** 2)
     assert np.sqrt(np.mean(wrong**2)) < 1e-3 + 0.1 * noise
 
 
@@ -225,46 +224,10 @@ def test_a_record_that_cannot_be_judged(bad):
     assert synchronisation(t, a, 2 * a).kind == "not synchronised"  # fewer than three periods
 
 
-# Any functional (definitions 5.1 and 5.2).
-
-
-def test_functionals_of_the_motions():
-    a, b = np.cos(T), 0.5 * np.cos(T + np.pi)
-    # The period is known; half of it is no whole number of samples.
-    found = held(T, [a, b], lambda _, y1, y2: y1 - 2 * y2, shifts=[0.0, np.pi], eps=1e-3)
-    assert found.is_exact
-    assert found.is_approximate
-    assert found.time == 0.0
-    slow = np.exp(-T / 50)
-    both = held(T, [a + slow, a], lambda _, x, y: x - y, lambda t, x, y: (x - y) * t, eps=[0.1, 1.0])
-    assert not both.is_exact
-    assert both.is_approximate
-    assert both.eps[0] == pytest.approx(slow[len(T) * 4 // 5], rel=1e-3)
-    # t exp(-t/50) = 1 at t = 50 * 5.6...; the other, exp(-t/50) = 0.1, is earlier.
-    at = both.time
-    assert at * math.exp(-at / 50) == pytest.approx(1.0, rel=1e-3)
-    assert str(both).startswith("synchronised with eps = 0.00166")
-    never = held(T, [a, b], lambda _, x, y: x + y, eps=0.1)
-    assert not never.is_approximate
-    assert str(never) == "not synchronised: |g| is up to 0.5 at last, more than 0.1"
-
-
-def test_functionals_that_do_not_fit():
-    with pytest.raises(RecordError, match="give at least one functional"):
-        held(T, [np.cos(T)], eps=1.0)
-    with pytest.raises(RecordError, match="shift by less"):
-        held(T, [np.cos(T)], lambda _, y: y, shifts=[500.0], eps=1.0)
-
-
-def test_the_functional_of_anti_phase_is_that_of_the_verdict():
+def test_eps_of_anti_phase_is_the_largest_residual_of_its_definition():
     t, a, b = motion("setup_identical", 1500.0)
-    told = synchronisation(t, a, b)
-    last = t >= told.start
-    found = held(
-        t[last], [a[last], b[last]], lambda _, x, y: x - told.alpha * y, shifts=[0, told.periods[0] / 2], eps=1.0
-    )
-    assert np.abs(found.g).max() == pytest.approx(told.eps, rel=0.02)
-    half = told.periods[0] / 2
-    np.testing.assert_allclose(
-        found.g[:, 0], a[last][: len(found.t)] - told.alpha * interpolate(t, b, found.t + half), atol=1e-9
-    )
+    verdict = synchronisation(t, a, b)
+    half = verdict.periods[0] / 2
+    last = (t >= verdict.start) & (t + half <= t[-1])
+    residual = a[last] - verdict.alpha * interpolate(t, b, t[last] + half)
+    assert np.abs(residual).max() == pytest.approx(verdict.eps, rel=0.02)
