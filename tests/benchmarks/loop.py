@@ -29,7 +29,7 @@ from masking.lab.runs import hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import StreamedRows, known
 from masking.lab.runs.operator_link import Operator
-from masking.lab.runs.realtime import run_rig
+from masking.lab.runs.realtime import Hooks, run_rig
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
 from tests.benchmarks.table import Row, limited, told
 from tests.support import chromium
@@ -79,7 +79,9 @@ def measure(rounds: int = ROUNDS, *, lockstep: bool = True) -> dict[str, dict[st
                     if way == ALL:
                         more = {"operator": inner.enter_context(looked_at(tab)), "stream": folder / f"run {turn}"}
                     noted = _Noting(plant)
-                    record = hardware.run(experiment, noted, lockstep=lockstep, acknowledge=True, **more)
+                    record = hardware.run(
+                        experiment, noted, hardware.RunSettings(lockstep=lockstep, acknowledge=True, **more)
+                    )
                 work, ticks = record.manifest["rig"]["timing"]["work"], np.diff(noted.instants)
                 each = {"work p50": work["median"], "work p99": work["p99"]}
                 each |= {f"tick p{n}": float(np.quantile(ticks, n / 100)) for n in (50, 99)}
@@ -112,15 +114,11 @@ def parts() -> dict[str, Array]:
         ran = run_rig(
             timed("controller", lambda tick, readings: controller(readings, tick - sampled.before)),
             SimulatedPlant(twin),
-            rate=sampled.rate,
+            Settings(sampled.rate, lockstep=True),
             samples=TICKS,
             limits=rules,
-            lockstep=True,
-            look=timed("look for a stop", operator.look),
-            estimate=controller.estimate,
+            hooks=Hooks(on_row=[record, show], look=timed("look for a stop", operator.look)),
             known=known(controller, sampled.feed.lasting(controller.parameters)),
-            before=sampled.before,
-            on_row=[record, show],
         )
         streamed.end(keep=False)
     found = {part: np.array(times) for part, times in taken.items()}

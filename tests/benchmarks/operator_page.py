@@ -19,12 +19,13 @@ import numpy as np
 
 from masking.app.workflows.operator_process import Attendant, attend
 from masking.control.stepwise_controller import SampledStep
+from masking.lab.plants.interface import Settings
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs import safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import known
 from masking.lab.runs.operator_link import Operator
-from masking.lab.runs.realtime import RigRun, run_rig
+from masking.lab.runs.realtime import NO_HOOKS, Hooks, RigRun, run_rig
 from tests.support import chromium
 
 EXPERIMENT: Final = "huygens_rig"
@@ -35,20 +36,22 @@ def run(experiment: Experiment, operator: Operator | None, seconds: float) -> Ri
     controller, plant = SampledStep(experiment.sampled), SimulatedPlant(experiment.twin)
     rules = safety_limits.rules(experiment.instruments, controller.rate, experiment.twin, controller.estimate)
     before = experiment.sampled.before
+    hooks = NO_HOOKS
     if operator is not None:
         operator.begin(experiment, controller, rules)
+        hooks = Hooks(
+            on_row=[] if operator.put is None else [operator.put],
+            look=operator.look,
+            on_end=lambda ran: operator.end(ran.reason, ran.trip),
+        )
     return run_rig(
         lambda tick, readings: controller(readings, tick - before),
         plant,
-        rate=controller.rate,
+        Settings(controller.rate),
         samples=int(seconds * controller.rate),
         limits=rules,
-        estimate=controller.estimate,
-        look=None if operator is None else operator.look,
+        hooks=hooks,
         known=known(controller, np.zeros((1, 0))),
-        before=before,
-        on_row=[] if operator is None or operator.put is None else [operator.put],
-        on_end=None if operator is None else lambda ran: operator.end(ran.reason, ran.trip),
     )
 
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from masking.errors import MaskingError, RecordError
-from masking.lab.plants.interface import Plant
+from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.recording import Recording
-from masking.lab.runs.realtime import RigRun, Step, run_rig
+from masking.lab.runs.realtime import Hooks, RigRun, Step, run_rig
 from tests.campaigns import children
 from tests.campaigns.twins import PLANT, RATE, WATCHDOG, rules, small
 
@@ -182,7 +182,7 @@ class Bench:
             plant: a packaged plant.
             made: makes the plant of the address; by default an undamaged line.
             damage: of the plant, as `tests.campaigns.damage.Damaged` takes it.
-            more: what `run_rig` takes besides.
+            more: other hooks of `run_rig`.
         """
         served = self.served(lockstep=lockstep, plant=plant)
         served.damage(**(damage or {}))
@@ -192,14 +192,10 @@ class Bench:
             run_rig(
                 step,
                 made(served.address) if made is not None else UdpPlant(served.address, patience=20.0),
-                rate=RATE,
+                Settings(RATE, WATCHDOG, lockstep, acknowledge=True),
                 samples=samples,
                 limits=held or rules(plant),
-                watchdog=WATCHDOG,
-                lockstep=lockstep,
-                acknowledge=True,
-                **more,
-                on_end=ended.append,
+                hooks=Hooks(**more, on_end=ended.append),
             )
         except Exception as raised:  # whatever the fault is, its record is evaluated
             error = raised

@@ -16,11 +16,12 @@ from typing import Any
 
 from masking.compile.numerics.arrays import Array
 from masking.lab.plants import adapters, safety_chain
-from masking.lab.plants import serve as plants
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.operating_system import STOPPING
+from masking.lab.plants.serve import Serving
+from masking.lab.plants.serve import serve as serve_plant
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs.realtime import RigRun, run_rig
+from masking.lab.runs.realtime import Hooks, RigRun, run_rig
 from tests.campaigns import twins
 from tests.campaigns.damage import Damaged
 
@@ -46,13 +47,11 @@ def serve(said: Connection, plant: str, folder: str, line: str, *, lockstep: boo
     simulated = SimulatedPlant(twins.twin(plant))
     simulated.configure(Settings(twins.RATE))  # compiles what a controller would not wait for
     simulated.deactivate()
-    plants.serve(
+    serve_plant(
         Damaged(simulated, Path(folder) / "damage.json"),
         line,
-        clock="lockstep" if lockstep else "real",
-        record=folder,
+        Serving("lockstep" if lockstep else "real", folder, after_latch=0.1),
         ready=said.send,
-        after_latch=0.1,
     )
 
 
@@ -108,14 +107,10 @@ def control(said: Connection, address: str, chosen: dict[str, Any]) -> None:
     run_rig(
         step,
         plant,
-        rate=twins.RATE,
+        Settings(twins.RATE, twins.WATCHDOG, chosen.get("lockstep", False), chosen.get("acknowledge", True)),
         samples=chosen.get("samples", 10**5),
         limits=twins.rules(),
-        watchdog=twins.WATCHDOG,
-        lockstep=chosen.get("lockstep", False),
-        acknowledge=chosen.get("acknowledge", True),
-        on_tick=on_tick,
-        on_end=on_end,
+        hooks=Hooks(on_tick=on_tick, on_end=on_end),
     )
 
 

@@ -164,11 +164,13 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
     found = hardware.run(
         Experiment.load("huygens_rig").changed(duration=_UNITS),
         UdpPlant(served.address, patience=20.0),
-        lockstep=True,
-        acknowledge=True,
-        progress=fill,
-        stream=folder,
-        spare=bench.place(),
+        hardware.RunSettings(
+            lockstep=True,
+            acknowledge=True,
+            progress=fill,
+            stream=folder,
+            spare=bench.place(),
+        ),
     )
     rig, own = found.manifest["rig"], served.record()
     judgement.need(rig["end"] == "disk full", f"the run ended as {rig['end']}")

@@ -14,7 +14,8 @@ from masking.compile.numerics.arrays import Array
 from masking.control.exports.fmu_unit import has_binary
 from masking.errors import PlantError
 from masking.lab.plants import adapters
-from masking.lab.runs.realtime import RigRun, run_rig
+from masking.lab.plants.interface import Settings
+from masking.lab.runs.realtime import Hooks, RigRun, run_rig
 from tests.campaigns.bench import Bench
 from tests.campaigns.table import Fault, Judgement
 from tests.campaigns.twins import RATE
@@ -40,11 +41,10 @@ def _run(address: str, rate: float) -> RigRun:
         run_rig(
             nothing,
             adapters.connect(address),
-            rate=rate,
+            Settings(rate, lockstep=True),
             samples=_SAMPLES,
             limits=np.ones(1),
-            lockstep=True,
-            on_end=ended.append,
+            hooks=Hooks(on_end=ended.append),
         )
     return ended[0]
 

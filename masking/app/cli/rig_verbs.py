@@ -185,19 +185,23 @@ def _check(chosen: argparse.Namespace) -> int:
 
 def _serve(chosen: argparse.Namespace) -> int:
     """Serve a plant, or the twin of one, over UDP or a serial line, on a clock of its own."""
+    from masking.lab.plants.serve import Serving
+    from masking.lab.plants.session import Allowed
     from masking.lab.runs import hardware
 
+    serving = Serving(
+        clock="lockstep" if chosen.lockstep else "real",
+        record=chosen.record,
+        sessions=chosen.sessions,
+        allowed=Allowed(chosen.watchdog, chosen.rates),
+        key=_key(chosen),
+    )
     folders = hardware.serve(
         chosen.plant,
         chosen.address,
-        lockstep=chosen.lockstep,
-        record=chosen.record,
+        serving,
         seed=chosen.seed,
-        sessions=chosen.sessions,
         limits=chosen.limits,
-        watchdog=chosen.watchdog,
-        rates=chosen.rates,
-        key=chosen.key,
         ready=lambda address: print(f"{chosen.plant} is served at {address}", file=sys.stderr, flush=True),
     )
     records = [str(folder) for folder in folders]
@@ -233,10 +237,11 @@ def _run(chosen: argparse.Namespace) -> int:
                     made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
                 )
                 found.check()
-            recording = hardware.run(
-                made, plant, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep,
-                stream=out, spare=chosen.spare, operator=operator,
+            settings = hardware.RunSettings(
+                lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep, stream=out,
+                spare=chosen.spare, operator=operator,
             )  # fmt: skip
+            recording = hardware.run(made, plant, settings)
         keep(recording)
         operator.wait()
     finally:

@@ -26,7 +26,7 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError, PlantError, PlantLostError, PlantRefusedError, RecordError
 from masking.lab.plants import adapters
 from masking.lab.plants.authentication import Key
-from masking.lab.plants.interface import Plant
+from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Cause
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import stream, stream_content
@@ -34,7 +34,7 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan, hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.operator_link import Operator
-from masking.lab.runs.realtime import run_rig
+from masking.lab.runs.realtime import Hooks, run_rig
 from masking.lab.runs.self_test import part_moved
 from masking.lab.runs.stopping import FAILED, INTERRUPTED, TRIPPED
 
@@ -94,12 +94,10 @@ def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:
     with Operator() as operator:
         try:
             zero = _at_rest(made, plant(), chosen.zero, plan.drift, plan.patience, lockstep=lockstep, operator=operator)
-            kept.append(
-                hardware.run(
-                    made, plant(), lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder,
-                    operator=operator,
-                )
-            )  # fmt: skip
+            settings = hardware.RunSettings(
+                lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder, operator=operator
+            )
+            kept.append(hardware.run(made, plant(), settings))
         except MaskingError as error:
             if kept and isinstance(error, PlantError):
                 return _saved(made, kept[0], chosen.folder) | {"why": str(error), "zero": zero}
@@ -164,8 +162,8 @@ def _at_rest(
         return part_moved(held, np.stack([beyond.max(axis=0), np.zeros(len(still))])) < _STILL
 
     ran = run_rig(
-        step, plant, rate=rate, samples=many + round(patience * rate), limits=held, lockstep=lockstep,
-        acknowledge=True, stop=is_still, look=operator.look,
+        step, plant, Settings(rate, lockstep=lockstep, acknowledge=True), samples=many + round(patience * rate),
+        limits=held, hooks=Hooks(stop=is_still, look=operator.look),
     )  # fmt: skip
     if ran.trip is not None:
         operator.trip = ran.trip

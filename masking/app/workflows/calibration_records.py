@@ -25,12 +25,12 @@ from masking.errors import MaskingError, RecordError
 from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
-from masking.lab.plants.interface import Plant
+from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import MANIFEST, Recording
 from masking.lab.runs import safety_limits
-from masking.lab.runs.realtime import check_channels, every, run_rig
+from masking.lab.runs.realtime import Hooks, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED
 from masking.lab.signals import Multisine, minimise_crest
 
@@ -191,14 +191,15 @@ def _record(
     ran = run_rig(
         step,
         plant,
-        rate=RATE,
+        Settings(RATE, lockstep=lockstep),
         samples=len(commands),
         limits=limits,
-        lockstep=lockstep,
-        accept=lambda found: check_channels(
-            found, twin.sensors, twin.actuators, f"the calibration is for {wanted}", _MEND
+        hooks=Hooks(
+            lambda found: check_channels(
+                found, twin.sensors, twin.actuators, f"the calibration is for {wanted}", _MEND
+            ),
+            on_tick=every(progress, len(commands)),
         ),
-        on_tick=every(progress, len(commands)),
     )
     if ran.reason != FINISHED:
         why = f" ({ran.trip})" if ran.trip else ""

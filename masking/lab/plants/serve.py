@@ -26,6 +26,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final, Literal, final
@@ -57,41 +58,52 @@ OVER: Final = "this session is over; open a new one"
 REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
 
+@dataclass(frozen=True, eq=False)
+class Serving:
+    """How a plant is served.
+
+    Args:
+        clock: "real" ticks at the rate that the controller asks for; "lockstep" waits for each command.
+        record: folder in which each session is saved as a recording of its own, `session-1` and so on: the first number
+            that is free. Columns: t (s) and tick of the plant's clock, wall (s since the first sample), late (s), fresh
+            (1 where a command answered in time), latched, `sensor.<name>`, `input.<name>` (in force from this sample to
+            the next) and `plant.<name>` (the plant's telemetry at the end of that time).
+        sessions: number of them; None for any.
+        patience: seconds to wait for a command in lockstep.
+        after_latch: seconds that are still recorded after a trip.
+        allowed: watchdogs and rates that controllers may ask for.
+        guard: what every command passes before it is written.
+        key: that controllers must have; needed where other machines reach the address.
+    """
+
+    clock: Clock = "real"
+    record: str | Path | None = None
+    sessions: int | None = None
+    patience: float = 5.0
+    after_latch: float = 1.0
+    allowed: Allowed = field(default_factory=Allowed)
+    guard: Guard | None = None
+    key: Key | None = None
+
+
 def serve(
     plant: Plant,
     address: str,
+    serving: Serving,
     *,
-    clock: Clock = "real",
-    record: str | Path | None = None,
-    stop_after: int | None = None,
     stop: Stop | None = None,
     ready: Callable[[str], None] | None = None,
     tell: Callable[[str], None] | None = None,
-    patience: float = 5.0,
-    after_latch: float = 1.0,
-    allowed: Allowed | None = None,
-    guard: Guard | None = None,
-    key: Key | None = None,
 ) -> tuple[Path, ...]:
     """Serve a plant until asked to stop; SIGINT, SIGTERM and SIGHUP end it with the record saved.
 
     Args:
         plant: any that does not own its clock.
         address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
-        clock: "real" ticks at the rate that the controller asks for; "lockstep" waits for each command.
-        record: folder in which each session is saved as a recording of its own, `session-1` and so on: the first number
-            that is free. Columns: t (s) and tick of the plant's clock, wall (s since the first sample), late (s), fresh
-            (1 where a command answered in time), latched, `sensor.<name>`, `input.<name>` (in force from this sample to
-            the next) and `plant.<name>` (the plant's telemetry at the end of that time).
-        stop_after: number of sessions.
+        serving: how.
         stop: looked at each tick.
         ready: called with the address once it can be reached.
         tell: called with what an operator should know; by default it goes to standard error.
-        patience: seconds to wait for a command in lockstep.
-        after_latch: seconds that are still recorded after a trip.
-        allowed: watchdogs and rates that controllers may ask for.
-        guard: what every command passes before it is written.
-        key: that controllers must have; needed where other machines reach the address.
 
     Returns:
         folders of the recordings.
@@ -104,8 +116,8 @@ def serve(
         raise PlantMismatchError("this plant owns its clock; serve one that does not, or run it directly")
     with contextlib.ExitStack() as stack:
         line = stack.enter_context(contextlib.closing(adapters.listen(address)))
-        if key is not None:
-            line = AuthenticatedHub(line, key)
+        if serving.key is not None:
+            line = AuthenticatedHub(line, serving.key)
         elif not line.is_local:
             raise PlantMismatchError(
                 f"{address} is reached from other machines, which may drive the plant: give --key FILE, and the same "
@@ -114,57 +126,36 @@ def serve(
         asked = stack.enter_context(asked_to_stop())
         stack.callback(plant.deactivate)
         server = _Server(
-            plant,
-            line,
-            clock,
-            stop=lambda: asked() or (stop is not None and stop()),
-            tell=tell or _to_stderr,
-            patience=patience,
-            after_latch=after_latch,
-            allowed=allowed or Allowed(),
-            guard=guard,
+            plant, line, serving, stop=lambda: asked() or (stop is not None and stop()), tell=tell or _to_stderr
         )
         if ready is not None:
             ready(line.address)
-        return server.run(Path(record) if record is not None else None, stop_after)
+        return server.run()
 
 
 @final
 class _Server:
     """One plant at the end of its lines."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        line: Hub,
-        clock: Clock,
-        *,
-        stop: Stop,
-        tell: Callable[[str], None],
-        patience: float,
-        after_latch: float,
-        allowed: Allowed,
-        guard: Guard | None,
-    ) -> None:
-        self.plant, self.line, self.clock, self.stop, self.tell = plant, line, clock, stop, tell
-        self.patience, self.after_latch = patience, after_latch
-        self.allowed, self.guard = allowed, guard
+    def __init__(self, plant: Plant, line: Hub, serving: Serving, *, stop: Stop, tell: Callable[[str], None]) -> None:
+        self.plant, self.line, self.serving, self.stop, self.tell = plant, line, serving, stop, tell
+        self.guard = serving.guard
+        self.is_real = serving.clock == "real"
         self.pending: tuple[Frame, Peer] | None = None  # a hello that ended a latched session
         self.tripped = ""  # why the last session was stopped, until a controller acknowledges it
         self.over: dict[int, str] = {}  # what a hello is told whose number was taken before
         self.looked = 0.0  # instant of the last look at the line within a tick
         self.reported: set[str] = set()
 
-    def run(self, record: Path | None, stop_after: int | None) -> tuple[Path, ...]:
+    def run(self) -> tuple[Path, ...]:
         """Hold one session after another; return the folders that they were saved in."""
-        folders: list[Path] = []
+        folders, record = list[Path](), self.serving.record
         held = 0
-        while held != stop_after and (session := self.next_session()) is not None:
+        while held != self.serving.sessions and (session := self.next_session()) is not None:
             held += 1
             session.acknowledged, self.tripped = self.tripped, ""
-            real = self.clock == "real"
             try:
-                with undisturbed(priority=real) as note:
+                with undisturbed(priority=self.is_real) as note:
                     self.tell_once(note)
                     self.hold(session)
             except Exception as error:  # whatever a plant raises ends its session, not the server
@@ -180,8 +171,8 @@ class _Server:
                 session.counters.update(self.guard.counters)
             if record is not None and session.rows.count:
                 try:
-                    recording = session.rows.recording(session.manifest(self.clock))
-                    folders.append(recording.save(_free_folder(record)))
+                    recording = session.rows.recording(session.manifest(self.serving.clock))
+                    folders.append(recording.save(_free_folder(Path(record))))
                 except RecordError as error:
                     self.tell(f"the record of this session is lost: {error}")
             if session.end != "bye":
@@ -241,11 +232,11 @@ class _Server:
     def opened(self, frame: Frame, address: Peer) -> Session:
         """Configure the plant as a hello asks, and return the session; a `MaskingError` where it may not have it."""
         settings = wire.read_settings(frame.text)
-        if settings.lockstep != (self.clock == "lockstep"):
+        if settings.lockstep == self.is_real:
             wanted = "lockstep" if settings.lockstep else "real"
             mend = "start both in lockstep, or both without"
-            raise PlantMismatchError(f"its clock is '{self.clock}', the controller wants '{wanted}'; {mend}")
-        self.allowed.check(settings)
+            raise PlantMismatchError(f"its clock is '{self.serving.clock}', the controller wants '{wanted}'; {mend}")
+        self.serving.allowed.check(settings)
         if self.tripped and not settings.acknowledge:
             mend = "look at the rig, then start once with --acknowledge"
             raise PlantRefusedError(f"it has tripped: {self.tripped}; {mend}")
@@ -281,7 +272,7 @@ class _Server:
             else:
                 self.reply(session, Kind.STOP, session.latch["cause"])
             session.show(instant)
-            if self.clock == "real":
+            if self.is_real:
                 self.looked = time.monotonic()
                 late = deadlines.wait(partial(self.look, session, sample), LOOK)
                 instant = self.answers(session, sample, late)
@@ -289,7 +280,7 @@ class _Server:
                 self.await_answer(session, sample.index)
             session.counters["overruns"] = deadlines.missed
             if session.latch is not None:
-                over = min(over, sample.index + self.after_latch * rate if self.clock == "real" else sample.index)
+                over = min(over, sample.index + self.serving.after_latch * rate if self.is_real else sample.index)
                 if sample.index >= over and not session.end:
                     session.end = session.latch["cause"]
             if self.stop():
@@ -344,10 +335,10 @@ class _Server:
 
     def await_answer(self, session: Session, tick: int) -> None:
         """Wait for the command that answers a sample; latch where none comes."""
-        until = time.monotonic() + self.patience
+        until = time.monotonic() + self.serving.patience
         while not (session.fresh or session.end or self.stop()):
             if time.monotonic() > until:
-                session.trip(tick, f"no command for {self.patience:g} s in lockstep")
+                session.trip(tick, f"no command for {self.serving.patience:g} s in lockstep")
                 return
             self.listen(session, tick, POLL)
 
@@ -365,7 +356,7 @@ class _Server:
                 session.counters["other session"] += 1
             elif frame.kind is Kind.COMMAND:
                 session.take(frame, tick)
-                if session.fresh and self.clock == "lockstep":
+                if session.fresh and not self.is_real:
                     return  # what follows belongs to the next sample
             elif frame.kind in (Kind.BYE, Kind.STOP):
                 if frame.kind is Kind.STOP:

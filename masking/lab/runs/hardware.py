@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 from masking.analysis.synchronisation import Watch
 from masking.compile.numerics.arrays import Array
@@ -16,14 +17,13 @@ from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import SampledStep
 from masking.errors import MaskingError, ModelError
 from masking.lab.plants import adapters
-from masking.lab.plants import serve as serving
 from masking.lab.plants.address import scheme_of
-from masking.lab.plants.authentication import Key
 from masking.lab.plants.command_guard import Guard, PlantLimits
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.operating_system import Stop
 from masking.lab.plants.safety_chain import Chain
-from masking.lab.plants.session import LONGEST_WATCHDOG, RATES, Allowed
+from masking.lab.plants.serve import Serving
+from masking.lab.plants.serve import serve as serve_plant
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import stream as streams
 from masking.lab.records.recording import Recording
@@ -32,7 +32,7 @@ from masking.lab.runs import safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.lab.runs.operator_link import Operator
-from masking.lab.runs.realtime import RigRun, check_channels, every, run_rig
+from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 
 WATCHDOG = 0.02
@@ -42,15 +42,10 @@ _MEND = "run it on that plant, or write the plant that is there into it"
 def serve(
     plant: str | Path,
     address: str,
+    serving: Serving,
     *,
-    lockstep: bool = False,
-    record: str | Path | None = None,
     seed: int = 0,
-    sessions: int | None = None,
     limits: str | Path | None = None,
-    watchdog: float = LONGEST_WATCHDOG,
-    rates: tuple[float, float] = RATES,
-    key: str | Path | None = None,
     ready: Callable[[str], None] | None = None,
     stop: Stop | None = None,
 ) -> tuple[Path, ...]:
@@ -59,16 +54,10 @@ def serve(
     Args:
         plant: a packaged plant or a plant file, whose twin is served; or the address of a plant without a clock.
         address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
-        lockstep: wait for each command, instead of a clock of its own.
-        record: folder for the plant's own record of each session.
+        serving: how, but for its guard.
         seed: of the noise of a twin's sensors.
-        sessions: how many to serve; None for any number.
         limits: a packaged plant or a plant file, whose limits every command is brought within; by default those of the
             plant, and none for an address.
-        watchdog: the longest that a controller may ask for, s.
-        rates: the lowest and the highest that it may ask for, Hz.
-        key: file that only its owner can read, with a key that controllers must have, too; needed where other machines
-            reach the address.
         ready: called with the address once the plant can be reached.
         stop: looked at in each tick.
 
@@ -76,9 +65,8 @@ def serve(
         the folders of the records.
 
     Raises:
-        PlantMismatchError: the plant owns its clock, the address is wrong or taken, or the key is missing or unsafe.
+        PlantMismatchError: the plant owns its clock, the address is wrong or taken, or a key is missing.
     """
-    shared = Key.read(key) if key is not None else None
     twin = None if scheme_of(str(plant)) else Twin.load(plant)
     limited = twin if limits is None else Twin.load(limits)
     guard = _guard(limited) if limited is not None else None
@@ -91,18 +79,7 @@ def serve(
         if guard is not None:
             guard.begin(served, settings)
         served.deactivate()
-    return serving.serve(
-        served,
-        address,
-        clock="lockstep" if lockstep else "real",
-        record=record,
-        stop_after=sessions,
-        ready=ready,
-        stop=stop,
-        allowed=Allowed(watchdog, rates),
-        guard=guard,
-        key=shared,
-    )
+    return serve_plant(served, address, replace(serving, guard=guard), ready=ready, stop=stop)
 
 
 def _guard(twin: Twin) -> Guard:
@@ -112,29 +89,11 @@ def _guard(twin: Twin) -> Guard:
     return PlantLimits(rules)
 
 
-def run(
-    experiment: Experiment,
-    plant: Plant,
-    *,
-    lockstep: bool = False,
-    watchdog: float = WATCHDOG,
-    acknowledge: bool = False,
-    progress: Callable[[float], None] | None = None,
-    stop: Stop | None = None,
-    emergency: Stop | None = None,
-    keep: Callable[[Recording], None] | None = None,
-    stream: str | Path | None = None,
-    spare: str | Path | None = None,
-    operator: Operator | None = None,
-) -> Recording:
-    """Run an experiment on a plant, from rest through the homing phase to the end.
-
-    SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
-    `rig.end` says why the run ended, with one of `masking.lab.runs.stopping.REASONS`.
+@dataclass(frozen=True, eq=False)
+class RunSettings:
+    """How an experiment runs on a plant.
 
     Args:
-        experiment: with a sampled controller, an observer and a homing phase.
-        plant: any that is not active; its outputs are at zero on every way out.
         lockstep: run as fast as both sides can, each waiting for the other.
         watchdog: seconds without a command after which the plant goes to zero by itself.
         acknowledge: why the plant tripped in the last run was looked at; it is refused without.
@@ -146,6 +105,33 @@ def run(
             `masking.lab.records.stream.remove` takes them away. By default nothing is written.
         spare: folder for the rest of the stream where its own is full; by default that for temporary files.
         operator: who looks at the run, and may stop it.
+    """
+
+    lockstep: bool = False
+    watchdog: float = WATCHDOG
+    acknowledge: bool = False
+    progress: Callable[[float], None] | None = None
+    stop: Stop | None = None
+    emergency: Stop | None = None
+    keep: Callable[[Recording], None] | None = None
+    stream: str | Path | None = None
+    spare: str | Path | None = None
+    operator: Operator | None = None
+
+
+REAL_TIME: Final = RunSettings()
+
+
+def run(experiment: Experiment, plant: Plant, settings: RunSettings = REAL_TIME) -> Recording:
+    """Run an experiment on a plant, from rest through the homing phase to the end.
+
+    SIGINT, SIGTERM and SIGHUP end the run in order; what there is since the release is returned. The manifest's
+    `rig.end` says why the run ended, with one of `masking.lab.runs.stopping.REASONS`.
+
+    Args:
+        experiment: with a sampled controller, an observer and a homing phase.
+        plant: any that is not active; its outputs are at zero on every way out.
+        settings: of the run.
 
     Returns:
         what the controller saw and did since the release; the rig's states are estimates.
@@ -157,90 +143,113 @@ def run(
         MaskingError: the run was stopped before the release.
     """
     _check(experiment)
-    sampled = experiment.sampled
-    before = sampled.before
-    after = samples_after(experiment, sampled)
-    controller = _prepare(sampled)
-    condition = experiment.stop_condition
-    watched = None
-    if condition:
-        watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
-    keeper = _Keeper(controller, before, after, watched)
-    declared, instruments = experiment.assembly.plant, experiment.instruments
-    wanted = Path(next(iter(declared.files), declared.name)).stem
-    rules = safety_limits.rules(instruments, sampled.rate, experiment.twin, controller.estimate)
+    run = _Run(experiment, settings)
+    try:
+        ran = run.on(plant)
+    except BaseException:
+        if run.streamed is not None:
+            run.streamed.end(keep=run.ended is not None and len(run.ended.index) > 0)
+        if settings.keep is not None and run.ended is not None and run.keeper.is_released:
+            settings.keep(run.recording(run.ended))
+        raise
+    is_released = run.keeper.is_released
+    if run.streamed is not None:
+        run.streamed.end(keep=is_released or ran.reason not in {INTERRUPTED, STOPPED})
+    if not is_released:
+        why = f" ({ran.trip})" if ran.trip else ""
+        is_kept = settings.stream is not None and streams.is_in(settings.stream)
+        what = streams.MEND.format(settings.stream) if is_kept else "nothing was recorded"
+        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
+    return run.recording(ran)
 
-    streamed = None
-    if stream is not None:
-        second = Path(tempfile.gettempdir() if spare is None else spare)
-        streamed = StreamedRows(experiment, Path(stream), second, lockstep=lockstep, before=before)
 
-    def is_full() -> bool:
-        return streamed is not None and streamed.recorder.is_full
+@final
+class _Run:
+    """One run of an experiment.
 
-    def is_over() -> bool:
-        return keeper.is_over or is_full() or (stop is not None and stop())
+    Attributes:
+        keeper: the controller on the ticks of the plant.
+        streamed: rows on their way to disk; None where they are not.
+        ended: what was recorded, once the plant is at zero.
+    """
 
-    def made(ran: RigRun) -> Recording:
-        times = {"controller": ran.durations, "work": ran.work} | ({} if lockstep else {"lateness": ran.lateness})
+    def __init__(self, experiment: Experiment, settings: RunSettings) -> None:
+        self.experiment, self.settings = experiment, settings
+        sampled, condition = experiment.sampled, experiment.stop_condition
+        controller = _prepare(sampled)
+        watched = None
+        if condition:
+            watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
+        self.after = samples_after(experiment, sampled)
+        self.keeper = _Keeper(controller, sampled.before, self.after, watched)
+        self.rules = safety_limits.rules(experiment.instruments, sampled.rate, experiment.twin, controller.estimate)
+        self.ended: RigRun | None = None
+        self.streamed: StreamedRows | None = None
+        if settings.stream is not None:
+            spare = Path(tempfile.gettempdir() if settings.spare is None else settings.spare)
+            self.streamed = StreamedRows(
+                experiment, Path(settings.stream), spare, lockstep=settings.lockstep, before=sampled.before
+            )
+
+    def on(self, plant: Plant) -> RigRun:
+        """Run it on a plant."""
+        keeper, settings, operator = self.keeper, self.settings, self.settings.operator
+        if operator is not None:
+            operator.begin(self.experiment, keeper.controller, self.rules)
+        samples = keeper.before + self.after
+        return run_rig(
+            keeper.step,
+            plant,
+            Settings(keeper.controller.rate, settings.watchdog, settings.lockstep, settings.acknowledge),
+            samples=samples,
+            limits=self.rules,
+            hooks=Hooks(
+                accept=self._accept,
+                on_tick=None if settings.progress is None else every(settings.progress, samples),
+                on_row=[one.put for one in (self.streamed, operator) if one is not None and one.put is not None],
+                stop=self._is_over,
+                emergency=settings.emergency,
+                look=None if operator is None else operator.look,
+                on_end=self._end,
+            ),
+            known=known(keeper.controller, keeper.lasting),
+        )
+
+    def recording(self, ran: RigRun) -> Recording:
+        """Recording of what there is since the release."""
+        times = {"controller": ran.durations, "work": ran.work}
+        times |= {} if self.settings.lockstep else {"lateness": ran.lateness}
         outcome = {
-            "end": keeper.end(ran.reason, is_full=is_full()),
+            "end": self.keeper.end(ran.reason, is_full=self._is_full),
             "counters": dict(ran.counters),
             "timing": timing(ran.index, **times),
             **({"note": ran.note} if ran.note else {}),
         }
-        outcome |= {"unwatched": list(rules.notes)} if rules.notes else {}
+        outcome |= {"unwatched": list(self.rules.notes)} if self.rules.notes else {}
         outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
-        if streamed is not None and streamed.recorder.note:
-            outcome |= {"recorder": streamed.recorder.as_dict()}
-        return RowLayout(experiment).recording(ran.table, after, lockstep=lockstep, outcome=outcome)
+        if self.streamed is not None and self.streamed.recorder.note:
+            outcome |= {"recorder": self.streamed.recorder.as_dict()}
+        layout = RowLayout(self.experiment)
+        return layout.recording(ran.table, self.after, lockstep=self.settings.lockstep, outcome=outcome)
 
-    def on_end(ran: RigRun) -> None:
-        ended.append(ran)
-        if operator is not None:
-            operator.end(keeper.end(ran.reason, is_full=is_full()), ran.trip)
+    @property
+    def _is_full(self) -> bool:
+        return self.streamed is not None and self.streamed.recorder.is_full
 
-    ended: list[RigRun] = []
-    try:
-        if operator is not None:
-            operator.begin(experiment, controller, rules)
-        ran = run_rig(
-            keeper.step,
-            plant,
-            rate=sampled.rate,
-            samples=before + after,
-            limits=rules,
-            watchdog=watchdog,
-            lockstep=lockstep,
-            acknowledge=acknowledge,
-            accept=lambda found: check_channels(
-                found, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND
-            ),
-            on_tick=None if progress is None else every(progress, before + after),
-            on_row=[one.put for one in (streamed, operator) if one is not None and one.put is not None],
-            stop=is_over,
-            emergency=emergency,
-            look=None if operator is None else operator.look,
-            estimate=controller.estimate,
-            known=known(controller, keeper.lasting),
-            before=before,
-            on_end=on_end,
-        )
-    except BaseException:
-        is_kept = bool(ended) and keep is not None and keeper.is_released
-        if streamed is not None:
-            streamed.end(keep=bool(ended and len(ended[0].index)))
-        if is_kept and keep is not None:
-            keep(made(ended[0]))
-        raise
-    if streamed is not None:
-        streamed.end(keep=keeper.is_released or ran.reason not in {INTERRUPTED, STOPPED})
-    if not keeper.is_released:
-        why = f" ({ran.trip})" if ran.trip else ""
-        is_kept = stream is not None and streams.is_in(stream)
-        what = streams.MEND.format(stream) if is_kept else "nothing was recorded"
-        raise MaskingError(f"the run was {ran.reason} during homing, before the release{why}; {what}")
-    return made(ran)
+    def _is_over(self) -> bool:
+        stop = self.settings.stop
+        return self.keeper.is_over or self._is_full or (stop is not None and stop())
+
+    def _accept(self, plant: Plant) -> None:
+        declared, instruments = self.experiment.assembly.plant, self.experiment.instruments
+        wanted = Path(next(iter(declared.files), declared.name)).stem
+        whose = f"the experiment is for {wanted}"
+        check_channels(plant, instruments.sensors, instruments.actuators, whose, _MEND)
+
+    def _end(self, ran: RigRun) -> None:
+        self.ended = ran
+        if self.settings.operator is not None:
+            self.settings.operator.end(self.keeper.end(ran.reason, is_full=self._is_full), ran.trip)
 
 
 def _check(experiment: Experiment) -> None:

@@ -21,7 +21,7 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import TwinRun
-from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP
+from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Known
 from masking.lab.runs.stopping import SYNCHRONISED
 
 
@@ -120,8 +120,8 @@ def samples_after(experiment: Experiment, sampled: SampledController) -> int:
     return int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
 
 
-def known(controller: SampledStep, lasting: Array) -> tuple[Array, ...]:
-    """Return what the rows of a controller have of it, in the order of `RowLayout`.
+def known(controller: SampledStep, lasting: Array) -> Known:
+    """State of a controller in rows, in the order of `RowLayout`.
 
     Args:
         controller: that answers.
@@ -129,7 +129,8 @@ def known(controller: SampledStep, lasting: Array) -> tuple[Array, ...]:
     """
     sizes, state = controller.sampled.sizes, controller.state
     states = sizes.states + (sizes.coordinates if sizes.order else 0)
-    return controller.power, state[:states], controller.demanded, lasting[0]
+    columns = controller.power, state[:states], controller.demanded, lasting[0]
+    return Known(controller.estimate, columns, controller.sampled.before)
 
 
 @final

@@ -93,26 +93,57 @@ class RigRun:
     trip: Trip | None = None
 
 
+@dataclass(frozen=True)
+class Hooks:
+    """Functions that a run calls besides those of its controller and its plant; each may be left out.
+
+    Args:
+        accept: called with the configured plant before it is activated; raises what it refuses the plant with.
+        on_tick: called with the row after each tick, within the tick's time.
+        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
+        stop: looked at before each tick; the run ends where it is true.
+        emergency: likewise; the run then trips.
+        look: called with the safety chain, which it may stop, and the tick of each sample.
+        on_end: called with the record once the plant is at zero, also before an error is raised.
+    """
+
+    accept: Callable[[Plant], None] | None = None
+    on_tick: Callable[[int], None] | None = None
+    on_row: Sequence[Callable[[Row], None]] = ()
+    stop: Stop | None = None
+    emergency: Stop | None = None
+    look: Callable[[Chain, int], None] | None = None
+    on_end: Callable[[RigRun], None] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """State of a controller that a run looks at; the controller changes its arrays in place.
+
+    Args:
+        estimate: of the rig's states; for rules that need it.
+        columns: of each row besides `LOOP`, sensors and commands: contiguous arrays of float64.
+        before: samples before the release.
+    """
+
+    estimate: Array | None = None
+    columns: Sequence[Array] = ()
+    before: int = 0
+
+
+NO_HOOKS: Final = Hooks()
+UNKNOWN: Final = Known()
+
+
 def run_rig(
     step: Step,
     plant: Plant,
+    settings: Settings,
     *,
-    rate: float,
     samples: int,
     limits: Array | Rules,
-    watchdog: float = 0.02,
-    lockstep: bool = False,
-    acknowledge: bool = False,
-    accept: Callable[[Plant], None] | None = None,
-    on_tick: Callable[[int], None] | None = None,
-    on_row: Sequence[Callable[[Row], None]] = (),
-    stop: Stop | None = None,
-    emergency: Stop | None = None,
-    look: Callable[[Chain, int], None] | None = None,
-    estimate: Array | None = None,
-    known: Sequence[Array] = (),
-    before: int = 0,
-    on_end: Callable[[RigRun], None] | None = None,
+    hooks: Hooks = NO_HOOKS,
+    known: Known = UNKNOWN,
 ) -> RigRun:
     """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
 
@@ -121,53 +152,40 @@ def run_rig(
     Args:
         step: takes the tick of a sample and its sensors (sensors,), and returns the command (actuators,).
         plant: any plant that is not active.
-        rate: Hz.
+        settings: that the plant is configured with.
         samples: ticks.
         limits: what the rig is held to; or (actuators,), the largest magnitude of each command, positive.
-        watchdog: seconds without a command after which the plant goes to zero by itself.
-        lockstep: run as fast as both sides can, each waiting for the other.
-        acknowledge: why the plant tripped in the last run was looked at.
-        accept: called with the configured plant before it is activated; raises what it refuses the plant with.
-        on_tick: called with the row after each tick, within the tick's time.
-        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
-        stop: looked at before each tick.
-        emergency: likewise; the run then trips.
-        look: called with the safety chain, which it may stop, and the tick of each sample.
-        estimate: what the controller knows of the rig's states, changed in place; for rules that need it.
-        known: what each row has of the controller besides: contiguous arrays of float64, likewise.
-        before: samples before the release.
-        on_end: called with what was recorded once the plant is at zero, also before an error is raised.
+        hooks: what else is called.
+        known: what else is looked at.
 
     Raises:
         CommandError: the controller returned something else than one finite number for each actuator.
         PlantError: the plant is lost, refuses, or has other channels.
         Exception: what the controller raised.
     """
-    settings = Settings(rate, watchdog, lockstep, acknowledge)
     rows, reason, note = None, FAILED, ""
     try:
         with asked_to_stop() as asked, contextlib.ExitStack() as way_out:
             way_out.callback(plant.deactivate)
             plant.configure(settings)
-            if accept is not None:
-                accept(plant)
+            if hooks.accept is not None:
+                hooks.accept(plant)
             if not isinstance(limits, Rules):
-                limits = Rules.of_commands(limits, plant.sensors, plant.actuators, rate)
-            rows = Rows(samples, plant, Chain(limits, estimate), on_row, known=known, before=before)
-            note = way_out.enter_context(undisturbed(priority=not lockstep))
+                limits = Rules.of_commands(limits, plant.sensors, plant.actuators, settings.rate)
+            rows = Rows(samples, plant, Chain(limits, known.estimate), hooks.on_row, known)
+            note = way_out.enter_context(undisturbed(priority=not settings.lockstep))
             way_out.push(partial(_leave, plant, rows))  # first of all on the way out
             plant.activate()
-            reason = _loop(step, plant, rows, settings, on_tick=on_tick, stop=stop, emergency=emergency, look=look,
-                           asked=asked)  # fmt: skip
+            reason = _loop(step, plant, rows, settings, hooks=hooks, asked=asked)
     except BaseException as error:
         if rows is not None:
             rows.tell()
-        if on_end is not None and rows is not None:
-            on_end(rows.run(rate, _reason(error, rows), plant, note))
+        if hooks.on_end is not None and rows is not None:
+            hooks.on_end(rows.run(_reason(error, rows), plant, note))
         raise
-    run = rows.run(rate, reason, plant, note)
-    if on_end is not None:
-        on_end(run)
+    run = rows.run(reason, plant, note)
+    if hooks.on_end is not None:
+        hooks.on_end(run)
     return run
 
 
@@ -227,21 +245,10 @@ def every(progress: Callable[[float], None], samples: int) -> Callable[[int], No
     return report
 
 
-def _loop(
-    step: Step,
-    plant: Plant,
-    rows: Rows,
-    settings: Settings,
-    *,
-    on_tick: Callable[[int], None] | None,
-    stop: Stop | None,
-    emergency: Stop | None,
-    look: Callable[[Chain, int], None] | None,
-    asked: Stop,
-) -> str:
+def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Hooks, asked: Stop) -> str:
     """Run tick after tick; return why it ended."""
     keeps_time = not (plant.owns_clock or settings.lockstep)
-    deadlines, chain = Deadlines(settings.rate), rows.chain
+    deadlines, chain, stop, look, on_tick = Deadlines(settings.rate), rows.chain, hooks.stop, hooks.look, hooks.on_tick
     taken = _Taken(plant, chain, settings.rate) if isinstance(plant, Telling) else None
     counters = plant.counters if isinstance(plant, Counting) else {}
     ended, skipped = time.perf_counter(), 0
@@ -254,16 +261,16 @@ def _loop(
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
-        if missed or rows.is_late:
+        if missed or rows.ticks.is_late:
             before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
             chain.time(
                 sample.index,
-                is_late=rows.is_late and not settings.lockstep,
+                is_late=rows.ticks.is_late and not settings.lockstep,
                 silence=0.0 if settings.lockstep else (began - ended) * settings.rate,
                 missed=missed,
                 lost=missed - (skipped - before),
             )
-        if emergency is not None and emergency():
+        if hooks.emergency is not None and hooks.emergency():
             chain.stop(Cause.ESTOP, sample.index)
         if look is not None:
             look(chain, sample.index)
@@ -333,41 +340,67 @@ class _Taken:
 
 
 @final
+class _Ticks:
+    """When the samples of a run came.
+
+    Attributes:
+        missed: periods that the clock of this side left out.
+        gaps: samples of the plant's clock that were missed.
+        is_late: whether the last tick was.
+
+    Args:
+        rate: samples per second.
+        before: samples before the release.
+    """
+
+    def __init__(self, rate: float, before: int) -> None:
+        self.rate, self.missed, self.gaps, self.is_late = rate, 0, 0, False
+        self._before, self._last = before, 0
+        self._first: int | None = None
+        self._began = self._wall = 0.0
+
+    def begin(self, tick: int, wall: float, missed: int, lateness: float | None) -> tuple[int, int, float, float]:
+        """Samples missed before a tick, its sample, its time since the first one and how late it began, both in s."""
+        gap = 0 if self._first is None else tick - self._last - 1
+        if self._first is None:
+            self._first, self._began, lateness = tick, wall, lateness or 0.0
+        if lateness is None:
+            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        self.is_late = gap > 0 or missed > self.missed
+        self._last, self._wall, self.missed = tick, wall, missed
+        gap = max(0, gap)
+        self.gaps += gap
+        return gap, tick - self._first - self._before, wall - self._began, lateness
+
+
+@final
 class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
     Attributes:
         table: (samples, columns): `LOOP`, the sensors, the applied commands, and what the controller knows.
         count: rows that were begun.
-        is_late: whether the last tick was.
+        ticks: their times.
 
     Args:
         samples: number of rows.
         plant: a configured plant.
         chain: of the run.
         on_row: each called once with each row.
-        known: what the controller knows, contiguous arrays of float64.
-        before: samples before the release.
+        known: state of the controller.
     """
 
     def __init__(
-        self,
-        samples: int,
-        plant: Plant,
-        chain: Chain,
-        on_row: Sequence[Callable[[Row], None]] = (),
-        *,
-        known: Sequence[Array] = (),
-        before: int = 0,
+        self, samples: int, plant: Plant, chain: Chain, on_row: Sequence[Callable[[Row], None]], known: Known
     ) -> None:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
-        self.samples, self.count, self.chain, self.rate = samples, 0, chain, chain.rules.rate
-        self.missed = self.gaps = self._told = self._at = 0
-        self.is_late, self._before, self._first, self._last, self._began = False, before, 0, 0, 0.0
-        self._wall, self._on_row, self._shape = 0.0, on_row, chain.applied.shape
+        self.samples, self.count, self.chain = samples, 0, chain
+        self.ticks = _Ticks(chain.rules.rate, known.before)
+        self._on_row, self._shape = on_row, chain.applied.shape
+        self._told = self._at = 0  # rows that were passed on; cells before the last row
         sensors, actuators = len(plant.sensors), len(plant.actuators)
-        ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known)]))
+        ends = list(itertools.accumulate([len(LOOP), sensors, actuators, *map(len, known.columns)]))
         self._width = ends[-1]
         # Filled, so that their pages are there before the first tick.
         self.table, self.work = np.full((samples, self._width), 0.0), np.full(samples, 0.0)
@@ -376,7 +409,7 @@ class Rows:
         self._cells = cells(self.table)
         # Memory to memory; measured: a third of the time of arrays.
         self._known = [
-            (end - len(part), end, part.data) for end, part in zip(ends[3:], known, strict=True) if len(part)
+            (end - len(part), end, part.data) for end, part in zip(ends[3:], known.columns, strict=True) if len(part)
         ]
 
     def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
@@ -392,22 +425,13 @@ class Rows:
         Returns:
             the samples that were missed before this one.
         """
-        row, tick, gap = self.count, min(tick, _LARGEST), 0
+        row, tick = self.count, min(tick, _LARGEST)
         self.count += 1
-        if row:
-            gap = tick - self._last - 1
-        else:
-            self._first, self._began, lateness = tick, wall, lateness or 0.0
-        if lateness is None:
-            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        gap, index, since, lateness = self.ticks.begin(tick, wall, missed, lateness)
         self._at = at = row * self._width
-        self.is_late = gap > 0 or missed > self.missed
-        self._last, self._wall, self.missed = tick, wall, missed
-        index = tick - self._first - self._before
-        _pack(self._cells, 8 * at, tick, wall - self._began, 0.0, index, self.is_late, lateness, 0.0)  # as `LOOP`
+        _pack(self._cells, 8 * at, tick, since, 0.0, index, self.ticks.is_late, lateness, 0.0)  # as `LOOP`
         self.sensors[row] = values
-        self.gaps += max(0, gap)
-        return max(0, gap)
+        return gap
 
     def answer(self, tick: int, demanded: Array, duration: float) -> None:
         """Keep what the controller answered in the row that was begun, and what of it may be written.
@@ -439,15 +463,15 @@ class Rows:
             for take in self._on_row:
                 take(row)
 
-    def run(self, rate: float, reason: str, plant: Plant, note: str) -> RigRun:
+    def run(self, reason: str, plant: Plant, note: str) -> RigRun:
         """Rows that were begun; the applied command of one that was not completed is zero."""
         rows = slice(0, self.count)
         table = self.table[rows]
         counted = dict(plant.counters) if isinstance(plant, Counting) else {}
-        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.missed + self.gaps}
+        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.ticks.missed + self.ticks.gaps}
         ticks = table[:, TICK].astype(np.int64)
         return RigRun(
-            times=ticks / rate,
+            times=ticks / self.ticks.rate,
             wall=table[:, WALL],
             index=ticks,
             sensors=self.sensors[rows],

@@ -20,11 +20,11 @@ from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
 from masking.errors import MaskingError, PlantError, PlantMismatchError
-from masking.lab.plants.interface import Plant
+from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules, Trip
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs import safety_limits
-from masking.lab.runs.realtime import check_channels, run_rig
+from masking.lab.runs.realtime import Hooks, check_channels, run_rig
 from masking.model.declaration.schema import EffectChange
 
 SIZE: Final = 0.05  # of the largest command
@@ -216,9 +216,8 @@ class _Pulse:
                 )
 
         ran = run_rig(
-            self.step, plant, rate=rate, samples=self.stop + rest, limits=self.rules, lockstep=lockstep, accept=accept,
-            acknowledge=acknowledge,
-            stop=lambda: self.is_over,
+            self.step, plant, Settings(rate, lockstep=lockstep, acknowledge=acknowledge), samples=self.stop + rest,
+            limits=self.rules, hooks=Hooks(accept, stop=lambda: self.is_over),
         )  # fmt: skip
         every = np.arange(self.stop)
         if ran.trip is None and len(ran.sensors) < self.stop:

@@ -61,7 +61,9 @@ def same(found, expected):
 
 
 def test_a_stream_gives_the_recording_of_the_run_exactly(experiment, tmp_path):
-    expected = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True, stream=tmp_path)
+    expected = hardware.run(
+        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    )
     found = recover(tmp_path)
     assert same(found.recording, expected)
     assert same(Recording.load(tmp_path), expected)
@@ -83,17 +85,21 @@ def test_a_stream_gives_the_recording_of_the_run_exactly(experiment, tmp_path):
 
 
 def test_the_record_of_a_run_has_nothing_of_its_stream(experiment, tmp_path):
-    plain = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
-    streamed = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True, stream=tmp_path)
+    plain = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    streamed = hardware.run(
+        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    )
     assert same(streamed, plain)
     assert "recorder" not in streamed.manifest["rig"]
 
 
 @pytest.mark.parametrize("by", [10**9, 2**60, 2**63 + 5])
 def test_an_index_that_jumps_ends_the_run_and_keeps_what_was_before(experiment, tmp_path, by):
-    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
     began = time.monotonic()
-    found = hardware.run(experiment, Jumping(experiment.twin, 301, by), lockstep=True, stream=tmp_path)
+    found = hardware.run(
+        experiment, Jumping(experiment.twin, 301, by), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    )
     assert time.monotonic() - began < 10.0
     assert found.manifest["rig"]["end"] == "tripped"
     assert len(found) == 100
@@ -102,9 +108,9 @@ def test_an_index_that_jumps_ends_the_run_and_keeps_what_was_before(experiment, 
 
 
 def test_a_lost_plant_leaves_a_stream(experiment, tmp_path):
-    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
     with pytest.raises(PlantLostError):
-        hardware.run(experiment, Jumping(experiment.twin, 301), lockstep=True, stream=tmp_path)
+        hardware.run(experiment, Jumping(experiment.twin, 301), hardware.RunSettings(lockstep=True, stream=tmp_path))
     found = recover(tmp_path)
     assert (found.rows, len(found.recording)) == (301, 100)
     np.testing.assert_array_equal(found.recording["input.V1"], whole["input.V1"][:100])
@@ -112,7 +118,7 @@ def test_a_lost_plant_leaves_a_stream(experiment, tmp_path):
 
 def test_in_the_homing_there_are_ticks_alone(experiment, tmp_path):
     with pytest.raises(PlantLostError):
-        hardware.run(experiment, Jumping(experiment.twin, 50), lockstep=True, stream=tmp_path)
+        hardware.run(experiment, Jumping(experiment.twin, 50), hardware.RunSettings(lockstep=True, stream=tmp_path))
     found = recover(tmp_path)
     assert (found.rows, found.homing, found.recording) == (50, 50, None)
     assert found.why == "the run ended in the homing, before the release"
@@ -122,7 +128,7 @@ def test_in_the_homing_there_are_ticks_alone(experiment, tmp_path):
 def test_where_the_files_have_changed_the_ticks_are_recovered(experiment, tmp_path):
     path = written(tmp_path, controller={"homing": 0.2}, duration=10)
     made = Experiment.load(path)
-    hardware.run(made, SimulatedPlant(made.twin), lockstep=True, stream=tmp_path / "run")
+    hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=tmp_path / "run"))
     written(tmp_path, controller={"homing": 0.2}, duration=11)
     found = recover(tmp_path / "run", out=tmp_path / "out")
     assert found.recording is None
@@ -131,7 +137,7 @@ def test_where_the_files_have_changed_the_ticks_are_recovered(experiment, tmp_pa
 
 
 def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
-    hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True, stream=tmp_path)
+    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
     rows = tmp_path / stream.ROWS
     data = bytearray(rows.read_bytes())
     data[-4000] ^= 1
@@ -147,9 +153,9 @@ def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
 
 
 def test_a_folder_that_holds_a_stream_is_not_run_into(experiment, tmp_path, capsys):
-    hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True, stream=tmp_path)
+    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
     with pytest.raises(RecordError, match="did not end in order; make a recording of it by 'masking recover"):
-        hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True, stream=tmp_path)
+        hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
     path = next(iter(experiment.declaration.files))
     assert cli.main(["rig", "run", path, "--plant", "udp://127.0.0.1:9", "--out", str(tmp_path)]) == 2
     assert f"masking recover {tmp_path}" in capsys.readouterr().err
@@ -166,7 +172,9 @@ def test_full_disks_end_the_run_in_order(experiment, tmp_path, monkeypatch):
     monkeypatch.setattr(child_process.subprocess, "Popen", popen)
     made = experiment.changed(duration=10_000)
     folder = tmp_path / "run"
-    found = hardware.run(made, SimulatedPlant(made.twin), lockstep=True, stream=folder, spare=tmp_path / "spare")
+    found = hardware.run(
+        made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=folder, spare=tmp_path / "spare")
+    )
     assert found.manifest["rig"]["end"] == "disk full"
     assert found.manifest["rig"]["recorder"]["note"].startswith("no place was left")
     left = recover(folder)
@@ -188,7 +196,9 @@ def test_a_recorder_that_is_killed_in_a_run_is_replaced_and_counted(experiment, 
             os.kill(made[0].process, signal.SIGKILL)
 
     folder = tmp_path / "run"
-    expected = hardware.run(experiment, SimulatedPlant(experiment.twin), progress=kill, stream=folder)
+    expected = hardware.run(
+        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(progress=kill, stream=folder)
+    )
     assert expected.manifest["rig"]["recorder"] == {
         "ended": 1,
         "lost": 0,
@@ -205,7 +215,7 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 made = Experiment.load(sys.argv[1])
-hardware.run(made, SimulatedPlant(made.twin), stream=sys.argv[2])
+hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(stream=sys.argv[2]))
 """
 
 
@@ -255,7 +265,9 @@ def test_the_manifest_has_the_timing_of_the_run(experiment):
     assert set(found) == {"lateness", "controller", "work"}
     assert len({sum(part["counts"]) for part in found.values()}) == 1
     assert found["work"]["median"] > found["controller"]["median"] > 0.0
-    lockstep = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True).manifest["rig"]["timing"]
+    lockstep = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True)).manifest[
+        "rig"
+    ]["timing"]
     assert set(lockstep) == {"controller", "work"}
 
 

@@ -118,7 +118,7 @@ def test_a_controller_that_differences_positions_finds_the_events():
 def test_a_rig_in_lockstep_moves_as_the_loop_around_its_twin():
     experiment = Experiment.load("escapements_rig").changed(duration=20)
     offline = experiment.run()
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
     for name in ("input.V1", "input.V2", "input.V3"):
         assert np.max(np.abs(found[name] - offline[name])) <= 1e-9 * np.max(np.abs(offline[name]))
 

@@ -153,7 +153,7 @@ def test_exported_controllers_carry_internal_states(tmp_path):
 def test_a_rig_in_lockstep_moves_as_the_loop_around_its_twin(name):
     experiment = Experiment.load(name).changed(duration=20)
     offline = experiment.run()
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), lockstep=True)
+    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
     largest = max(np.max(np.abs(offline[f"input.V{i}"])) for i in (1, 2, 3))
     for i in (1, 2, 3):
         assert np.max(np.abs(found[f"input.V{i}"] - offline[f"input.V{i}"])) <= 1e-9 * largest

@@ -13,12 +13,12 @@ from masking.errors import PlantLostError, PlantRefusedError
 from masking.lab.plants import adapters
 from masking.lab.plants.conformance import check
 from masking.lab.plants.interface import Settings
-from masking.lab.plants.serve import serve
+from masking.lab.plants.serve import Serving, serve
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
-from masking.lab.runs.realtime import run_rig
 from tests.lab.plants.test_adapters import experiment, folder
 from tests.support import arduino
+from tests.support.rig_runs import run_rig
 
 __all__ = ["experiment", "folder"]  # fixtures
 
@@ -47,8 +47,8 @@ def test_a_sketch_drives_a_served_twin_as_the_kernel_does(experiment, tmp_path, 
         telling = plant._tick if plant._life.state == "active" else 0
         return telling >= ticks or time.monotonic() > give_up
 
-    options = {"clock": "lockstep", "record": tmp_path / "twin", "stop_after": 1, "ready": ready, "stop": stop}
-    server = threading.Thread(target=serve, args=(plant, "serial:pty"), kwargs=options)
+    serving = Serving("lockstep", tmp_path / "twin", sessions=1)
+    server = threading.Thread(target=serve, args=(plant, "serial:pty", serving), kwargs={"ready": ready, "stop": stop})
     server.start()
     assert is_ready.wait(PATIENCE)
     board = arduino.started(program, at[0])

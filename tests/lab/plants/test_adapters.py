@@ -24,6 +24,8 @@ from masking.control.rig.twin import Twin
 from masking.errors import PlantError, PlantLostError, PlantMismatchError
 from masking.lab.plants import adapters, address, conformance, operating_system
 from masking.lab.plants.interface import Settings
+from masking.lab.plants.serve import Serving
+from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.wire import Kind, Splitter, decode, encode, to_stream
 from masking.lab.runs import hardware
@@ -126,7 +128,7 @@ def serving(plant, where, **options):
         is_ready.set()
 
     thread = threading.Thread(
-        target=lambda: hardware.serve(plant, where, stop=is_over.is_set, ready=ready, **options), daemon=True
+        target=lambda: hardware.serve(plant, where, Serving(**options), stop=is_over.is_set, ready=ready), daemon=True
     )
     thread.start()
     assert is_ready.wait(60.0)
@@ -330,7 +332,7 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch):
 
 def test_a_plant_is_served_only_where_frames_can_go(folder):
     with pytest.raises(PlantMismatchError, match=r"cannot be served at; use udp://127\.0\.0\.1:5005 or serial:pty"):
-        hardware.serve(folder / "rig.yaml", f"mujoco:{folder / 'cart.xml'}")
+        hardware.serve(folder / "rig.yaml", f"mujoco:{folder / 'cart.xml'}", Serving())
 
 
 def test_the_amplitude_of_a_check_is_within_the_limits(capsys):
@@ -526,7 +528,7 @@ def pyserial():
 
 @needs_pty
 def test_a_twin_behind_a_serial_line_is_a_plant(pyserial, folder, offline, tmp_path, capsys):
-    with serving(folder / "rig.yaml", "serial:pty", lockstep=True) as where:
+    with serving(folder / "rig.yaml", "serial:pty", clock="lockstep") as where:
         assert where.startswith("serial:///dev/")
         assert cli.main(["rig", "check", where, "--lockstep"]) == 0
         chi, end = ran(folder, where, tmp_path / "out", "--lockstep")
@@ -537,17 +539,19 @@ def test_a_twin_behind_a_serial_line_is_a_plant(pyserial, folder, offline, tmp_p
 
 @needs_pty
 def test_a_twin_behind_a_serial_line_keeps_time(pyserial, folder):
-    with serving(folder / "delayed.yaml", "serial:pty", watchdog=5.0) as where:
+    with serving(folder / "delayed.yaml", "serial:pty", allowed=Allowed(watchdog=5.0)) as where:
         assert cli.main(["rig", "check", where]) == 0
         delayed = Experiment.load(folder / "delayed_experiment.yaml")
-        found = hardware.run(delayed, adapters.connect(where), watchdog=5.0)  # both sides are in this process
+        found = hardware.run(
+            delayed, adapters.connect(where), hardware.RunSettings(watchdog=5.0)
+        )  # both sides are in this process
     assert found.manifest["rig"]["end"] == "finished"
     assert found.manifest["masking_error"]["x"] < 0.1
 
 
 def test_a_plant_of_another_program_is_served(folder):
     needs_mujoco()
-    with serving(f"mujoco:{folder / 'cart.xml'}?sensors=encoder", "udp://127.0.0.1:0", lockstep=True) as where:
+    with serving(f"mujoco:{folder / 'cart.xml'}?sensors=encoder", "udp://127.0.0.1:0", clock="lockstep") as where:
         assert conformance.check(lambda: adapters.connect(where), Settings(1000.0, 1.0, lockstep=True)) == []
 
 

@@ -17,8 +17,8 @@ from masking.lab.plants.interface import Settings
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
-from masking.lab.runs.realtime import run_rig
 from tests.lab.plants.test_wire import LOCKSTEP, RUN, MassSpring, damped, line, served
+from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
 
@@ -351,12 +351,12 @@ def test_with_another_key_or_none_a_controller_is_refused(key):
 
 
 def test_beyond_this_machine_a_plant_is_served_with_a_key(key):
-    from masking.lab.plants.serve import serve
+    from masking.lab.plants.serve import Serving, serve
 
     with pytest.raises(PlantMismatchError, match=r"is reached from other machines.*give --key FILE, and the same to"):
-        serve(MassSpring(), "udp://0.0.0.0:0", stop_after=0)
+        serve(MassSpring(), "udp://0.0.0.0:0", Serving(sessions=0))
     found = []
-    serve(MassSpring(), "udp://0.0.0.0:0", stop_after=0, key=Key.read(key), ready=found.append)
+    serve(MassSpring(), "udp://0.0.0.0:0", Serving(sessions=0, key=Key.read(key)), ready=found.append)
     for host in ("127.0.0.1", "localhost", "127.0.0.2"):
-        serve(MassSpring(), f"udp://{host}:0", stop_after=0, ready=found.append)
+        serve(MassSpring(), f"udp://{host}:0", Serving(sessions=0), ready=found.append)
     assert len(found) == 4

@@ -73,7 +73,7 @@ def test_a_controller_may_be_wrong_about_one_of_the_plants():
 def test_steps_of_two_plants_together_are_the_run_offline():
     twin = Twin.load("cart")
     group = PlantGroup({"a": SimulatedPlant(twin), "b": SimulatedPlant(twin)})
-    found = hardware.run(carts(), group, lockstep=True)
+    found = hardware.run(carts(), group, hardware.RunSettings(lockstep=True))
     for name in ("sensor.a_encoder", "sensor.b_encoder", "input.a_u", "input.b_u"):
         assert np.abs(found[name] - offline()[name]).max() <= 1e-9 * np.abs(offline()[name]).max(), name
 
@@ -82,7 +82,7 @@ def test_one_plant_is_in_another_process_and_one_in_this():
     with serving("cart", "--lockstep") as (_, address):
         group = PlantGroup({"a": SimulatedPlant(Twin.load("cart")), "b": adapters.connect(address)})
         assert group.owns_clock
-        found = hardware.run(carts(), group, lockstep=True)
+        found = hardware.run(carts(), group, hardware.RunSettings(lockstep=True))
     assert found["input.b_u"].tolist() == pytest.approx(offline()["input.b_u"].tolist(), rel=1e-9, abs=1e-12)
     assert found.manifest["rig"]["end"] == "finished"
 

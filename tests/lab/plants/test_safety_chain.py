@@ -20,9 +20,9 @@ from masking.lab.plants.safety_chain import Cause, Chain, Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs import hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.realtime import run_rig
 from masking.lab.runs.self_test import self_test
 from tests.lab.runs.test_hardware import serving
+from tests.support.rig_runs import run_rig
 
 ROOT = Path(__file__).parents[3]
 X, V = 0, 1  # of the cart
@@ -74,7 +74,7 @@ def cart():
 def run(experiment, **damage):
     """Return the end of a run in lockstep on a damaged twin, its trip, and the plant with its record."""
     plant = Damaged(SimulatedPlant(experiment.twin), **damage)
-    recording = hardware.run(experiment, plant, lockstep=True)
+    recording = hardware.run(experiment, plant, hardware.RunSettings(lockstep=True))
     return recording.manifest["rig"]["end"], recording.manifest["rig"].get("trip"), plant
 
 

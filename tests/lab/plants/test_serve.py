@@ -22,16 +22,17 @@ from masking.lab.plants.authentication import Key
 from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Sample, Settings
 from masking.lab.plants.safety_chain import Rules
+from masking.lab.plants.serve import Serving
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
 from masking.lab.runs import hardware
-from masking.lab.runs.realtime import run_rig
 from masking.model.declaration import catalogue
 from tests.lab.plants.test_wire import LOCKSTEP, NOWHERE, RUN, MassSpring, forged, line, opened, process, served
 from tests.lab.runs.test_hardware import serving
+from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
 
@@ -67,7 +68,7 @@ SERVER = (
     + """
 def say(address):
     print(address, flush=True)
-serve(Dated(), "udp://127.0.0.1:0", record=sys.argv[1], stop_after=1, ready=say, after_latch=0.1)
+serve(Dated(), "udp://127.0.0.1:0", Serving(record=sys.argv[1], sessions=1, after_latch=0.1), ready=say)
 print("over", flush=True)
 """
 )
@@ -92,8 +93,8 @@ def at_zero(self):
     deactivate(self)
 UdpPlant.read, UdpPlant.deactivate = dated, at_zero
 try:
-    run_rig(lambda *_: np.array([time.monotonic(), 0.0]), UdpPlant(sys.argv[1], patience=20.0), rate=1000.0,
-            samples=10**6, limits=np.full(2, 1e12), watchdog=0.02, on_tick=on_tick)
+    run_rig(lambda *_: np.array([time.monotonic(), 0.0]), UdpPlant(sys.argv[1], patience=20.0), Settings(1000.0, 0.02),
+            samples=10**6, limits=np.full(2, 1e12), hooks=Hooks(on_tick=on_tick))
 except PlantError as error:
     print(f"{zero - seen:.6f} {error}", flush=True)
 """
@@ -207,7 +208,7 @@ def test_a_server_on_a_slow_clock_hears_signals_at_once(tmp_path):
     slow = """
 def say(address):
     print(address, flush=True)
-serve(MassSpring(), "udp://127.0.0.1:0", record=sys.argv[1], ready=say, allowed=Allowed(rates=(1e-3, 10.0)))
+serve(MassSpring(), "udp://127.0.0.1:0", Serving(record=sys.argv[1], allowed=Allowed(rates=(1e-3, 10.0))), ready=say)
 """
     with process(slow, tmp_path) as (server, address):
         plant = UdpPlant(address, patience=20.0)
@@ -387,8 +388,8 @@ def test_limits_of_another_plant_are_refused():
 def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
     """The rig is driven with all that its actuators give, at their sign of the velocity, until the server stops it."""
     is_over, found, folders = threading.Event(), [], []
-    kept = {"record": tmp_path, "lockstep": True, "sessions": 1, "ready": found.append, "stop": is_over.is_set}
-    thread = threading.Thread(target=lambda: folders.extend(hardware.serve("ideal", NOWHERE, **kept)))
+    kept, asked = Serving("lockstep", tmp_path, sessions=1), {"ready": found.append, "stop": is_over.is_set}
+    thread = threading.Thread(target=lambda: folders.extend(hardware.serve("ideal", NOWHERE, kept, **asked)))
     thread.start()
     try:
         while not found:

@@ -26,13 +26,13 @@ from masking.lab.plants import session as sessions
 from masking.lab.plants import wire
 from masking.lab.plants.conformance import check
 from masking.lab.plants.interface import LifeCycle, Sample, Settings, check_command
-from masking.lab.plants.serve import serve
+from masking.lab.plants.serve import Serving, serve
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
-from masking.lab.runs.realtime import run_rig
 from tests.support.forked import Forked
+from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
 
@@ -89,10 +89,10 @@ IMPORTS = """\
 import os, sys, time
 import numpy as np
 from masking.lab.plants.interface import LifeCycle, Sample, Settings, check_command
-from masking.lab.plants.serve import serve
+from masking.lab.plants.serve import Serving, serve
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.udp import UdpPlant
-from masking.lab.runs.realtime import run_rig
+from masking.lab.runs.realtime import Hooks, run_rig
 """
 
 
@@ -109,8 +109,8 @@ def process(code: str, *arguments: object):
 SERVER = """
 def say(address):
     print(address, flush=True)
-serve(MassSpring(), "udp://127.0.0.1:0", record=sys.argv[1], stop_after=int(sys.argv[2]), ready=say, after_latch=0.1,
-      allowed=Allowed(watchdog=5.0))
+serving = Serving(record=sys.argv[1], sessions=int(sys.argv[2]), after_latch=0.1, allowed=Allowed(watchdog=5.0))
+serve(MassSpring(), "udp://127.0.0.1:0", serving, ready=say)
 """
 
 # Writes 1 V to both actuators at every tick, and says so after the first.
@@ -118,8 +118,8 @@ CONTROLLER = """
 def on_tick(row):
     if row == 0:
         print("running", flush=True)
-run = run_rig(lambda *_: np.ones(2), UdpPlant(sys.argv[1], timeout=5.0, patience=20.0), rate=1000.0,
-              samples=10**6, limits=np.full(2, 5.0), watchdog=float(sys.argv[2]), on_tick=on_tick)
+run = run_rig(lambda *_: np.ones(2), UdpPlant(sys.argv[1], timeout=5.0, patience=20.0),
+              Settings(1000.0, float(sys.argv[2])), samples=10**6, limits=np.full(2, 5.0), hooks=Hooks(on_tick=on_tick))
 print(run.reason, flush=True)
 """
 
@@ -128,16 +128,14 @@ print(run.reason, flush=True)
 def served(plant, *, sessions: int | None = 1, **settings):
     """Serve a plant in a thread; give its address and, once it ended, the folders of its recordings."""
     is_ready, is_over, addresses, folders, told = threading.Event(), threading.Event(), [], [], []
-    chosen = {"allowed": SLOW, **settings}
+    serving = Serving(**{"allowed": SLOW, "sessions": sessions, **settings})
 
     def ready(address):
         addresses.append(address)
         is_ready.set()
 
     def run():
-        folders.extend(
-            serve(plant, NOWHERE, stop_after=sessions, stop=is_over.is_set, ready=ready, tell=told.append, **chosen)
-        )
+        folders.extend(serve(plant, NOWHERE, serving, stop=is_over.is_set, ready=ready, tell=told.append))
 
     thread = threading.Thread(target=run)
     thread.start()
@@ -564,7 +562,7 @@ def test_a_server_of_another_clock_refuses():
 
 def test_only_a_plant_that_does_not_own_its_clock_is_served():
     with pytest.raises(PlantMismatchError, match="this plant owns its clock"):
-        serve(UdpPlant(NOWHERE), NOWHERE)
+        serve(UdpPlant(NOWHERE), NOWHERE, Serving())
 
 
 class Failing(MassSpring):

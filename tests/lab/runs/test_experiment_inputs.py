@@ -29,7 +29,7 @@ def short(name, controller=HELD, seconds=2.0):
 @pytest.mark.parametrize("name", ["cart_alone_rig", "cart_reference"])
 def test_in_lockstep_it_is_the_run_offline(name):
     made = short(name)
-    found = hardware.run(made, SimulatedPlant(made.twin, made.declaration.seed), lockstep=True)
+    found = hardware.run(made, SimulatedPlant(made.twin, made.declaration.seed), hardware.RunSettings(lockstep=True))
     expected = made.run()
     assert found.names() == expected.names()
     for column in expected.columns:
@@ -42,7 +42,7 @@ def test_in_lockstep_it_is_the_run_offline(name):
 def test_a_push_that_begins_before_the_release_is_felt_from_there_on(name):
     """The hand pushes while the rig is homed; the ideal mass gets what the controller felt."""
     made = short(name, FELT, seconds=10.0)
-    found = hardware.run(made, SimulatedPlant(made.twin), lockstep=True)
+    found = hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True))
     assert found.manifest["rig"]["end"] == "finished"
     for run in (found, made.run()):
         assert run.manifest["masking_error"]["x"] <= 0.03
@@ -126,7 +126,7 @@ def with_a_knob(folder, effects):
 def test_a_knob_that_is_turned_drives_the_masked_mass(tmp_path, step):
     effects = {"knob_steps": {"effect": "quantisation", "at": "knob", "parameters": {"step": step}}} if step else {}
     made = with_a_knob(tmp_path, effects)
-    run = hardware.run(made, Turned(SimulatedPlant(made.twin), "knob", packets), lockstep=True)
+    run = hardware.run(made, Turned(SimulatedPlant(made.twin), "knob", packets), hardware.RunSettings(lockstep=True))
     rig, released = run.manifest["rig"], made.sampled.before / 500.0
     assert (rig["end"], rig.get("trip")) == ("finished", None)
     assert "jumps of knob are not watched: give sensors.knob.jump" in rig["unwatched"]
@@ -145,5 +145,5 @@ def test_a_reading_that_the_rig_does_not_move_may_stay_as_it_is(tmp_path, value)
     """A knob that nobody turns, and a force sensor at rest between taps."""
     felt = short("cart_felt", FELT, seconds=4.0).changed(effects={"push": False})
     for made, sensor in ((with_a_knob(tmp_path, {}), "knob"), (felt, "force")):
-        run = hardware.run(made, Turned(SimulatedPlant(made.twin), sensor, value), lockstep=True)
+        run = hardware.run(made, Turned(SimulatedPlant(made.twin), sensor, value), hardware.RunSettings(lockstep=True))
         assert (run.manifest["rig"]["end"], run.manifest["rig"].get("trip")) == ("finished", None)

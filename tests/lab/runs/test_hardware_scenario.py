@@ -41,7 +41,7 @@ def test_a_served_twin_moves_as_offline(experiment, offline, address):
     if address.startswith("serial"):
         pytest.importorskip("serial", reason="pyserial is not installed: pip install 'masking[serial]'")
     with serving(PLANT, "--address", address, "--lockstep", "--seed", SEED) as (_, served):
-        found = hardware.run(experiment, adapters.connect(served), lockstep=True)
+        found = hardware.run(experiment, adapters.connect(served), hardware.RunSettings(lockstep=True))
     assert_same_run(found, offline)
 
 
@@ -92,5 +92,5 @@ def test_an_fmu_of_the_twin_moves_as_offline(experiment, offline, version, tmp_p
     path = write(twin_unit(twin, "rig", experiment.sampled.rate), tmp_path)[version - 2]
     noise = [f"noise_{name}" for name in twin.sensors]
     where = f"fmu:{path}?sensors={','.join(twin.sensors)}&actuators={','.join([*twin.actuators, *noise])}"
-    found = hardware.run(experiment, Noisy(where, twin.actuators, SEED), lockstep=True)
+    found = hardware.run(experiment, Noisy(where, twin.actuators, SEED), hardware.RunSettings(lockstep=True))
     assert_same_run(found, offline)

@@ -27,11 +27,11 @@ from masking.lab.records.stop_switch import Presser, Switch
 from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.operator_link import ABSENCE, Operator
-from masking.lab.runs.realtime import run_rig
 from masking.reports.live_monitor import Monitor
 from tests.benchmarks.operator_page import run
 from tests.lab.plants.test_wire import MassSpring, damped
 from tests.support import chromium
+from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
 
@@ -56,7 +56,9 @@ class Shown:
 def test_what_is_shown_is_what_is_recorded(cart):
     shown = []
     with Operator(lambda *paths: shown.append(Shown(*paths)) or shown[-1]) as operator:
-        recording = hardware.run(cart, SimulatedPlant(cart.twin), lockstep=True, operator=operator)
+        recording = hardware.run(
+            cart, SimulatedPlant(cart.twin), hardware.RunSettings(lockstep=True, operator=operator)
+        )
         reader, monitor = shown[0].reader, shown[0].monitor
         taken = reader.take()
         table = {name: taken.table[:, i] for i, name in enumerate(reader.columns)}

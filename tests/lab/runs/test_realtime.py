@@ -10,8 +10,8 @@ import pytest
 from masking.errors import CommandError, PlantLostError, PlantMismatchError
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.safety_chain import Cause
-from masking.lab.runs.realtime import run_rig
 from tests.lab.plants.test_wire import MassSpring, damped
+from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
 
