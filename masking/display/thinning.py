@@ -14,7 +14,7 @@ BINS: Final = 700  # across a whole record: about one for every two pixels
 
 
 def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
-    """Give (middle, least, greatest) of each of at most `bins` stretches of equally many samples.
+    """Middle, least and greatest of each of at most `bins` stretches of equally many samples.
 
     Args:
         tau: times (m,).

@@ -46,7 +46,7 @@ class Address:
         return value
 
     def channels(self, name: str, there: Sequence[str], default: Iterable[str]) -> dict[str, str]:
-        """Return what stands behind each channel of an option, such as `x:position,v`, in its order.
+        """Names behind the channels of an option, such as `x:position,v`, in its order.
 
         Args:
             name: of the option, `sensors` or `actuators`.

@@ -74,7 +74,7 @@ class Key:
             raise PlantMismatchError(f"{path}: {error}") from error
 
     def tags(self, session: int, nonce: bytes = b"") -> tuple[_Tags, _Tags]:
-        """Return what tags the frames of a session to the plant, and to the controller.
+        """Tags of the frames of a session to the plant, and to the controller.
 
         Args:
             session: number of the session, below 2**64.

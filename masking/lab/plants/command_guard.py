@@ -22,7 +22,7 @@ class Guard(Protocol):
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Return what it did, by name, since `begin`."""
+        """Counts of its actions since `begin`, by name."""
         ...
 
     def begin(self, plant: Plant, settings: Settings) -> None:

@@ -234,7 +234,7 @@ _ZERO: Final[Array] = np.zeros(1)
 
 
 def _started(plant: Plant, settings: Settings, amplitude: float) -> Iterator[Sample]:
-    """Give the samples of a run in which the sign of the command alternates."""
+    """Samples of a run in which the sign of the command alternates."""
     plant.configure(settings)
     plant.activate()
     for tick in range(TICKS):

@@ -98,7 +98,7 @@ class PlantGroup:
 
     @property
     def counters(self) -> dict[str, int]:
-        """Return what the plants counted, added up."""
+        """Sums of the counts of the plants."""
         counted: Counter[str] = Counter()
         for plant in self.plants.values():
             if isinstance(plant, Counting):
@@ -106,7 +106,7 @@ class PlantGroup:
         return dict(counted)
 
     def telemetry(self) -> dict[str, float]:
-        """Return what the plants report, by the names of the group."""
+        """Telemetry of the plants, by the names of the group."""
         reported = {}
         for name, plant in self.plants.items():
             if isinstance(plant, Telling):

@@ -66,7 +66,7 @@ class MujocoPlant(SteppedPlant):
             raise PlantError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {mend}")
 
     def readings(self) -> Array:
-        """Return what the sensors show now: after a step, MuJoCo's are those of its beginning."""
+        """Readings now: after a step, MuJoCo's are those of its beginning."""
         mujoco.mj_forward(self._model, self._data)
         values: Array = self._data.sensordata[self._read]  # a copy, since it is indexed by an array
         return values

@@ -68,7 +68,7 @@ class RemotePlant(ABC):
         """Line to the plant; OSError where it cannot be reached."""
 
     def mend(self) -> str:
-        """Say what to do where no plant answers."""
+        """Remedy where no plant answers."""
         key = " --key FILE" if self._key is not None else ""
         return f"start it with 'masking rig serve PLANT --address {self._address}{key}', or correct the address"
 
@@ -185,7 +185,7 @@ class RemotePlant(ABC):
         raise PlantLostError(f"no plant answers at {self._address}; {self.mend()}")
 
     def _following(self, wait: float) -> Frame | None:
-        """Return what came in answer to the start, else the next frame within a number of seconds."""
+        """Answer to the start, else the next frame within a number of seconds."""
         first, self._first = self._first, None
         return first or self._receive(wait)
 

@@ -280,7 +280,7 @@ class Chain:
         return self.trip
 
     def guard(self, tick: int, demanded: Array) -> Array:
-        """Return what may be written for a command (actuators,): the same array each time, zero once it tripped."""
+        """Command that may be written (actuators,): the same array each time, zero after a trip."""
         if self.trip is None:
             self._demanded[:] = demanded
             self._guard.call()

@@ -43,7 +43,7 @@ class SerialPlant(RemotePlant):
         return SerialLine(_opened(self._where.place, self._baud))
 
     def mend(self) -> str:
-        """Say what to do where no plant answers."""
+        """Remedy where no plant answers."""
         return "look at its cable, its baud rate, and the program on the board"
 
     @classmethod

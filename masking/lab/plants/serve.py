@@ -367,7 +367,7 @@ class _Server:
                 session.counters["unexpected"] += 1
 
     def arrived(self, wait: float, counters: Counter[str] | None = None) -> Iterator[tuple[Frame, Peer]]:
-        """Give every sound frame that waits to be read; wait at most a number of seconds for the first."""
+        """Sound frames that wait to be read; the first may take a number of seconds to come."""
         if self.pending is not None:
             hello, self.pending = self.pending, None
             yield hello

@@ -159,7 +159,7 @@ class Session:
                 self.finish(plant)
 
     def manifest(self, clock: str) -> dict[str, Any]:
-        """Return what the session was."""
+        """Facts of the session, for the manifest of its record."""
         return {
             "clock": clock,
             "rate": self.settings.rate,

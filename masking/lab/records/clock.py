@@ -66,7 +66,7 @@ def _allowed(t: Array) -> float:
 
 
 def _cause(t: Array, name: str) -> str:
-    """Return why samples are not equally far apart, and what to do about it."""
+    """Cause of unequal distances between samples, and its remedy."""
     breaks = _whole_gaps(t) or _breaks(t)
     changes, gaps = [b for b in breaks if not b.missing], [b for b in breaks if b.missing]
     part = _longest(t, [0, *(b.first for b in breaks), len(t)], name)
@@ -172,7 +172,7 @@ def _split(t: Array, noise: float, least: int = _SHORT) -> int | None:
 
 
 def _kind(t: Array, at: int, noise: float) -> _Break | None:
-    """Return what parts two lines: missing samples, or a change of the rate where the lines meet; None if neither."""
+    """Kind of the break between two lines: missing samples, or a change of the rate where they meet; else None."""
     (before, off), (after, off_after) = _line(t[:at]), _line(t[at:])
     shift = float((t[at] - off_after[0]) - (t[at - 1] - off[-1])) / before - 1.0
     missing = max(0, round(shift))

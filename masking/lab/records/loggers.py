@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from masking.errors import RecordError
 from masking.lab.records import unpacked_size
-from masking.lab.records.nested_data import vectors, without_doubles
+from masking.lab.records.nested_data import parsed, vectors, without_doubles
 
 Column = NDArray[np.float64]
 Nested = Mapping[str, object]
@@ -45,13 +45,8 @@ def read(file: Path) -> dict[str, Column]:
     except ImportError:
         name = package.partition(".")[0]
         raise RecordError(f"{file}: it is read by the package {name}: pip install 'masking[loggers]'") from None
-    try:
+    with parsed(file, "the file"):
         found = dict(vectors("", reader(file, module)))
-    except RecordError:
-        raise
-    except Exception as error:  # these packages raise what their parsers meet, struct.error among them
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise RecordError(f"{file}: the file cannot be read ({reason})") from error
     if not found:
         raise RecordError(f"{file}: it holds no channels of numbers")
     return found

@@ -3,19 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from masking.errors import RecordError
 
 Column = NDArray[np.float64]
 MOST_COLUMNS = 64  # of a matrix; its longer side is time
 
 
+def first_line(error: BaseException) -> str:
+    """First line of an error's text, or its type."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
+@contextmanager
+def parsed(file: Path, what: str) -> Iterator[None]:
+    """Turn whatever a parser raises at a file inside into our words.
+
+    Parsers raise what they meet, such as struct.error, zlib.error, SyntaxError and MemoryError.
+
+    Raises:
+        RecordError: the file cannot be read.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except Exception as error:
+        raise RecordError(f"{file}: {what} cannot be read ({first_line(error)})") from error
+
+
 def vectors(path: str, held: object) -> Iterator[tuple[str, Column]]:
-    """Yield the vectors in some data as float64, by their paths, such as `run/u`; what holds no numbers is left out.
+    """Vectors of numbers in some data as float64, by their paths, such as `run/u`.
 
     (n,), (1, n) and (n, 1) are vectors, with two numbers or more. The columns of a matrix that is not square, along
-    its longer side, and the items of a list are numbered from 1: `run/y/1`.
+    its longer side, and the items of a list are numbered from 1: `run/y/1`. What holds no numbers is left out.
 
     Args:
         path: of the data.

@@ -10,8 +10,8 @@ from typing import IO
 import numpy as np
 from numpy.lib import format as npy
 
-from masking.errors import RecordError
 from masking.lab.records import unpacked_size
+from masking.lab.records.nested_data import parsed
 
 
 def read(file: Path) -> object:
@@ -20,7 +20,7 @@ def read(file: Path) -> object:
     Raises:
         RecordError: it is cut off or damaged, holds Python objects, or unpacks to too much.
     """
-    try:
+    with parsed(file, "the numpy file"):
         if zipfile.is_zipfile(file):
             with zipfile.ZipFile(file) as packed:
                 members = [one for one in packed.infolist() if one.filename.endswith(".npy")]
@@ -36,10 +36,6 @@ def read(file: Path) -> object:
         with file.open("rb") as stream:
             held = np.load(stream, allow_pickle=False)
             return held if isinstance(held, np.ndarray) else dict(held)
-    except RecordError:
-        raise
-    except Exception as error:  # numpy and zipfile raise what their parsers meet, SyntaxError and MemoryError too
-        raise RecordError(f"{file}: the numpy file cannot be read ({_first_line(error)})") from error
 
 
 def _size(stream: IO[bytes], length: int) -> int:
@@ -60,7 +56,3 @@ def _size(stream: IO[bytes], length: int) -> int:
     if math.prod(shape) * dtype.itemsize > length:
         raise ValueError(f"an array of shape {shape} does not fit into {length} bytes")
     return 8 * math.prod(shape)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from masking.errors import RecordError
 from masking.lab.records import unpacked_size
 from masking.lab.records.stop_switch import is_running
+from masking.lab.records.stream import sync_folder
 
 MANIFEST_KEY = b"masking.manifest"
 ROWS: Final = 2**16  # of a group of rows, what is read or written at once of a long table
@@ -34,7 +35,7 @@ _WRITTEN: Final[Mapping[str, Any]] = {"compression": "zstd", "use_dictionary": F
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched.
+    """Stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched.
 
     What processes that were killed had begun of it is removed.
     """
@@ -52,12 +53,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    if os.name == "posix":  # the new name itself must survive a power cut too
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    sync_folder(path.parent)  # the new name itself must survive a power cut too
 
 
 def write(

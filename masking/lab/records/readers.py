@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from masking.errors import RecordError, nearest
 from masking.lab.records import columns_on_disk, loggers, matlab_5, numpy_files, text_table
 from masking.lab.records.input_hold import Names
-from masking.lab.records.nested_data import vectors, without_doubles
+from masking.lab.records.nested_data import first_line, parsed, vectors, without_doubles
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lab.records.time_slice import Part, exists
 
@@ -153,7 +153,7 @@ def _columns(file: Path, heading: Sequence[str], part: Part | None) -> tuple[dic
 
 
 def _own(file: Path, columns: dict[str, Column]) -> Recording:
-    """Return one of our own recordings with columns that may have been renamed."""
+    """Recording of our own with columns that may have been renamed."""
     kept = Recording.load(file.parent if (file.parent / MANIFEST).exists() and file.name == TABLE else file)
     return Recording(columns, kept.manifest, kept.notes)
 
@@ -171,7 +171,7 @@ def _mat(file: Path) -> dict[str, Column]:
     except Exception as error:  # scipy raises what its parser meets, zlib.error and struct.error among them
         if hdf5.is_hdf5(file):
             return hdf5.read(file)
-        raise RecordError(f"{file}: the MATLAB file cannot be read ({_line(error)})") from error
+        raise RecordError(f"{file}: the MATLAB file cannot be read ({first_line(error)})") from error
     return _nested(file, {name: value for name, value in held.items() if not name.startswith("__")})
 
 
@@ -187,24 +187,16 @@ def _json(file: Path) -> dict[str, Column]:
     """Read lists of numbers, or a list of samples that are objects with the same keys."""
     if file.stat().st_size > _LARGEST_JSON:
         raise RecordError(f"{file}: the JSON file has more than {_LARGEST_JSON} bytes; give a .parquet file")
-    try:
+    with parsed(file, "the JSON file"):
         held = json.loads(file.read_text(encoding="utf-8-sig"), object_pairs_hook=without_doubles)
-    except (OSError, ValueError, RecursionError, MemoryError) as error:
-        raise RecordError(f"{file}: the JSON file cannot be read ({_line(error)})") from error
     if isinstance(held, list) and held and all(isinstance(sample, dict) for sample in held):
         held = {name: [sample.get(name) for sample in held] for name in dict.fromkeys(n for one in held for n in one)}
     return _nested(file, held)
 
 
-def _line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
-
-
 def _nested(file: Path, held: object) -> dict[str, Column]:
-    try:
+    with parsed(file, "it"):
         found = dict(vectors("", held))
-    except (RecursionError, MemoryError, OverflowError) as error:
-        raise RecordError(f"{file}: it cannot be read ({_line(error)})") from error
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found

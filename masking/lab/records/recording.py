@@ -67,7 +67,7 @@ class Recording:
         _check(self.columns)
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
-        """Give one column, shape (samples,)."""
+        """One column (samples,)."""
         try:
             return self.columns[column]
         except KeyError:
@@ -162,7 +162,7 @@ class Recording:
         return replace(self, columns=found)
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[Mapping[str, NDArray[np.float64]]]:
-        """Give columns by name, one stretch of time after the other: one that is in memory is a single one.
+        """Columns by name, one stretch of time after the other; a single one in memory.
 
         Args:
             names: of the columns; by default all.
@@ -173,7 +173,7 @@ class Recording:
             yield {name: self[name] for name in (self.columns if names is None else names)}
 
     def thinned(self, most: int, sampled: Collection[str] = (), names: Sequence[str] | None = None) -> Recording:
-        """Return it with fewer samples, evenly in time, in memory; one that has no more than `most` as it is.
+        """Recording with fewer samples, evenly in time, in memory; itself if it has no more than `most`.
 
         Args:
             most: samples.
@@ -328,7 +328,7 @@ class Recording:
 
 @contextmanager
 def writing(folder: Path, *, overwrite: bool = False) -> Iterator[tuple[BinaryIO, BinaryIO]]:
-    """Give the streams of both files of a recording, manifest and table; after an error the folder is as it was.
+    """Streams of both files of a recording, manifest and table; after an error the folder is as it was.
 
     Args:
         folder: where to, made if need be.

@@ -96,7 +96,7 @@ class Switch:
         return bool(self._words[_ACKNOWLEDGED])
 
     def acknowledge(self) -> None:
-        """Say that the operator has seen why the loop tripped."""
+        """Note that the operator has seen the cause of the trip."""
         self._words[_ACKNOWLEDGED] = 1
 
     @property
@@ -105,7 +105,7 @@ class Switch:
         return self._words[_SEEN]
 
     def see(self) -> None:
-        """Say that the operator's page is there."""
+        """Note that the operator's page is there."""
         self._words[_SEEN] = time.monotonic_ns()
 
     @property
@@ -155,7 +155,7 @@ def is_running(process: int) -> bool:
 
 
 def switches() -> Iterator[Switch]:
-    """Give the switches of the loops that this user runs on this machine; those of killed loops are removed."""
+    """Switches of the loops that this user runs on this machine; those of killed loops are removed."""
     for path in sorted(MEMORY.glob(f"masking-*{ENDING}")):
         with contextlib.suppress(RecordError):
             found = Switch(path)

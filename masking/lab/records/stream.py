@@ -79,12 +79,12 @@ def begin(folder: str | Path, manifest: Mapping[str, Any]) -> None:
             file.write(json_text({**manifest, "format": FORMAT}).encode())
             file.flush()
             os.fsync(file.fileno())
-        _sync_folder(folder)
+        sync_folder(folder)
     except OSError as error:
         raise RecordError(f"{folder}: no stream can be written: {error.strerror or error}") from error
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Bring the names of new files to disk too."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
@@ -240,7 +240,7 @@ class StreamWriter:
                 self._file = self._locked(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC)
                 self._end = 0
                 if self._is_written(part_head(number, self._chain)):
-                    _sync_folder(path.parent)
+                    sync_folder(path.parent)
                     return
             except OSError as error:
                 if error.errno not in NO_PLACE and number + 1 == len(self._paths):

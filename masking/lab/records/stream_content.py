@@ -74,7 +74,7 @@ class _Reader:
         self.chain: bytes | None = None
 
     def read(self) -> Stream:
-        """Return what there is."""
+        """All that is sound."""
         self.chain = hash_of(self.content)
         self._part(self.folder / ROWS, 0)
         if not self.is_proven and self.tables:

@@ -88,7 +88,7 @@ class Page:
 
 
 def pages_of(memory: mmap.mmap, at: int, chain: bytes | None) -> Iterator[Page]:
-    """Give page after page, and what is between them; a page that the end of the file cuts off is left out.
+    """Page after page, and the bytes between them; without a page that the end of the file cuts off.
 
     Args:
         memory: of a part.

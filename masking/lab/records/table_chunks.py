@@ -66,11 +66,8 @@ def _array(column: Column) -> pa.Array:
         return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
     rows = [np.asarray(one, dtype=np.float64) for one in column]
     ends = np.cumsum([0, *map(len, rows)], dtype=np.int32)
-    return pa.ListArray.from_arrays(_array_of_ends(ends), _array(np.concatenate(rows)))
-
-
-def _array_of_ends(ends: NDArray[np.int32]) -> pa.Array:
-    return pa.Array.from_buffers(pa.int32(), len(ends), [None, pa.py_buffer(ends)])
+    places = pa.Array.from_buffers(pa.int32(), len(ends), [None, pa.py_buffer(ends)])
+    return pa.ListArray.from_arrays(places, _array(np.concatenate(rows)))
 
 
 def done(folder: Path) -> list[tuple[int, int]]:

@@ -107,7 +107,7 @@ def figure(
 
 
 def _prefix(names: Sequence[str]) -> str:
-    """Return what several columns are: their common prefix, or the name of the only one."""
+    """Common prefix of several columns, or the name of a single one."""
     prefixes = {name.rpartition(".")[0] for name in names}
     return prefixes.pop() if len(prefixes) == 1 else ""
 

@@ -77,7 +77,7 @@ def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...
 
 
 def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
-    """Yield what is wrong with the numbers of a plan."""
+    """Faults in the numbers of a plan."""
     if plan.repeats < 1:
         yield Problem(plan.place("repeats"), "repeats", "must be at least 1, not 0")
     if plan.budget.trips == 0:
@@ -178,7 +178,7 @@ def identity(experiment: Experiment, runs: Sequence[Run]) -> str:
 
 
 def progress(runs: Sequence[Run], entries: Sequence[Mapping[str, Any]]) -> list[Progress]:
-    """Return what the entries of a journal have of each run."""
+    """Progress of each run by the entries of a journal."""
     found = [Progress(run) for run in runs]
     for entry in entries:
         if entry["event"] == "begin":

@@ -79,7 +79,7 @@ class Budget:
 
     @property
     def sentence(self) -> str:
-        """Return what to mend first."""
+        """Cause to remove first, in words."""
         now, left = _chi(self.whole.rms), _chi(self.without_all.rms)
         best = min(self.rows, key=lambda row: row.rms)
         if best.rms <= _WORTH * self.whole.rms:

@@ -167,7 +167,7 @@ class Experiment:
 
     @cached_property
     def instruments(self) -> Instruments:
-        """Return what the controller knows of sensors, actuators and limits."""
+        """Sensors, actuators and limits as the controller knows them."""
         assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
         plant, model, driven = self.assembly.plant, self.law.model, self.law.driven
         return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven)
@@ -243,7 +243,7 @@ class Experiment:
 
     @cached_property
     def stop_condition(self) -> StopCondition | None:
-        """Return what ends a run before its duration; None where nothing does."""
+        """Condition that ends a run before its duration; None for none."""
         declaration, rate = self.declaration, self.declaration.controller.rate
         if declaration.stop is None:
             return None
@@ -428,7 +428,7 @@ class Experiment:
 
     @property
     def every(self) -> int:
-        """Return of how many samples one is recorded."""
+        """Samples per recorded row."""
         rate, record = self.declaration.controller.rate, self.declaration.record
         return max(1, round(rate / record.rate)) if rate is not None and record else 1
 
@@ -444,7 +444,7 @@ class Experiment:
         return Recording(made.columns, self.manifest(made, summary, timing, is_stopped=is_stopped))
 
     def summary(self) -> Summary:
-        """Return what gathers the numbers of a run for its manifest."""
+        """Collector of the numbers of a run for its manifest."""
         return Summary(self.virtual.coordinates, self.plant.coordinates, self.passive)
 
     def manifest(

@@ -98,7 +98,7 @@ class VirtualInputs:
         return len(self.law.model.parameters)
 
     def feed(self, instruments: Instruments) -> Feed:
-        """Return what a sampled controller gives the virtual system while it runs.
+        """Inputs that a sampled controller feeds to the virtual system.
 
         Args:
             instruments: the sensors.
@@ -148,7 +148,7 @@ class VirtualInputs:
 
 
 def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs) -> dict[str, Array]:
-    """Return what a run alone knows of the inputs of its virtual system, at its times (m,), in the system's units.
+    """Inputs of the virtual system that only a run knows, at its times (m,), in the system's units.
 
     Args:
         sampled: the controller.
@@ -170,7 +170,7 @@ def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs)
 
 
 def _slow(times: Array, values: Array, speed: float, low: float, period: float) -> Array:
-    """Return what of a series (m,) lasts: a low-pass of first order at a speed, that was `low` a period before."""
+    """Slow part of a series (m,): a low-pass of first order at a speed, that was `low` a period before."""
     found, steps = np.empty(len(values)), np.diff(times, prepend=times[0] - period)
     for i, part in enumerate(-np.expm1(-speed * steps)):
         low += part * (values[i] - low)

@@ -71,7 +71,7 @@ class Use:
 
     @property
     def part(self) -> float:
-        """Return what is needed per what is allowed."""
+        """Need per allowance."""
         return self.needed / self.limit
 
     @property
@@ -81,7 +81,7 @@ class Use:
 
     @property
     def label(self) -> str:
-        """Return what is limited, in words."""
+        """Limited quantity, in words."""
         return f"mean power of {self.name}" if self.kind == "power" else self.name
 
     def __str__(self) -> str:
@@ -407,7 +407,7 @@ def _digits(value: float) -> str:
 
 
 def _problem(experiment: Experiment, error: MaskingError) -> Problem:
-    """Return what is wrong with an experiment whose ideal motion cannot be followed, and where."""
+    """Fault of an experiment whose ideal motion cannot be followed, and its place."""
     declaration = experiment.declaration
     if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
         path = "transform"

@@ -13,12 +13,11 @@ from masking.analysis.synchronisation import Watch
 from masking.compile.numerics.arrays import Array
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
-from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import SampledStep
 from masking.errors import MaskingError, ModelError
 from masking.lab.plants import adapters
 from masking.lab.plants.address import scheme_of
-from masking.lab.plants.command_guard import Guard, PlantLimits
+from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.operating_system import Stop
 from masking.lab.plants.safety_chain import Chain
@@ -69,7 +68,11 @@ def serve(
     """
     twin = None if scheme_of(str(plant)) else Twin.load(plant)
     limited = twin if limits is None else Twin.load(limits)
-    guard = _guard(limited) if limited is not None else None
+    guard: PlantLimits | None = None
+    if limited is not None:
+        rules = partial(safety_limits.limits, Instruments.of(limited))
+        Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
+        guard = PlantLimits(rules)
     if twin is None:
         served = adapters.connect(str(plant))
     else:
@@ -80,13 +83,6 @@ def serve(
             guard.begin(served, settings)
         served.deactivate()
     return serve_plant(served, address, replace(serving, guard=guard), ready=ready, stop=stop)
-
-
-def _guard(twin: Twin) -> Guard:
-    """Return what keeps a served plant within the limits of a plant file, as far as its sensors show them."""
-    rules = partial(safety_limits.limits, Instruments.of(twin))
-    Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
-    return PlantLimits(rules)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +172,9 @@ class _Run:
     def __init__(self, experiment: Experiment, settings: RunSettings) -> None:
         self.experiment, self.settings = experiment, settings
         sampled, condition = experiment.sampled, experiment.stop_condition
-        controller = _prepare(sampled)
+        for name in ("transform", "transforms"):  # before the plant is touched
+            getattr(sampled.kernels, name).prepare()
+        controller = SampledStep(sampled)
         watched = None
         if condition:
             watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
@@ -267,13 +265,6 @@ def _check(experiment: Experiment) -> None:
     experiment.validate()
 
 
-def _prepare(sampled: SampledController) -> SampledStep:
-    """Compile and load everything before the plant is touched; return the controller, ready to begin."""
-    for name in ("transform", "transforms"):
-        getattr(sampled.kernels, name).prepare()
-    return SampledStep(sampled)
-
-
 @final
 class _Watched:
     """What watches a run for synchronisation.
@@ -334,11 +325,11 @@ class _Keeper:
 
     @property
     def reason(self) -> str:
-        """Return why a run that has ended as planned has."""
+        """Reason for a planned end."""
         return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
 
     def end(self, reason: str, *, is_full: bool) -> str:
-        """Return why the run ended, from why its loop did."""
+        """Reason for the end of the run, from that of its loop."""
         if reason in {STOPPED, FINISHED} and self.is_over:
             return self.reason
         return FULL if reason == STOPPED and is_full else reason

@@ -35,7 +35,7 @@ class Ideal:
 
     @property
     def needs_memory(self) -> str:
-        """Return why it cannot be integrated in chunks; empty where it can."""
+        """Reason against an integration in chunks; empty for none."""
         if any(source.is_live for source in self.inputs.experiment.inputs.values()):
             return "the inputs of its virtual system come from the run itself"
         meta = self.virtual.kernels.meta

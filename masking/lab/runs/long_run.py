@@ -77,7 +77,7 @@ def run(
 
 
 def _chunks(experiment: Experiment, runs: Iterator[Run | TwinRun]) -> Iterator[tuple[Columns, bool]]:
-    """Give the columns of each chunk of a run, and whether its stop condition ends it there."""
+    """Columns of each chunk of a run, and whether its stop condition ends it there."""
     condition, reached = experiment.stop_condition, None
     watch = None if condition is None else condition.watch()
     for chunk in runs:

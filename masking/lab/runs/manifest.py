@@ -67,7 +67,7 @@ def start(wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
 
 
 def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
-    """Return what the observer of a controller is.
+    """Facts of the observer of a controller.
 
     Args:
         sampled: the controller.

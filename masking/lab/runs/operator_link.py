@@ -113,11 +113,11 @@ class Operator:
 
     @property
     def put(self) -> Callable[[Row], None] | None:
-        """Return what shows a row of the loop; None where nobody looks at rows."""
+        """Function that shows a row of the loop; None where nobody looks at rows."""
         return None if self._shown is None else self._shown.put
 
     def end(self, reason: str, trip: Trip | None) -> None:
-        """Say why the run ended."""
+        """Show the end of the run."""
         self.trip = trip
         self.switch.tell(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
         if self._shown is not None:
@@ -177,7 +177,7 @@ class _Shown:
 
 
 def _motion(model: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
-    """Give the coordinates of a model and their rates, with the units that recordings have."""
+    """Coordinates of a model and their rates, with the units that recordings have."""
     units = {
         name: "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
         for name, coordinate in model.declaration.coordinates.items()
@@ -187,7 +187,7 @@ def _motion(model: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
 
 
 def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
-    """Give what is limited, as `live_monitor` takes it: what the chain watches, in the declared units."""
+    """Limits that the chain watches, in the declared units, as `live_monitor` takes them."""
     # The columns are in the SI units of the rig's model, and the sensors' own.
     known = controller.sampled.instruments
     declared = known.plant.limits

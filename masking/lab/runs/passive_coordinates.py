@@ -82,7 +82,7 @@ class Passive:
             )
 
     def entry(self, states: Array) -> dict[str, Any]:
-        """Return what they are and did, for the manifest.
+        """Their names and motion, for the manifest.
 
         Args:
             states: of the rig over the run (rows, .), coordinates and velocities first, SI units.

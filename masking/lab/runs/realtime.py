@@ -200,7 +200,7 @@ def _leave(plant: Plant, rows: Rows, _kind: object, error: BaseException | None,
 
 
 def _reason(error: BaseException, rows: Rows) -> str:
-    """Return why a run ended in an error, and let the chain know."""
+    """Reason for the end of a run in an error, of which the chain learns."""
     tick, text = int(rows.table[max(0, rows.count - 1), TICK]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
         cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST

@@ -41,7 +41,7 @@ class _Linear:
 
 
 def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estimate: Array | None = None) -> Rules:
-    """Return what the safety chain holds a rig to.
+    """Rules that the safety chain holds a rig to.
 
     Args:
         instruments: what the controller knows of the rig.
@@ -56,7 +56,7 @@ def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estim
 
 
 def limits(instruments: Instruments, rate: float) -> Rules:
-    """Return what a plant is held to whoever drives it: its limits, as far as its sensors show them.
+    """Rules of a plant for whoever drives it: its limits, as far as its sensors show them.
 
     Args:
         instruments: of the plant file.
@@ -108,7 +108,6 @@ class _Builder:
         self.sensing = self.sensing.reshape(len(known), self.count)
 
     def rules(self) -> Rules:
-        """Rules."""
         places = [(e, x, self._linear(e)) for e, x in self.instruments.plant.limits.coordinates.items()]
         self._declared()
         motion, pushed = self._motion()
@@ -262,7 +261,7 @@ class _Builder:
                 self.notes.append(f"jumps of {name} are not watched: give sensors.{name}.jump")
 
     def _sticking(self) -> None:
-        """Say which sensors may stick without being seen."""
+        """Note which sensors may stick without being seen."""
         for name, row in zip(self.instruments.sensors, self.table, strict=True):
             if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
                 self.notes.append(f"whether {name} sticks is not watched: declare its noise")
@@ -270,7 +269,7 @@ class _Builder:
     def _limited(
         self, declared: Mapping[Expression, Limit], *, is_rate: bool
     ) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Give for each limit its name, its row of the table, and its weights in readings and in the estimate."""
+        """Name, row of the table, and weights in readings and in the estimate of each limit."""
         for expression, limit in declared.items():
             found, bound = self._linear(expression), limit.max * self.instruments.factors[limit.unit]
             row, weights = np.zeros(safety_tables.LIMIT_COLUMNS), np.zeros(len(self.table))

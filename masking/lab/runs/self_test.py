@@ -199,7 +199,7 @@ class _Pulse:
     def run(
         self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False
     ) -> tuple[Array, Trip | None]:
-        """Return what the sensors read before and after the pulse (samples, sensors), once a real rig is at rest again.
+        """Readings before and after the pulse (samples, sensors), once a real rig is at rest again.
 
         Raises:
             MaskingError: it was interrupted.
@@ -231,7 +231,7 @@ def _is_still(last: Array, first: Array, answer: Array) -> bool:
 
 
 def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Answer]:
-    """Give how each sensor answered."""
+    """Answer of each sensor."""
     begin = round(len(read) * _QUIET / (_QUIET + _PULSE + _AFTER))
     for i, sensor in enumerate(twin.sensors):
         wanted = predicted[begin:, i] - predicted[begin - 1, i]
@@ -245,7 +245,7 @@ def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Ans
 
 
 def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[str]:
-    """Give why the rig must not be armed: first what is wrong with a sensor, then with an actuator."""
+    """Reasons against arming the rig: faults of sensors, then of actuators."""
     for sensor, declared in twin.noise().items():
         at_rest = min((x.at_rest for x in answers if x.sensor == sensor), default=0.0)
         if at_rest > _NOISY * declared > 0.0:

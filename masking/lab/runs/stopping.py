@@ -131,7 +131,7 @@ class StopCondition:
         return row
 
     def entry(self, at: float | None) -> dict[str, Any]:
-        """Return why the run ended, for the manifest; `at` is the virtual time of synchronisation, None for none."""
+        """End of the run, for the manifest; `at` is the virtual time of synchronisation, None for none."""
         detector = self.detector
         return {
             "when": SYNCHRONISED,

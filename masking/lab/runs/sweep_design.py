@@ -115,7 +115,7 @@ class Design:
         return found
 
     def _drawn(self) -> Array:
-        """Return what is drawn (runs, axes that are drawn)."""
+        """Random values (runs, axes that are drawn)."""
         axes = [(i, axis) for i, axis in enumerate(self.axes) if axis.distribution is not None]
         if not axes:
             return np.empty((self.runs, 0))

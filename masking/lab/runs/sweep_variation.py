@@ -33,7 +33,7 @@ class Place:
 
 
 def place(experiment: Experiment, name: str) -> Place:
-    """Return what a name of a sweep stands for.
+    """Variation behind a name of a sweep.
 
     Args:
         experiment: that varies.

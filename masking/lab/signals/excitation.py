@@ -92,7 +92,7 @@ class Excitation:
         return len(self.values)
 
     def __getitem__(self, channel: str) -> Array:
-        """Give the samples of one channel (samples,)."""
+        """Samples of one channel (samples,)."""
         return np.asarray(self.values[:, self._index(channel)])
 
     def __repr__(self) -> str:
