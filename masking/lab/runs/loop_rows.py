@@ -20,7 +20,7 @@ from masking.lab.records.recorder import Recorder
 from masking.lab.records.recording import Recording
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import TwinRun
+from masking.lab.runs.offline import TwinRun, samples_until
 from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Known
 from masking.lab.runs.stopping import SYNCHRONISED
 
@@ -117,7 +117,7 @@ class RowLayout:
 
 def samples_after(experiment: Experiment, sampled: SampledController) -> int:
     """Samples from the release on to the planned end."""
-    return int(np.floor(experiment.declaration.duration * experiment.time_scale * sampled.rate * (1.0 + 1e-12))) + 1
+    return samples_until(experiment.declaration.duration * experiment.time_scale, sampled.rate)
 
 
 def known(controller: SampledStep, lasting: Array) -> Known:

@@ -96,6 +96,11 @@ def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
     return replace(runs[0], **parts)
 
 
+def samples_until(duration: float, rate: float) -> int:
+    """Samples from time 0 to a duration in s, both included."""
+    return int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+
+
 def chunks(kernels: Kernels, rows: int) -> range:
     """First row of each chunk in which compiled dynamics are integrated.
 
@@ -158,12 +163,13 @@ def sampled_chunks(
     rate: float,
     duration: float,
     every: int = 1,
-    substeps: int | None = None,
     schedule: Schedule | None = None,
     progress: Progress | None = None,
     most: int | None = None,
 ) -> Iterator[Run]:
     """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs, in chunks of rows.
+
+    The plant takes as many integration steps between samples as its motion about the initial state asks for.
 
     Args:
         loop: controller and plant.
@@ -171,8 +177,6 @@ def sampled_chunks(
         rate: samples per second.
         duration: seconds.
         every: record one sample of this many.
-        substeps: integration steps of the plant between samples; by default as many as its motion about the initial
-            state asks for.
         schedule: parameters of the control law that change on the way.
         progress: called with the part done.
         most: rows of a chunk; by default there is one.
@@ -182,12 +186,9 @@ def sampled_chunks(
         IntegrationError: the state or the inputs are no longer finite.
     """
     loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
-    if not (rate > 0.0 and duration > 0.0 and every >= 1 and (substeps is None or substeps >= 1)):
-        raise ModelError(
-            f"rate {rate:g}, duration {duration:g}, every {every}, substeps {substeps}: all must be positive"
-        )
-    substeps = substeps or _substeps(loop, state, rate)
-    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    if not (rate > 0.0 and duration > 0.0 and every >= 1):
+        raise ModelError(f"rate {rate:g}, duration {duration:g}, every {every}: all must be positive")
+    substeps, samples = _substeps(loop, state, rate), samples_until(duration, rate)
     y, u, p, first = np.array(state, dtype=float), np.zeros(len(loop.plant.inputs)), loop.values(), 0.0
     changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
     span = every * (most or samples)
@@ -261,7 +262,7 @@ def twin_chunks(
     rate, sizes, p = sampled.rate, sampled.sizes, twin.values()
     generator = np.random.default_rng(seed)
     before = sampled.before
-    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    samples = samples_until(duration, rate)
     span = every * (most or samples)
     y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start), 0.0, twin.substeps(rate)
     noise = generator.standard_normal((1, len(twin.sensors)))

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.lab.runs.offline import samples_until
 from masking.model.modelling.model import Model
 
 FEWEST: Final = 10.0  # rows per unit of virtual time
@@ -25,7 +26,7 @@ def instants(duration: float, samples: int, rate: float | None) -> tuple[int, Ca
         rate: rows per second, if declared.
     """
     if rate is not None:
-        return int(duration * rate * (1.0 + 1e-12)) + 1, lambda first, last: np.arange(float(first), last) / rate
+        return samples_until(duration, rate), lambda first, last: np.arange(float(first), last) / rate
     step = duration / (samples - 1)
 
     def evenly(first: int, last: int) -> Array:
