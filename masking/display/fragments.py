@@ -20,9 +20,7 @@ _TABLE: Final = Markup(
     "<thead><tr>{}</tr></thead><tbody>{}</tbody></table>"
 )
 _HEAD: Final = Markup('<th style="text-align:{};font-weight:500;opacity:.7;padding:.1em 1.4em .1em 0">{}</th>')
-_CELL: Final = Markup(
-    '<td style="text-align:{};padding:.1em 1.4em .1em 0;border-top:1px solid rgba(128,128,128,.3)">{}</td>'
-)
+_CELL: Final = Markup('<td style="text-align:{};padding:.1em 1.4em .1em 0;border-top:1px solid {}">{}</td>')
 _LINE: Final = Markup(
     '<svg width="{0}" height="{1}" viewBox="0 0 {0} {1}" style="display:block">'
     '<polygon points="{2}" fill="{3}" stroke="{3}" stroke-width="1" stroke-linejoin="round"/></svg>'

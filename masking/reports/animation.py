@@ -127,7 +127,7 @@ class Animation:
         }
 
     def _traces(self) -> Iterator[dict[str, Any]]:
-        """Give the coordinates of the main scene, the dashed ideal ones below them, and the inputs."""
+        """Coordinates of the main scene, the dashed ideal ones below them, and the inputs."""
         main, units = self.main, self.recording.units
         kinds = [("motion", main.prefix, main.drawing.coordinates), ("inputs", "input", self.recording.inputs)]
         for title, prefix, names in kinds:

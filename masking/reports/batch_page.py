@@ -52,8 +52,6 @@ def save(name: str, sentence: str, rows: Sequence[Mapping[str, Any]], numbers: M
         [],
         numbers,
         title=name,
-        tiles=(),
-        names={},
         lead=sentence,
         head=[*rows[0]],
         rows=_shown(rows),

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-from masking.inference.procedures.calibration_findings import HIGHEST, Calibration, Curve, Excited
+from masking.display.palette import NOISE
+from masking.inference.procedures.calibration_findings import HIGHEST, Calibration, Curve
 from masking.model.declaration.quantities import percent, quantity
 from masking.reports import figure_parts as parts
 from masking.reports import style
-from masking.reports.style import COLOURS, DASHED, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure
+from masking.reports.panels import Band, Level, Line, Panel, Span, drawn, either_side, noise_density
+from masking.reports.style import COLOURS, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure
 from masking.reports.text import short
 
 _MOST_ROWS = len(COLOURS)
@@ -28,177 +26,147 @@ _WORDS = 1.72  # inches at the right for the names of lines
 _LETTERS = 32  # of such a name
 _APART = 0.16  # inches between these names
 _FLOOR = 0.45  # times the noise: where an axis of residuals ends
-_NOISE: Final = "#c9ced6"
 _MILLI = 1e3
 
 
 def figures(found: Calibration) -> list[CaptionedFigure]:
-    """Draw every figure of the report, in its order."""
+    """Figures of the report, in its order."""
     return [_unseen(found), _residuals(found), _spectra(found), _springs(found), _excitation(found)]
 
 
 def _unseen(found: Calibration) -> CaptionedFigure:
     record, best = found.records.unseen, found.best
     names = found.twin.sensors[:_MOST_ROWS]
-    t = np.arange(len(record)) / record.rate
-    end = len(record) / record.rate
+    t, end = np.arange(len(record)) / record.rate, len(record) / record.rate
     part = t >= end - _SHOWN
     model = record.readings - found.residuals[best.name]
-    figure, rows = style.sheet([1.25] * len(names))
-    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
-        axes.plot(*style.thin(t[part], record.readings[part, i]), color=COLOURS[i], lw=2.6, alpha=0.45)
-        axes.plot(*style.thin(t[part], model[part, i]), color=INK, lw=0.9, ls=DASHED)
+    rows = []
+    for i, (name, colour) in enumerate(zip(names, COLOURS, strict=False)):
+        lines = [
+            Line(t[part], record.readings[part, i], colour, 2.6, opacity=0.45),
+            Line(t[part], model[part, i], INK, 0.9, "simulated, fitted to another record", is_dashed=True),
+        ]
         reach = 1.12 * float(np.abs(record.readings[part, i]).max())
-        axes.set(xlim=(max(0.0, end - _SHOWN), end), ylim=(-reach, reach), ylabel=_reading(found, name))
-        parts.note(axes, f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}")
-    rows[-1].set_xlabel("time (s)")
-    handles = [
-        Line2D([], [], color=MUTED, lw=2.6, alpha=0.6, label="measured"),
-        parts.line_key("simulated, fitted to another record", INK, 0.9, dashed=True),
-    ]
-    parts.legend(figure, None, handles)
+        errors = f"error {percent(best.fit.validation[name])}, noise alone {percent(found.unseen_floor[name])}"
+        ends = (max(0.0, end - _SHOWN), end)
+        rows.append([Panel(lines, _reading(found, name), "time (s)", ends, (-reach, reach), note=errors)])
     span = f"the last {_SHOWN:g} s of {end:g} s" if end > _SHOWN else "all of it"
     caption = (
         f"The record that was not fitted, {span}, and its simulation. "
         f"{_meanings(found, names)} The error is (4.12) of the source document, over the whole record."
     )
-    return CaptionedFigure("unseen", "Measured and simulated", caption, figure)
+    words = CaptionedFigure("unseen", "Measured and simulated", caption)
+    return drawn(words, rows, 1.25, keys=[Line([], [], MUTED, 2.6, "measured", opacity=0.6)])
 
 
 def _residuals(found: Calibration) -> CaptionedFigure:
-    record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
+    record = found.records.unseen
     count = max(1, round(_WINDOW * record.rate))
-    figure, rows = style.sheet([1.45] * len(names), top=style.BARE)
-    _narrow(rows)
-    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
-        noise = record.noise[i]
-        ends, highest = [], noise
+    rows = list[list[Panel]]()
+    for i, name in enumerate(found.twin.sensors[:_MOST_ROWS]):
+        noise, ends = record.noise[i], list[tuple[float, str, str]]()
+        lines = list[Line]()
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
             rms = _running_rms(left[:, i], count)
             t = np.linspace(0.5 * count, 0.5 * count + len(rms) - 1.0, len(rms)) / record.rate
-            axes.plot(*style.thin(t, rms), color=colour, lw=1.4)
+            lines.append(Line(t, rms, colour))
             ends.append((float(np.sqrt((left[:, i] ** 2).mean())), stage, colour))
-            highest = max(highest, float(rms.max()))
-        parts.logarithmic(axes, "y", 6)
-        axes.set_ylim(_FLOOR * noise, 1.6 * highest)
-        axes.axhspan(_FLOOR * noise, noise, color=_NOISE, lw=0, zorder=0)
-        axes.set(xlim=(0.0, len(record) / record.rate), ylabel=f"rms residual of {_reading(found, name)}")
-        _beside(axes, [*ends, (0.67 * noise, f"noise {quantity(noise, _unit(found, name), 2)}", MUTED)])
-    rows[-1].set_xlabel("time (s)")
+        ends.append((0.67 * noise, f"noise {quantity(noise, _unit(found, name), 2)}", MUTED))
+        highest = max(noise, *(float(np.max(line.y)) for line in lines))
+        band = Span(_FLOOR * noise, noise, NOISE, axis="y", opacity=1.0)
+        rows.append([
+            Panel([band, *lines], f"rms residual of {_reading(found, name)}", "time (s)",
+                  (0.0, len(record) / record.rate), (_FLOOR * noise, 1.6 * highest), log="y",
+                  finish=functools.partial(_beside, ends=ends))
+        ])  # fmt: skip
     caption = (
         f"Residual of each model on the unseen record: the rms of measured less simulated over {_WINDOW:g} s. The grey "
         "band is white noise in the readings, estimated where their spectra are quietest; a line at its edge is at the "
         "noise floor."
     )
-    return CaptionedFigure("residuals", "Residual of each model", caption, figure)
+    return drawn(CaptionedFigure("residuals", "Residual of each model", caption), rows, 1.45, right=_WORDS)
 
 
 def _spectra(found: Calibration) -> CaptionedFigure:
-    record, names = found.records.unseen, found.twin.sensors[:_MOST_ROWS]
-    figure, rows = style.sheet([1.6] * len(names), top=style.NOTE)
-    _narrow(rows)
-    for i, (name, axes) in enumerate(zip(names, rows, strict=True)):
-        level = float(record.noise[i] * np.sqrt(2.0 / record.rate))
+    record, rows = found.records.unseen, list[list[Panel]]()
+    for i, name in enumerate(found.twin.sensors[:_MOST_ROWS]):
+        level = noise_density(record.noise[i], record.rate)
         f, whole = parts.spectral_density(record.readings[:, i], record.rate, 1, _BINS_PER_DECADE)
-        axes.plot(f, whole, color=MUTED, lw=1.0, alpha=0.75)
-        highest = float(whole.max())
-        ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED)]
+        lines = [Line(f, whole, MUTED, 1.0, opacity=0.75)]
+        ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED), (level, "white noise", INK)]
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
-            f, of = parts.spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
-            axes.plot(f, of, color=colour, lw=1.4)
+            _, of = parts.spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
+            lines.append(Line(f, of, colour))
             ends.append((float(np.sqrt((of[f <= HIGHEST] ** 2).mean())), stage, colour))
-        axes.axvspan(f[0], HIGHEST, color=GRID, alpha=0.45, lw=0, zorder=0)
-        axes.axhline(level, color=INK, lw=0.9, ls=DASHED, zorder=3)
-        parts.logarithmic(axes, "x", 8)
-        parts.logarithmic(axes, "y", 6)
-        axes.set_ylim(0.3 * level, 2.0 * highest)
-        axes.set(xlim=(f[0], f[-1]), ylabel=f"{style.symbol(name)} ({_unit(found, name)}/√Hz)")
-        _beside(axes, [*ends, (level, "white noise", INK)])
-    for axes in rows[:-1]:
-        axes.tick_params(labelbottom=False)
-    parts.note(rows[0], f"excited up to {HIGHEST:g} Hz", side="left")
-    rows[-1].set_xlabel("frequency (Hz)")
+        rows.append([
+            Panel([Span(f[0], HIGHEST, GRID), *lines, Level(level)],
+                  f"{style.symbol(name)} ({_unit(found, name)}/√Hz)", "frequency (Hz)", (f[0], f[-1]),
+                  (0.3 * level, 2.0 * float(whole.max())), log="xy", finish=functools.partial(_beside, ends=ends),
+                  title="" if rows else f"excited up to {HIGHEST:g} Hz")
+        ])  # fmt: skip
     caption = (
         "Amplitude density of the unseen record (grey line) and of the residual of each model. The dashed line is the "
         "density of white noise as large as that of the readings; the band is where the rig was excited. A residual "
         "above the line there is an effect that the model does not have."
     )
-    return CaptionedFigure("spectra", "Spectra of the residuals", caption, figure)
+    return drawn(CaptionedFigure("spectra", "Spectra of the residuals", caption), rows, 1.6, right=_WORDS)
 
 
 def _springs(found: Calibration) -> CaptionedFigure:
     curves, title = found.curves[:_MOST_ROWS], "Springs"
     if not curves:
         return style.absent("springs", title, "every spring of the best model is straight")
-    figure, rows = style.panels(len(curves), 1.75, (3.35, 3.6))
-    for colour, curve, (left, right) in zip(COLOURS, curves, rows, strict=False):
+    simplest, rows = found.stages[0].name, []
+    for colour, curve in zip(COLOURS, curves, strict=False):
         by, x_unit = (_MILLI, "mm") if curve.measured == "m" else (1.0, curve.measured)
         x, unit = by * curve.displacement, curve.unit.replace("**2", "²")
         straight = np.asarray(np.polyval(np.polyfit(curve.displacement, curve.linear, 1), curve.displacement))
-        for axes, of in ((left, np.zeros(len(x))), (right, straight)):
-            axes.axvspan(by * curve.low, by * curve.high, color=GRID, alpha=0.45, lw=0, zorder=0)
-            low, high = curve.force - of - 2.0 * curve.std, curve.force - of + 2.0 * curve.std
-            axes.fill_between(x, low, high, color=colour, alpha=0.25, lw=0)
-            axes.plot(x, curve.force - of, color=colour, lw=1.8)
-            axes.plot(x, curve.declared - of, color=INK, lw=0.9, ls=DASHED)
-            axes.plot(x, curve.linear - of, color=MUTED, lw=0.9)
-            axes.set(xlim=(x[0], x[-1]))
-        for axes in (left, right) if curve is curves[-1] else ():
-            axes.set_xlabel(style.with_unit("displacement", x_unit))
-        left.set_ylabel(f"{style.symbol(curve.element)} ({unit})")
-        right.set_ylabel(f"less the line ({unit})")
-        inside = (curve.displacement >= curve.low) & (curve.displacement <= curve.high)
-        _range(right, curve, straight, inside)
-        parts.note(left, curve.meaning, side="left")
-    handles: list[Line2D | Patch] = [
-        Patch(color=MUTED, alpha=0.4, lw=0, label="fitted, with 95 % band"),
-        parts.line_key("the plant file said", INK, 0.9, dashed=True),
-        parts.line_key(found.stages[0].name, MUTED, 0.9),
-        Patch(color=GRID, alpha=0.6, lw=0, label="displacements in the record"),
-    ]
-    parts.legend(figure, None, handles)
+        row = list[Panel]()
+        for of, label in ((np.zeros(len(x)), style.symbol(curve.element)), (straight, "less the line")):
+            force = curve.force - of
+            content = [
+                Span(by * curve.low, by * curve.high, GRID, "displacements in the record"),
+                Band(x, force - 2.0 * curve.std, force + 2.0 * curve.std, colour, 0.25),
+                Line(x, force, colour, 1.8),
+                Line(x, curve.declared - of, INK, 0.9, "the plant file said", is_dashed=True),
+                Line(x, curve.linear - of, MUTED, 0.9, simplest),
+            ]
+            across = style.with_unit("displacement", x_unit) if curve is curves[-1] else ""
+            range_of_y = _range(curve, straight) if row else None
+            title_of = "" if row else curve.meaning
+            row.append(Panel(content, f"{label} ({unit})", across, (x[0], x[-1]), range_of_y, title=title_of))
+        rows.append(row)
     caption = (
         "Force of each spring of the best model at rest, per moving mass, over its displacement: left the whole, right "
         "less the straight line of the simplest model. The band is twice the standard deviation that follows from the "
         "covariance of the parameters; outside of the displacements in the record it is an extrapolation."
     )
-    return CaptionedFigure("springs", title, caption, figure)
+    band = Band([], [], [], MUTED, 0.4, "fitted, with 95 % band")
+    return drawn(CaptionedFigure("springs", title, caption), rows, 1.75, keys=[band])
 
 
 def _excitation(found: Calibration) -> CaptionedFigure:
-    shown = found.excited[:_MOST_ROWS]
-    figure, rows = style.panels(len(shown), 1.15, (4.4, 2.6), top=0.34)
+    shown, rows = found.excited[:_MOST_ROWS], []
     reach = 1.25 * max(each.peak for each in shown)
-    for colour, each, (left, right) in zip(COLOURS, shown, rows, strict=False):
-        left.plot(*style.thin(each.times, each.values), color=colour, lw=0.8)
-        left.set(
-            xlim=(0.0, each.times[-1]), ylim=(-reach, reach), ylabel=style.with_unit(style.symbol(each.name), each.unit)
-        )
-        if each.limit < reach:
-            for level in (-each.limit, each.limit):
-                left.axhline(level, color=LIMIT, lw=1.1, ls=(0, (6, 2)))
-        parts.note(left, _use(each))
+    for colour, each in zip(COLOURS, shown, strict=False):
+        limits = either_side(each.limit, colour=LIMIT, width=1.1) if each.limit < reach else []
         at = each.amplitudes > 1e-3 * each.amplitudes.max()
-        right.vlines(each.frequencies[at], 0.0, _MILLI * each.amplitudes[at], color=colour, lw=1.6)
-        right.set(xlim=(0.0, 1.08 * HIGHEST), ylabel=f"amplitude (m{each.unit})")
-        right.yaxis.set_major_locator(MaxNLocator(3))
-        right.set_ylim(0.0, 1.25 * _MILLI * float(each.amplitudes.max()))
-        parts.note(right, f"{len(each.lines)} lines")
-    for axes, label in zip(rows[-1], ("time (s)", "frequency (Hz)"), strict=True):
-        axes.set_xlabel(label)
+        f, size = each.frequencies[at], _MILLI * each.amplitudes[at]
+        stems = Line(np.repeat(f, 3), np.column_stack([0.0 * f, size, np.nan * f]).ravel(), colour, 1.6)
+        part = percent(each.peak / each.limit)
+        use = f"peak {each.peak:.3g} {each.unit}, {part} of the limit; crest factor {each.peak / each.rms:.2f}"
+        rows.append([
+            Panel([Line(each.times, each.values, colour, 0.8), *limits],
+                  style.with_unit(style.symbol(each.name), each.unit), "time (s)", (0.0, each.times[-1]),
+                  (-reach, reach), note=use),
+            Panel([stems], f"amplitude (m{each.unit})", "frequency (Hz)", (0.0, 1.08 * HIGHEST),
+                  (0.0, 1.25 * float(size.max())), ticks=3, note=f"{len(each.lines)} lines"),
+        ])  # fmt: skip
     caption = (
         "One period of the multisine of each actuator in the record that was fitted, with phases for the least crest "
         "factor, and its lines, which no other actuator has; in the unseen record the lines are others."
     )
-    return CaptionedFigure("excitation", "Excitation", caption, figure)
-
-
-# ---- parts
-
-
-def _use(each: Excited) -> str:
-    part = percent(each.peak / each.limit)
-    return f"peak {each.peak:.3g} {each.unit}, {part} of the limit; crest factor {each.peak / each.rms:.2f}"
+    return drawn(CaptionedFigure("excitation", "Excitation", caption), rows, 1.15, widths=(4.4, 2.6))
 
 
 def _running_rms(values: style.Series, count: int) -> style.Series:
@@ -207,15 +175,8 @@ def _running_rms(values: style.Series, count: int) -> style.Series:
     return found
 
 
-def _narrow(rows: Sequence[Axes]) -> None:
-    """Leave room for words at the right."""
-    for axes in rows:
-        box = axes.get_position()
-        axes.set_position((box.x0, box.y0, box.width - (_WORDS - style.RIGHT) / style.WIDTH, box.height))
-
-
 def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
-    """Write names at the right of a logarithmic axis, each near its level, none on another."""
+    """Name levels at the right of a logarithmic axis, each near its level, none on another."""
     figure = axes.figure
     assert isinstance(figure, Figure)  # noqa: S101  # for the type checker: these axes lie in no sub-figure
     height = float(figure.get_size_inches()[1] * axes.get_position().height)
@@ -237,12 +198,13 @@ def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
                       fontsize=SIZE - 1.5, color=colour)  # fmt: skip
 
 
-def _range(axes: Axes, curve: Curve, straight: style.Series, inside: NDArray[np.bool_]) -> None:
-    """Set the range of y by the curves where the record has been."""
-    drawn = np.concatenate([(c - straight)[inside] for c in (curve.force, curve.declared, curve.linear)])
-    drawn = drawn[np.isfinite(drawn)]
-    pad = 0.25 * float(np.ptp(drawn))
-    axes.set_ylim(float(drawn.min()) - pad, float(drawn.max()) + pad)
+def _range(curve: Curve, straight: style.Series) -> tuple[float, float]:
+    """Range of the curves less a straight line, where the record has been."""
+    inside = (curve.displacement >= curve.low) & (curve.displacement <= curve.high)
+    values = np.concatenate([(c - straight)[inside] for c in (curve.force, curve.declared, curve.linear)])
+    values = values[np.isfinite(values)]
+    pad = 0.25 * float(np.ptp(values))
+    return float(values.min()) - pad, float(values.max()) + pad
 
 
 def _unit(found: Calibration, sensor: str) -> str:

@@ -15,7 +15,6 @@ from masking.inference.procedures.calibration_findings import ALIKE, NAMES, PAGE
 from masking.model.declaration.quantities import number, percent
 from masking.model.declaration.units import pretty
 from masking.reports import calibration_figures, html
-from masking.reports.html import Tile
 from masking.reports.text import capital, listed
 
 _LACKS = 1.5  # times the noise: an error from here on is reported as something that the model lacks
@@ -25,9 +24,9 @@ _STRONG = 0.95  # correlation from which a pair of parameters is reported
 _PAIRS = 5  # of them, at most
 # The real rig, by its linear model: multisine and steps (Table 4.3), free motion of the coupled system (Table 4.5).
 _DOCUMENT: Final = (
-    ("Table 4.3", "multisine", ("0.0649", "0.1025", "0.2267")),
-    ("", "steps", ("0.0666", "0.0628", "0.2796")),
-    ("Table 4.5", "free motion", ("0.0545", "0.1307", "0.0869")),
+    ("the document, Table 4.3", "multisine", "0.0649", "0.1025", "0.2267"),
+    ("", "steps", "0.0666", "0.0628", "0.2796"),
+    ("the document, Table 4.5", "free motion", "0.0545", "0.1307", "0.0869"),
 )
 _AUTHOR = "Rijlaarsdam"
 _LIBRARIES = ("masking", "numpy", "scipy", "numba", "sympy")
@@ -39,23 +38,26 @@ def save(found: Calibration) -> None:
     Raises:
         RecordError: the folder cannot be written.
     """
-    figures = calibration_figures.figures(found)
+    twin, figures = found.twin, calibration_figures.figures(found)
     rows = _parameters(found)
+    has_document = _AUTHOR in (twin.declaration.source or "") and len(found.floor) == len(_DOCUMENT[0]) - 2
+    limits = twin.declaration.limits.coordinates
     html.save(
         found.folder / PAGE,
         "calibration",
         figures,
-        names={*found.twin.sensors, *found.twin.actuators, *found.best.fit.names, *found.twin.model.coordinates},
-        title=f"Calibration: {found.twin.declaration.name}",
+        names={*twin.sensors, *twin.actuators, *found.best.fit.names, *twin.model.coordinates},
+        title=f"Calibration: {twin.declaration.name}",
+        result=found,
         sentence=sentence(found),
+        spoken=_spoken,
         cautions=_cautions(found),
-        tiles=_tiles(found),
-        sensors=list(found.floor),
-        errors=_errors(found),
-        has_document=_has_document(found),
-        alike=percent(ALIKE),
-        excited=_excited(found),
-        reached=_reached(found),
+        lacks=_LACKS,
+        document=list(_DOCUMENT) if has_document else [],
+        alike=ALIKE,
+        ports=twin.declaration.actuators or twin.base.inputs,
+        reached=reached(twin, found.records.fit),
+        units={what.text: (limit.unit, twin.size(limit.unit)) for what, limit in limits.items()},
         parameters=rows,
         differing=_differing(found),
         far=f"{_FAR:g}",
@@ -68,7 +70,7 @@ def save(found: Calibration) -> None:
 
 
 def sentence(found: Calibration) -> str:
-    """Say what happened."""
+    """Errors of the best model in the unseen record, beside the noise."""
     chi, floor = found.best.fit.validation, found.unseen_floor
     errors, noise = (listed([percent(part) for part in parts.values()]) for parts in (chi, floor))
     reads = "reads" if len(chi) == 1 else "read"
@@ -79,7 +81,7 @@ def sentence(found: Calibration) -> str:
 
 
 def _cautions(found: Calibration) -> list[str]:
-    """Say what makes the result less than it could be; nothing where all is well."""
+    """Sentences on what makes the result less than it could be; none where all is well."""
     fit = found.best.fit
     far = [name for name, chi in fit.validation.items() if chi > _LACKS * found.unseen_floor[name]]
     sentences = []
@@ -101,35 +103,6 @@ def _cautions(found: Calibration) -> list[str]:
     return sentences
 
 
-def _tiles(found: Calibration) -> list[Tile]:
-    fit, floor = found.best.fit, found.unseen_floor
-    tiles = [
-        Tile(f"error in {name}, unseen", percent(chi), f"noise {percent(floor[name])}", chi > _LACKS * floor[name])
-        for name, chi in list(fit.validation.items())[:3]
-    ]
-    return [*tiles, Tile("fitted", str(len(fit.names)), "parameters")]
-
-
-def _has_document(found: Calibration) -> bool:
-    return _AUTHOR in (found.twin.declaration.source or "") and len(found.floor) == len(_DOCUMENT[0][2])
-
-
-def _errors(found: Calibration) -> list[list[str]]:
-    """Errors in the form of Tables 4.3 and 4.5, and the document's own: model, record, and each sensor."""
-    rows = []
-    for stage in found.stages:
-        label = f"{_spoken(stage)}, {len(stage.fit.names)} parameters" + ": written" * (stage is found.best)
-        rows += [
-            [label, "fitted", *map(_digits, stage.fit.chi.values())],
-            ["", "unseen", *map(_digits, stage.fit.validation.values())],
-        ]
-    rows.append(["noise alone", "fitted", *map(_digits, found.floor.values())])
-    rows.append(["", "unseen", *map(_digits, found.unseen_floor.values())])
-    if _has_document(found):
-        rows += [[f"the document, {table}" if table else "", what, *chi] for table, what, chi in _DOCUMENT]
-    return rows
-
-
 def _parameters(found: Calibration) -> list[list[str]]:
     """Values and deviations beside those of the plant file."""
     fit, rows = found.best.fit, []
@@ -146,7 +119,7 @@ def _parameters(found: Calibration) -> list[list[str]]:
 
 
 def _differing(found: Calibration) -> int:
-    """How many values differ notably from the plant file's."""
+    """Number of values that differ notably from the plant file's."""
     fit = found.best.fit
     before = np.array([_declared(found, name) for name in fit.names])
     return int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum())
@@ -173,7 +146,7 @@ def _declared(found: Calibration, name: str) -> float:
 
 
 def _pairs(found: Calibration) -> list[str]:
-    """Name the pairs of parameters that are hardest to separate."""
+    """Pairs of parameters that are hardest to separate."""
     fit = found.best.fit
     correlation = np.tril(fit.correlation, -1)
     order = np.argsort(-np.abs(correlation), axis=None)[:_PAIRS]
@@ -184,33 +157,6 @@ def _pairs(found: Calibration) -> list[str]:
     rest = f", and {more} more pairs" if more > 0 else ""
     return [f"Correlations above {_STRONG:g}: {', '.join(pairs)}{rest}; these are known better together than by "
             "themselves."] if pairs else []  # fmt: skip
-
-
-def _excited(found: Calibration) -> list[list[str]]:
-    """How much of its limit each actuator used, and its lines."""
-    ports = found.twin.declaration.actuators or found.twin.base.inputs
-    return [
-        [
-            each.name,
-            ports[each.name].meaning,
-            f"{each.peak:.3g} {each.unit}",
-            f"{each.limit:.3g} {each.unit}",
-            percent(each.peak / each.limit),
-            f"{each.peak / each.rms:.2f}",
-            f"{len(each.lines)}, {each.lines.min():.2f} to {each.lines.max():.2f} Hz",
-        ]
-        for each in found.excited
-    ]
-
-
-def _reached(found: Calibration) -> list[list[str]]:
-    """How far each limited coordinate went: coordinate, reached, limit, used."""
-    limits = found.twin.declaration.limits.coordinates
-    units = {what.text: (limit.unit, found.twin.size(limit.unit)) for what, limit in limits.items()}
-    return [
-        [what, *(f"{x / units[what][1]:.3g} {units[what][0]}" for x in (far, most)), percent(far / most)]
-        for what, (far, most) in reached(found.twin, found.records.fit).items()
-    ]
 
 
 def _provenance(found: Calibration, written: Sequence[str]) -> list[tuple[str, str]]:
@@ -228,23 +174,16 @@ def _provenance(found: Calibration, written: Sequence[str]) -> list[tuple[str, s
     ]
 
 
-# ---- words
-
-
 def _spoken(stage: Stage) -> str:
-    """Name a stage so that it can begin a sentence."""
+    """Name of a stage that can begin a sentence."""
     model = Path(stage.fit.twin.declaration.model).stem
     if not stage.name.startswith("with "):
         return model
     return f"{model} with {listed(stage.name.removeprefix('with ').split(', '))}".replace("_friction", " friction")
 
 
-def _digits(chi: float) -> str:
-    return f"{chi:.4f}" if chi >= 0.01 else f"{chi:.5f}"
-
-
 def _with_deviation(value: float, std: float) -> tuple[str, str]:
-    """Write a value with as many digits as its deviation warrants, and the deviation with two."""
+    """Value with as many digits as its deviation warrants, and the deviation with two."""
     if not (np.isfinite(std) and std > 0.0):
         return _plain(value), ""
     digits = max(0, int(np.floor(np.log10(max(abs(value), std)))) - int(np.floor(np.log10(std)))) + 2

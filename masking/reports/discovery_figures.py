@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from matplotlib.patches import Patch
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
+from masking.display.palette import PAPER
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.screening import Score
@@ -19,21 +21,33 @@ from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, fit_figures, force_map, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
-from masking.reports.style import COLOURS, DASHED, GRID, INK, MUTED, SIZE, WIDTH, CaptionedFigure
-from masking.reports.text import capital, listed
+from masking.reports.panels import (
+    Level,
+    Line,
+    Panel,
+    Span,
+    bars,
+    drawn,
+    either_side,
+    noise_density,
+    plain_numbers,
+    spectrum,
+)  # fmt: skip
+from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, CaptionedFigure
+from masking.reports.text import capital, capped, listed
 
 MOST_SENSORS = 6
 MOST_TRIED = 12
 LETTER = 0.082  # inches of a letter of a label, with some room
-MOST_PAID = 1000.0  # %, of what would count: more is stated as more than this
 NEAR = 0.9  # of the best candidate's gain: those that are named together
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
+Tried = tuple[str, str, float, float]  # effect, place, part of the residual, part of what would count
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 
 
 def figures(found: Discovery) -> list[CaptionedFigure]:
-    """Draw the figures of a discovery."""
-    most = discovery_text.rest(found).best.name if found.law is None else found.law.free.place.name
+    """Figures of a discovery."""
+    most = discovery_text.remaining_error(found).best.name if found.law is None else found.law.free.place.name
     latent = latent_force.force_at(found.as_written, most)
     of_force = [force_map.figure(found, latent)] if np.isfinite(latent.deviations[0]) else []  # seen by a sensor
     if of_force and latent.where != "sensor" and found.twin.actuators:
@@ -42,7 +56,7 @@ def figures(found: Discovery) -> list[CaptionedFigure]:
 
 
 def _comparison(found: Discovery) -> CaptionedFigure:
-    """Draw the validation record beside what the model makes of it as declared, and with what was found."""
+    """Validation record beside its simulation by the model as declared, and with the finding."""
     record, sensors = found.validation_record, found.twin.declaration.sensors
     units = tuple("" if sensors[name].unit == "1" else sensors[name].unit for name in found.twin.sensors)
     before, after = (
@@ -51,7 +65,7 @@ def _comparison(found: Discovery) -> CaptionedFigure:
     )
     has_finding = found.effects or found.law
     labels = "as declared", "with the finding" if has_finding else "with adjusted parameters"
-    name = discovery_text.worst(found)
+    name = discovery_text.worst_sensor(found)
     first, last = (percent(one.chi[name]) for one in (before, after))
     said = f"On data that were not used, the error of {name} falls from {first} {labels[0]} to {last} {labels[1]}"
     if not after.chi[name] < before.chi[name]:
@@ -61,106 +75,96 @@ def _comparison(found: Discovery) -> CaptionedFigure:
 
 
 def _intervals(found: Discovery) -> str:
-    """Say in a caption in which shooting intervals records are simulated; '' where they are simulated whole."""
+    """Shooting intervals in which records are simulated, for a caption; '' where they are simulated whole."""
     every = {part.interval for part in (found.validation, found.as_written.validation)} - {0}
     seconds = [quantity(samples / found.record.rate, "s") for samples in sorted(every, reverse=True)]
     return f" Shooting intervals of {listed(seconds)} each have an initial state of their own." if seconds else ""
 
 
 def _gap(found: Discovery) -> CaptionedFigure:
-    """Draw the error of each sensor before and after, in the record and in the validation record, beside the noise."""
-    names = found.twin.sensors
-    said = capital(discovery_text.left(found)) if found.verdict == "none" else discovery_text.gap(found)
-    figure, (row,) = style.panels(1, 0.34 * len(names) + 0.35, (3.6, 3.6), top=style.BELOW + 0.28, heading=said)
+    """Error of each sensor before and after, in the record and in the validation record, beside the noise."""
+    names, has_finding = found.twin.sensors, bool(found.effects or found.law)
     sides = errors(found)
     every = [v for side in sides.values() for one in side for v in one.values() if 0.0 < v < np.inf]
-    low, high = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
-    for axes, (title, side) in zip(row, sides.items(), strict=True):
-        for i, name in enumerate(names):
-            declared, adjusted, after, noise = (100.0 * one[name] for one in side)
-            axes.plot([max(declared, adjusted), after], [i, i], color=GRID, lw=4, solid_capstyle="round", zorder=1)
-            axes.plot([noise, noise], [i - 0.32, i + 0.32], color=INK, lw=1.4, zorder=5)
-            axes.plot(declared, i, "o", color="white", mec=MUTED, mew=1.4, ms=6.5, zorder=2)
-            axes.plot(adjusted, i, "o", color=BEFORE, ms=7, zorder=3)
-            if found.effects or found.law:
-                axes.plot(after, i, "o", color=AFTER, ms=7, zorder=4)
-        axes.set_xscale("log")
-        axes.set(xlim=(low, high), ylim=(len(names) - 0.5, -0.5))
-        parts.plain_numbers(axes.xaxis, " %")
+    ends = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
+    at = np.arange(len(names))
+
+    def finish(axes: Axes) -> None:
+        bars(axes, [style.symbol(name) for name in names])
+        plain_numbers(axes.xaxis, " %")
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_yticks(range(len(names)), labels=map(style.symbol, names))
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel("error relative to the reading")
-        axes.set_title(title, loc="left", fontsize=SIZE, color=MUTED, pad=5)
-    handles = [
-        parts.marker_key("as declared", "white", mec=MUTED, mew=1.4),
-        parts.marker_key("adjusted parameters", BEFORE),
-    ]
-    if found.effects or found.law:
-        handles.append(parts.marker_key("with the finding", AFTER))
-    handles.append(parts.marker_key("noise floor", INK, "|", 11.0, mew=1.4))
-    parts.legend(figure, row[-1], handles, above=0.28)
+
+    def panel(title: str, side: Sequence[Mapping[str, float]]) -> Panel:
+        declared, adjusted, after, noise = (np.array([100.0 * one[name] for name in names]) for one in side)
+        joined = [
+            Line([max(a, b), c], [i, i], GRID, 4.0, order=1)
+            for i, (a, b, c) in enumerate(zip(declared, adjusted, after, strict=True))
+        ]
+        dots = [
+            Line(declared, at, PAPER, 0.0, "as declared", marker="o", size=6.5, edge=MUTED),
+            Line(adjusted, at, BEFORE, 0.0, "adjusted parameters", marker="o", size=7, order=3),
+            *([Line(after, at, AFTER, 0.0, "with the finding", marker="o", size=7, order=4)] if has_finding else []),
+            Line(noise, at, INK, 0.0, "noise floor", marker="|", size=15, order=5),
+        ]
+        return Panel([*joined, *dots], "", "error relative to the reading", ends, log="x", title=title, finish=finish)
+
+    said = discovery_text.noise_remark(found) if found.verdict == "none" else discovery_text.error_change(found)
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
         "initial state: of the model as declared, with its parameters adjusted within their prior uncertainty, and "
         f"with the finding. The noise floor is the error that the noise alone makes.{_intervals(found)}"
     )
-    return CaptionedFigure("gap", "Simulation error", caption, figure)
+    words = CaptionedFigure("gap", "Simulation error", caption)
+    rows = [[panel(title, side) for title, side in sides.items()]]
+    return drawn(words, rows, 0.34 * len(names) + 0.35, heading=capital(said))
 
 
 def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
-    """Draw the latent force over a command, time and frequency, before and after."""
-    what = MISSING[latent.where]
-    seen = discovery_text.subject(found)
+    """Latent force over a command, time and frequency, before and after."""
+    what, rate = MISSING[latent.where], found.record.rate
+    seen = discovery_text.model_error(found)
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
-    said = _coursed(found, latent, command)
     by, unit = parts.shown(pretty(latent.units[0]), latent.before)
-    figure, ((over, time, spectrum),) = style.panels(1, 1.75, (2.05, 2.7, 1.6), heading=said)
-    t, step = np.arange(len(latent.before)) / found.record.rate, max(1, len(latent.before) // POINTS)
-    pairs = [(latent.before, BEFORE), *([(latent.after, AFTER)] if found.effects or found.law else [])]
-    drawn = [(values, colour) for values, colour in pairs if values is not None]
     times, name = parts.shown(pretty(latent_force.command_unit(found, command)), column)
-    for values, colour in drawn:
-        over.plot(times * column[::step], by * values[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
-        time.plot(*style.thin(t, by * values, 500), color=colour, lw=0.7)
-        f, density = parts.spectral_density(values, found.record.rate)
-        spectrum.plot(f, density, color=colour, lw=1.2)
-        if colour == BEFORE:
-            strong = density > FAINT * density.max()
-            spectrum.set_xlim(f[0], f[strong][-1])
-            spectrum.set_ylim(0.03 * FAINT * density.max(), 2.0 * density.max())
-    for axes in (over, time):
-        parts.noise_band(axes, 2.0 * by * latent.deviations[0])
-    reach = 1.05 * by * max(2.0 * latent.deviations[0], *(float(np.abs(values).max()) for values, _ in drawn))
-    over.set_ylim(-reach, reach)
-    time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
-    time.tick_params(labelleft=False)
-    time.yaxis.get_offset_text().set_visible(False)
-    over.xaxis.set_major_locator(MaxNLocator(4))
-    over.set_ylabel(style.with_unit(what, unit))
-    over.set_xlabel(style.with_unit(f"command {style.symbol(command)}", name))
-    time.set_xlabel("time (s)")
-    parts.logarithmic(spectrum)
-    spectrum.set_xlabel("frequency (Hz)")
-    spectrum.set_ylabel(style.with_unit("density", f"{pretty(latent.units[0])}/√Hz" if latent.units[0] else ""))
-    parts.plain_numbers(spectrum.xaxis, few=WIDE)
-    handles = [parts.line_key(what, BEFORE)]
-    if len(drawn) > 1:
-        handles.append(parts.line_key(f"remaining {what}", AFTER))
-    label = "± 2 deviations" + " of the first" * (len(drawn) > 1)
-    handles.append(parts.line_key(label, INK, 1, dashed=True))
-    parts.legend(figure, spectrum, handles)
+    t, few = np.arange(len(latent.before)) / rate, slice(None, None, max(1, len(latent.before) // POINTS))
+    pairs = [(latent.before, BEFORE, what)]
+    if latent.after is not None and (found.effects or found.law):
+        pairs.append((latent.after, AFTER, f"remaining {what}"))
+    label = "± 2 deviations" + " of the first" * (len(pairs) > 1)
+    band = either_side(2.0 * by * latent.deviations[0], key=label)
+    reach = 1.05 * by * max(2.0 * latent.deviations[0], *(float(np.abs(values).max()) for values, *_ in pairs))
+    cloud = [
+        Line(times * column[few], by * values[few], colour, 0.0, marker=".", size=1.6, opacity=CLOUD)
+        for values, colour, _ in pairs
+    ]
+    course = [Line(t, by * values, colour, 0.7, key, bins=500) for values, colour, key in pairs]
+    densities = spectrum([(values, colour, 1.2) for values, colour, _ in pairs], rate, None, "")
+    f, first = parts.spectral_density(latent.before, rate)
+    last = float(f[first > FAINT * first.max()][-1])
+
+    def finish(axes: Axes) -> None:
+        axes.set_xlim(float(f[0]), last)
+        plain_numbers(axes.xaxis, few=WIDE)
+
+    density = style.with_unit("density", f"{pretty(latent.units[0])}/√Hz" if latent.units[0] else "")
+    row = [
+        Panel([*cloud, *band], style.with_unit(what, unit), style.with_unit(f"command {style.symbol(command)}", name),
+              ylim=(-reach, reach), finish=lambda axes: axes.xaxis.set_major_locator(MaxNLocator(4))),
+        Panel([*course, *band], "", "time (s)", (0.0, t[-1]), (-reach, reach)),
+        replace(densities, y=density, ylim=(0.03 * FAINT * first.max(), 2.0 * first.max()), finish=finish),
+    ]  # fmt: skip
     caption = (
         f"The {what} at {latent.place} over the command that it follows most, over time, and the root of its power "
         "spectral density. Effects that change with time, or have a frequency of their own, show here."
     )
-    return CaptionedFigure("course", f"{capital(what)} over command, time and frequency", caption, figure)
+    words = CaptionedFigure("course", f"{capital(what)} over command, time and frequency", caption)
+    return drawn(words, [row], 1.75, widths=(2.05, 2.7, 1.6), heading=_coursed(found, latent, command))
 
 
 def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -> str:
-    """Say how much of the model error follows a command, and how alike the thirds of the record are."""
-    seen = discovery_text.subject(found)
+    """Part of the model error that follows a command, and the thirds of the record beside each other."""
+    seen = discovery_text.model_error(found)
     if not any(seen.coordinates.values()):
         return f"The model error at {latent.place} is not beyond its deviation"
     sentence = capital(place_text.follows_command(seen, command))
@@ -173,117 +177,109 @@ def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -
 
 
 def _residual(found: Discovery) -> CaptionedFigure:
-    """Draw the residuals of the validation record, over time and frequency, before and after."""
-    names = found.twin.sensors[:MOST_SENSORS]
+    """Residuals of the validation record, over time and frequency, before and after."""
     sigma, record, after = found.validation.sigma, found.validation_record, found.unseen
     most = noise_threshold(len(record), found.problem.rules)
     more = [n for i, n in enumerate(found.twin.sensors) if after.squares[i] > most**2 * len(record) * sigma[i] ** 2]
-    said = (
-        f"On the validation record, the residual of {listed(found.twin.sensors)} is noise"
-        if not more
-        else f"On the validation record, the residual of {listed(more)} is above the noise floor"
-    )
-    figure, rows = style.panels(len(names), 1.35, (4.55, 2.55), heading=said)
+    said = f"the residual of {listed(more or found.twin.sensors)} is {'above the noise floor' if more else 'noise'}"
     t = np.arange(len(record)) / record.rate
-    pairs = [(found.adjusted, BEFORE, 0.9), *([(after, AFTER, 1.0)] if found.effects or found.law else [])]
-    for i, (name, (time, spectrum)) in enumerate(zip(names, rows, strict=True)):
-        unit = found.twin.declaration.sensors[name].unit
-        by, y_unit = parts.shown(pretty(unit), *(h.residuals[:, i] for h, _, _ in pairs))
-        for hypothesis, colour, width in pairs:
-            time.plot(*style.thin(t, by * hypothesis.residuals[:, i], 500), color=colour, lw=0.6)
-            f, density = parts.spectral_density(hypothesis.residuals[:, i], record.rate)
-            spectrum.plot(f, density, color=colour, lw=width + 0.3)
-        parts.noise_band(time, 1.96 * by * sigma[i])
-        reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, _, _ in pairs)
-        time.set(xlim=(0.0, t[-1]), ylim=(-reach, reach))
-        time.set_ylabel(style.with_unit(style.symbol(name), y_unit))
-        parts.ticks(time, 4)
-        parts.logarithmic(spectrum)
-        spectrum.set_xlim(f[0], f[-1])
-        level = parts.noise_level(spectrum, sigma[i], record.rate)
-        low, high = spectrum.get_ylim()
-        spectrum.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
-        spectrum.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-        spectrum.set_ylabel(f"{unit}/√Hz" if unit != "1" else "1/√Hz")
-    rows[-1][0].set_xlabel("time (s)")
-    rows[-1][1].set_xlabel("frequency (Hz)")
-    handles = [parts.line_key("adjusted parameters", BEFORE)]
+    pairs = [(found.adjusted, BEFORE, "adjusted parameters", 1.2)]
     if found.effects or found.law:
-        handles.append(parts.line_key("with the finding", AFTER))
-    handles.append(parts.line_key("noise: 95 % of it, and its spectrum", INK, 1, dashed=True))
-    parts.legend(figure, rows[0][1], handles)
+        pairs.append((after, AFTER, "with the finding", 1.3))
+    rows = []
+    for i, name in enumerate(found.twin.sensors[:MOST_SENSORS]):
+        unit = found.twin.declaration.sensors[name].unit
+        by, y_unit = parts.shown(pretty(unit), *(h.residuals[:, i] for h, *_ in pairs))
+        lines = [Line(t, by * h.residuals[:, i], colour, 0.6, key, bins=500) for h, colour, key, _ in pairs]
+        band = either_side(1.96 * by * sigma[i], key="noise: 95 % of it, and its spectrum")
+        reach = 1.05 * by * max(float(np.abs(h.residuals[:, i]).max()) for h, *_ in pairs)
+        signals = [(h.residuals[:, i], colour, width) for h, colour, _, width in pairs]
+        label = style.with_unit(style.symbol(name), y_unit)
+        densities = spectrum(signals, record.rate, sigma[i], "" if unit == "1" else unit)
+        level = noise_density(sigma[i], record.rate)
+        rows.append([
+            Panel([*lines, *band], label, "time (s)", (0.0, t[-1]), (-reach, reach), ticks=4),
+            replace(densities, finish=functools.partial(_with_room, level=level)),
+        ])  # fmt: skip
     caption = (
         f"{record.name}: measured less simulated, over time and as the root of its power spectral density. A line "
         "above the noise is an effect that the model does not have."
     )
-    return CaptionedFigure("residual", "Residuals", caption, figure)
+    words = CaptionedFigure("residual", "Residuals", caption)
+    return drawn(words, rows, widths=(4.55, 2.55), heading=f"On the validation record, {said}")
+
+
+def _with_room(axes: Axes, level: float) -> None:
+    """Give a spectrum room around the noise, and plain frequencies."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, level / 5.0), max(high, 5.0 * level))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
 
 
 def _candidates(found: Discovery) -> CaptionedFigure:
-    """Draw how much of the residual each candidate would explain; if nothing is missing, of the least that counts."""
+    """Part of the residual that each candidate would explain; if nothing is missing, of the least that counts."""
     every, nothing = tried(found), found.verdict == "none"
     chosen = {(one.name, one.on) for one in found.effects}
     rows = [row for i, row in enumerate(every) if i < MOST_TRIED or (row[0], row[1]) in chosen]
     if not rows:
         return CaptionedFigure("candidates", "Candidates", "No candidate would explain any of the residual.", None)
-    names = [discovery_text.labelled(found, effect, at) for effect, at, _, _ in rows]
+    names = [discovery_text.cause_label(found, effect, at) for effect, at, _, _ in rows]
     shares = [100.0 * (paid if nothing else part) for _, _, part, paid in rows]
     fitted = {key for rival in found.rivals for key in rival.names}
-    near = [part for part in shares if part > NEAR * shares[0]]
-    count = len(found.search.tried)
-    if nothing and shares[0] > 100.0:
-        many = sum(part > 100.0 for part in shares)
-        said = f"The residual is noise; of {count} candidates, {many} would be worth their parameters to first order"
-    elif nothing:
-        said = f"None of {count} candidates would explain enough to be worth its parameters"
-    elif not found.effects:
-        said = f"None of {count} candidates explains the residual"
-    elif len(near) == 1:
-        first = discovery_text.spoken(found, *rows[0][:2])
-        said = f"Of {count} candidates, {first} alone would explain {near[0]:.3g} % of the residual"
-    else:
-        said = (
-            f"Of {count} candidates, {len(near)} would each explain more than {min(near):.2g} % of the residual; full "
-            "fits decide between them as far as the record allows"
-        )
-    figure, ((axes,),) = style.panels(1, 0.235 * len(rows) + 0.1, (5.6,), heading=said)
-    box = axes.get_position()
-    right, room = box.x0 + 0.19 + box.width, LETTER * max(map(len, names)) / WIDTH
-    axes.set_position((max(box.x0, room), box.y0, right - max(box.x0, room), box.height))
-    colours = [_colour((effect, at), chosen, fitted) for effect, at, _, _ in rows]
-    axes.barh(range(len(rows)), shares, height=0.66, color=colours)
-    reach = 112.0 if nothing else 1.12 * max(shares)
-    for i, part in enumerate(shares):
-        label = f"{part:.3g} %" if part <= MOST_PAID else f"> {MOST_PAID:.0f} %"
-        axes.annotate(label, (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
-                      fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
-    axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, reach))
-    axes.set_yticks(range(len(rows)), labels=names)
-    axes.grid(visible=False, axis="y")
-    axes.tick_params(axis="y", length=0)
-    if nothing:
-        axes.axvline(100.0, color=INK, lw=1.2, ls=DASHED)
-        axes.set_xlabel("gain in log-likelihood, relative to the least that counts (%)")
-    else:
-        axes.set_xlabel("part of the residual beyond noise that the candidate alone would explain (%)")
     kinds = {AFTER: "chosen", COLOURS[4]: "fitted in full", GRID: "looked at"}
-    parts.legend(figure, axes, [Patch(color=colour, label=text) for colour, text in kinds.items() if colour in colours])
+    colours = [AFTER if row[:2] in chosen else COLOURS[4] if row[:2] in fitted else GRID for row in rows]
+    reach = 112.0 if nothing else 1.12 * max(shares)
+
+    def finish(axes: Axes) -> None:
+        axes.barh(range(len(rows)), shares, height=0.66, color=colours)
+        for i, part in enumerate(shares):
+            axes.annotate(capped(part / 100.0), (min(part, reach), i), (4, 0), textcoords="offset points", va="center",
+                          fontsize=SIZE - 1.5, color=MUTED)  # fmt: skip
+        bars(axes, names)
+
+    label = "part of the residual beyond noise that the candidate alone would explain (%)"
+    if nothing:
+        label = "gain in log-likelihood, relative to the least that counts (%)"
+    least = [Level(100.0, axis="x", width=1.2)] if nothing else []
     caption = (
         "To first order along the measured motion, less the part that the model's own parameters could explain; the "
         "best are then fitted in full, and their likelihoods decide."
     )
-    return CaptionedFigure("candidates", "Candidates", caption, figure)
+    return drawn(
+        CaptionedFigure("candidates", "Candidates", caption),
+        [[Panel(least, "", label, (0.0, reach), finish=finish)]],
+        0.235 * len(rows) + 0.1,
+        heading=_screened(found, rows, shares),
+        keys=[Span(0.0, 0.0, colour, text, opacity=1.0) for colour, text in kinds.items() if colour in colours],
+        left=max(style.LEFT, LETTER * max(map(len, names))),
+        right=0.8,
+    )
 
 
-def _colour(key: tuple[str, str], chosen: set[tuple[str, str]], fitted: set[tuple[str, str]]) -> str:
-    return AFTER if key in chosen else COLOURS[4] if key in fitted else GRID
+def _screened(found: Discovery, rows: Sequence[Tried], shares: Sequence[float]) -> str:
+    """Candidates that would explain something, as a sentence."""
+    count, near = len(found.search.tried), [part for part in shares if part > NEAR * shares[0]]
+    if found.verdict == "none" and shares[0] > 100.0:
+        many = sum(part > 100.0 for part in shares)
+        return f"The residual is noise; of {count} candidates, {many} would be worth their parameters to first order"
+    if found.verdict == "none":
+        return f"None of {count} candidates would explain enough to be worth its parameters"
+    if not found.effects:
+        return f"None of {count} candidates explains the residual"
+    if len(near) == 1:
+        first = discovery_text.cause_name(found, *rows[0][:2])
+        return f"Of {count} candidates, {first} alone would explain {near[0]:.3g} % of the residual"
+    return (
+        f"Of {count} candidates, {len(near)} would each explain more than {min(near):.2g} % of the residual; full "
+        "fits decide between them as far as the record allows"
+    )
 
 
-def tried(found: Discovery) -> list[tuple[str, str, float, float]]:
+def tried(found: Discovery) -> list[Tried]:
     """Each candidate once, the best first: effect, place, part of the gap, part of what would count."""
     best: dict[str, Score] = {}
     for score in found.search.tried:
-        label = discovery_text.spoken(found, *score.candidate.key)
+        label = discovery_text.cause_name(found, *score.candidate.key)
         if score.gain > 0.0 and score.gain > getattr(best.get(label), "gain", 0.0):
             best[label] = score
     size = found.record.readings.size

@@ -1,4 +1,4 @@
-"""Written: a discovery as files: the model with its causes, the plant that has this model, and all as JSON.
+"""Files of a discovery: the model with its causes, the plant that has this model, and all as JSON.
 
 Everything is written into a folder of its own, read again as `masking check` reads it, and only then moved.
 """
@@ -41,7 +41,7 @@ class Origin:
     records: Mapping[str, tuple[str, str]]
 
     def source(self, found: Discovery) -> str:
-        """Say in a line how a file was made."""
+        """Line on how a file was made."""
         records = "; ".join(f"{what} {path} (SHA-256 {digest[:16]})" for what, (path, digest) in self.records.items())
         sure = f", probability {found.effects[-1].probability:.4g}" if found.effects else ""
         version = importlib.metadata.version("masking")
@@ -50,7 +50,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Files:
-    """What was written; the model and the plant are None where nothing was added."""
+    """Paths of the files; the model and the plant are None where nothing was added."""
 
     numbers: Path
     page: Path
@@ -139,7 +139,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     facts["parameters"] = {
         name: {"value": value, "std": std, "declared": declared} for name, value, std, declared in refitted(found)
     }
-    facts["adjusted"] = list(discovery_text.adjusted(found))
+    facts["adjusted"] = list(discovery_text.adjusted_parameters(found))
     facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     facts["page"] = str(files.page)
     facts["localisation"] = found.localisation.as_dict()
@@ -281,7 +281,7 @@ def _element(found: Discovery, instance: EffectInstance) -> str:
 
 
 def _terms(found: Discovery, whole: ModelDeclaration) -> dict[str, str]:
-    """Return what the causes add to each equation."""
+    """Terms that the causes add to each equation."""
     terms: dict[str, str] = {}
     for instance, label in labels(found).items():
         if instance.entry.attaches != "beside":  # they are in the force of their element
@@ -377,11 +377,11 @@ def _causes(found: Discovery) -> str:
 
 
 def written(found: Discovery) -> list[tuple[str, str]]:
-    """Return what is written into files of the model and its plant: the effect of each cause, and its name in words."""
+    """Effect of each cause in the files of the model and its plant, and its name in words."""
     if found.law is None:
-        return [(one.name, discovery_text.spoken(found, one.name, one.on)) for one in found.effects]
+        return [(one.name, discovery_text.cause_name(found, one.name, one.on)) for one in found.effects]
     *others, (law, _) = found.written.names
-    named = [(name, discovery_text.spoken(found, name, on)) for name, on in others]
+    named = [(name, discovery_text.cause_name(found, name, on)) for name, on in others]
     return [*named, (law, f"a law without a name in {found.law.place}")]
 
 

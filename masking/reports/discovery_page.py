@@ -1,29 +1,25 @@
-"""Pages: a discovery as one HTML page that needs no other file, and all its files."""
+"""Page of a discovery: HTML that needs no other file, all its files, and a summary for the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.localisation import LatentForces
 from masking.inference.discovery.verdict import noise_threshold, probabilities
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
-from masking.model.declaration.units import pretty
 from masking.reports import discovery_figures, discovery_files, discovery_text, html, place_text
 from masking.reports.discovery_files import Files, Origin
-from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
-from masking.reports.text import aligned, listed
+from masking.reports.text import aligned, probability_text
 
 MOST_TRIED = 20
 LEAST_SURE = 0.001  # probability: less is shown as less than this
 LEAST = 0.01  # share of a place that is shown
-LITTLE = 0.05  # of the power that a force could take out of the motion: less is not shown
 TITLES = {
     "none": "Nothing is missing",
     "parameter": "A parameter is off",
@@ -57,122 +53,27 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         folder: where its files will lie.
     """
     open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
-    localised = discovery_text.subject(found)
-    lead = [("lead", [discovery_text.sentence(found)]), ("changed", discovery_text.whereabouts(found))]
-    lead.append(("card", [*filter(None, (discovery_text.beside(found), discovery_text.intervals(found)))]))
+    places = (place for place in discovery_text.model_error(found).places if place.share > LEAST)
     return html.render(
         "discovery",
         names={*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names},
         title=TITLES["named" if open_ended else found.verdict],
-        lead=[(kind, f"{'. '.join(said)}.") for kind, said in lead if any(said)],
-        tiles=list(_tiles(found)),
-        causes=list(_causes(found)),
-        remedies=[
-            (name, f"{meaning} Usual causes: {cause}." if cause else meaning, f"{remedy}." if remedy else "")
-            for name, meaning, cause, remedy in discovery_text.remedies(found)
-        ],
+        found=found,
+        words=discovery_text,
+        place_words=place_text,
+        least_sure=LEAST_SURE,
+        most=noise_threshold(len(found.validation_record), found.problem.rules),
         figures=figures,
-        gaps=list(_gaps(found)),
-        places=list(_places(localised)),
-        sides=_sides(localised),
-        whiteness=list(_whiteness(found)),
-        doubted=f"{DOUBTED:g}",
-        tried=[
-            (discovery_text.labelled(found, effect, at), percent(part, 3), _paid(paid))
-            for effect, at, part, paid in discovery_figures.tried(found)[:MOST_TRIED]
-        ],
+        errors=discovery_figures.errors(found),
+        energies=latent_force.energies(found),
+        located=sorted(places, key=lambda place: -place.explained),
+        doubted=DOUBTED,
+        tried=discovery_figures.tried(found)[:MOST_TRIED],
         rivals=_rivals(found),
-        parameters=list(_parameters(found)),
+        refitted=discovery_files.refitted(found),
+        known=found.written_rig.twin.base.parameters,
         origin=_provenance(found, origin, folder),
     )
-
-
-def _tiles(found: Discovery) -> Iterator[Tile]:
-    for one in found.effects[:3] if found.verdict != "unknown" else ():
-        sure = discovery_text.likely(found, one)[discovery_text.spoken(found, one.name, one.on)]
-        probability = percent(sure) if sure > LEAST_SURE else f"< {percent(LEAST_SURE)}"
-        yield Tile(discovery_text.labelled(found, one.name, one.on), probability, "probability")
-    errors, worst = found.simulation_error, discovery_text.worst(found)
-    floor = errors.validation_noise_floor
-    after = errors.validation[1] if found.law is None else found.law.error[1]
-    if found.effects or found.law:
-        before, how = discovery_text.without(found)
-        label = f"error in {worst} {'as declared' if how == 'as declared' else 'without it'}"
-        yield Tile(label, percent(before[worst]), "validation")
-    label = f"error in {worst}" + " with it" * bool(found.effects or found.law)
-    most = noise_threshold(len(found.validation_record), found.problem.rules)
-    yield Tile(label, percent(after[worst]), f"noise {percent(floor[worst])}", after[worst] > most * floor[worst])
-
-
-def _causes(found: Discovery) -> Iterator[tuple[str, ...]]:
-    """Yield each parameter of each cause: cause, parameter, value, meaning."""
-    for one in discovery_text.offered(found):
-        units = discovery_text.units(found, one)
-        for name, (value, std) in one.parameters.items():
-            effect = found.twin.dictionary.get(one.name)
-            if effect is None:
-                meaning = f"declared {number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
-            else:
-                meaning = effect.parameters[name].meaning if name in effect.parameters else effect.spoken
-            label = discovery_text.labelled(found, one.name, one.on)
-            yield label, name, with_deviation(value, std, units.get(name, "")), meaning
-
-
-def _gaps(found: Discovery) -> Iterator[tuple[str, ...]]:
-    """Yield the errors of each sensor on each record."""
-    share, sides = latent_force.energies(found), discovery_figures.errors(found)
-    for name in found.twin.sensors:
-        part_of = percent(share[name]) if sum(share.values()) else ""
-        yield name, "fitted", *(percent(part[name]) for part in sides["record"]), part_of
-        yield name, "validation", *(percent(part[name]) for part in sides["validation record"]), ""
-
-
-def _places(latent: LatentForces) -> Iterator[tuple[str, ...]]:
-    """Yield the force at each place: its share, what it follows, the power that it takes out, and where it sits."""
-    seen = [place for place in latent.places if place.share > LEAST]
-    for place in sorted(seen, key=lambda place: -place.explained):
-        parts, force = place.decomposition.parts, place.decomposition
-        energy, odd, at = [""] * 4, "", ""
-        if parts is not None:
-            energy = [percent(part) for part in (parts.displacement, parts.rate, parts.both, parts.neither)]
-            odd = "" if parts.odd is None else percent(parts.odd)
-            regions = place_text.regions(place)
-            at = listed(regions) if regions else ""
-        size = place_text.loss(place) or f"{percent(abs(force.taken))} of the most"
-        loss = f"{'-' if force.loss < 0.0 else ''}{size}" if abs(force.taken) > LITTLE else "little"
-        yield place.name, percent(place.share), *energy, odd, loss, at
-
-
-def _sides(latent: LatentForces) -> str:
-    """Say how much functions of commands and readings would explain, and which harmonics the force has."""
-    said = ""
-    for what, those, of in (
-        ("command", latent.actuators, "the model error"),
-        ("reading", latent.sensors, "its residual"),
-    ):
-        if those:
-            each = listed([f"{percent(part)} ({name})" for name, part in those.items()])
-            said += f"A function of a {what} would explain {each} of {of}. "
-    harmonics = latent.best.harmonics
-    if harmonics is not None and harmonics.only_odd:
-        said += (
-            f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
-            f"{latent.best.name}, {percent(harmonics.even)} is at even multiples and "
-            f"{percent(harmonics.odd)} at odd ones that were not excited."
-        )
-    return said
-
-
-def _whiteness(found: Discovery) -> Iterator[tuple[str, ...]]:
-    """Yield whether the residuals of each sensor are white, before and after."""
-    for name, pair in found.localisation.whiteness.items():
-        for what, one in zip(("adjusted", "with the finding"), pair, strict=True):
-            if one is not None:
-                yield name, what, place_text.white(one), _probability(one.p), percent(one.beyond)
-
-
-def _probability(p: float) -> str:
-    return f"{p:.3f}" if p > 5e-4 else "< 0.001"
 
 
 def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
@@ -185,7 +86,7 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
         causes = " and ".join(
-            [discovery_text.labelled(found, *first), *(discovery_text.spoken(found, *name) for name in more)]
+            [discovery_text.cause_label(found, *first), *(discovery_text.cause_name(found, *name) for name in more)]
         )
         if causes in rows:  # a delay of the only actuator is that of all of them
             rows[causes] = (rows[causes][0] + probability, *rows[causes][1:])
@@ -198,26 +99,8 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
         ]
         rows[causes] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
     none = found.none_of_these
-    every = [(causes, _probability((1.0 - none) * p), worse, values) for causes, (p, worse, values) in rows.items()]
-    return [*every, ("None of these", _probability(none), "", "")]
-
-
-def _signed(part: float) -> str:
-    return f"{'-' if part < 0.0 else '+'}{number(100.0 * abs(part), 2)} %"
-
-
-def _paid(part: float) -> str:
-    most = discovery_figures.MOST_PAID
-    return percent(part, 3) if 100.0 * part <= most else f"> {most:.0f} %"
-
-
-def _parameters(found: Discovery) -> Iterator[tuple[str, ...]]:
-    """Yield the model's parameters as declared and as found beside the causes."""
-    known = found.written_rig.twin.base.parameters
-    for name, value, std, declared in discovery_files.refitted(found):
-        change = _signed(value / declared - 1.0) if declared else ""
-        estimate = with_deviation(value, std, "")
-        yield name, number(declared, 6), estimate, change, pretty(known[name].unit), known[name].meaning
+    every = [(causes, probability_text((1.0 - none) * p), worse, values) for causes, (p, worse, values) in rows.items()]
+    return [*every, ("None of these", probability_text(none), "", "")]
 
 
 def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:
@@ -235,11 +118,15 @@ def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[st
 
 
 def summary(found: Discovery, files: Files | None) -> str:
-    """Say in a few lines for the terminal what was found, and what was written."""
+    """Finding and files in a few lines for the terminal."""
     lines = [f"{discovery_text.sentence(found)}."]
-    if discovery_text.beside(found):
-        lines.append(f"{discovery_text.beside(found)}.")
-    further = (discovery_text.sureness(found), *discovery_text.whereabouts(found), discovery_text.intervals(found))
+    if discovery_text.unexplained(found):
+        lines.append(f"{discovery_text.unexplained(found)}.")
+    further = (
+        discovery_text.probability_sentence(found),
+        *discovery_text.location(found),
+        discovery_text.intervals(found),
+    )
     lines += [f"{sentence}." for sentence in further if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
@@ -247,7 +134,7 @@ def summary(found: Discovery, files: Files | None) -> str:
         if found.effects or found.law or label != "with the finding":
             table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
     lines += aligned(table)
-    for name in dict.fromkeys(one.name for one in discovery_text.offered(found)):
+    for name in dict.fromkeys(one.name for one in discovery_text.reported(found)):
         effect = found.twin.dictionary.get(name)
         if effect is not None and (effect.cause or effect.remedy):
             advice = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]

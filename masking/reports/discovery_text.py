@@ -1,4 +1,4 @@
-"""Words: what was discovered, in plain sentences."""
+"""Text of a discovery: its finding in plain sentences, and the names of causes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from masking.inference.discovery.unit_check import AND, UnitDoubt
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.model.declaration.quantities import number, percent, quantity, with_deviation
 from masking.model.declaration.units import combined, describe, dimension_of, pretty
+from masking.model.effects import Effect
 from masking.reports import next_experiment_text
 from masking.reports.place_text import follows_command, opposite, portrayed, white
-from masking.reports.text import alternatives, capital, listed, much
+from masking.reports.text import alternatives, capital, listed, much, plural
 
 MOST = 0.5  # part of the model error from which a place or a side of the rig is stated
 LEAST = 0.05  # part of a law, from which a term is stated
@@ -35,73 +36,73 @@ NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured
 
 
 def sentence(found: Discovery) -> str:
-    """Say what was found, in a few sentences without a full stop at the end."""
+    """Finding in a few sentences without a full stop at the end."""
+    notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
+    sentences = [unit_remark(found), *_verdict(found), withheld_causes(found), *notes, hold_remark(found)]
+    return ". ".join(filter(None, sentences))
+
+
+def _verdict(found: Discovery) -> list[str]:
+    """Sentences on the verdict; empty ones say nothing."""
+    change, moves = error_change(found), adjustments(found)
     if found.verdict == "none":
-        first = f"Nothing is missing: with the parameters adjusted within their prior uncertainty, {left(found)}"
-        sentences = [first, moved(found)]
-    elif found.verdict == "parameter":
-        off = [cause(found, one) for one in found.effects[: len(found.explanation.names)]]
-        what = "a parameter is" if len(off) == 1 else "parameters are"
-        first = f"No effect is missing, but {what} off: {listed(off, '; ')}"
-        sentences = [first, gap(found), moved(found)]
-    elif found.verdict == "unknown":
-        known = [cause(found, one) for one in offered(found)]
-        do = "does" if len(known) == 1 else "do"
+        adjusted = "with the parameters adjusted within their prior uncertainty"
+        return [f"Nothing is missing: {adjusted}, {noise_remark(found)}", moves]
+    if found.verdict == "parameter":
+        off = [cause_with_values(found, one) for one in found.effects[: len(found.explanation.names)]]
+        what = plural(len(off), "a parameter is", "parameters are")
+        return [f"No effect is missing, but {what} off: {listed(off, '; ')}", change, moves]
+    lost = unfollowed_readings(found)
+    if found.verdict == "unknown":
+        known = [cause_with_values(found, one) for one in reported(found)]
+        do = plural(len(known), "does", "do")
         near = f"The nearest known effect is {listed(known, '; ')}, which {do} not explain everything" if known else ""
-        first = "The model misses an effect that is not in the dictionary"
+        first, after = "The model misses an effect that is not in the dictionary", resemblance
         if found.is_hidden:
             first = "The record shows no missing effect, but the validation record does, and does not tell which"
-        sentences = [first, hardly(found), near, gap(found) if found.is_hidden else look(found), unnamed(found)]
-        sentences += next_experiment_text.further(found)
-    elif is_open(found):
-        before = [cause(found, one) for one in found.effects[:-1]]
-        known = [f"{listed(before, '; ')} {'is' if len(before) == 1 else 'are'} missing"] if before else []
-        first = ", and ".join([*known, alternatives(alike(found))])
-        first = f"{capital(first)} is missing, and this record cannot tell which"
-        sentences = [first, hardly(found), gap(found), moved(found), capital(experiment(found))]
-    else:
-        what = listed([cause(found, one) for one in found.effects], "; ")
-        first = f"{capital(what)}{',' if ', ' in what else ''} {'is' if len(found.effects) == 1 else 'are'} missing"
-        sentences = [first, opposite(found), hardly(found), gap(found), moved(found)]
-    notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
-    sentences += [withheld(found), *notes, measured(found)]
-    return ". ".join(filter(None, [units_of_channels(found), *sentences]))
+            after = error_change
+        return [first, lost, near, after(found), unnamed_law(found), *next_experiment_text.further(found)]
+    if is_open(found):
+        before = [cause_with_values(found, one) for one in found.effects[:-1]]
+        known = [f"{listed(before, '; ')} {plural(len(before), 'is', 'are')} missing"] if before else []
+        first = capital(", and ".join([*known, alternatives(possible_causes(found))]))
+        decides = capital(deciding_experiment(found))
+        return [f"{first} is missing, and this record cannot tell which", lost, change, moves, decides]
+    what = listed([cause_with_values(found, one) for one in found.effects], "; ")
+    comma = "," if ", " in what else ""
+    first = f"{capital(what)}{comma} {plural(len(found.effects), 'is', 'are')} missing"
+    return [first, opposite(found), lost, change, moves]
 
 
-def units_of_channels(found: Discovery) -> str:
-    """Say which channel is probably in another unit than declared; '' if none is."""
+def unit_remark(found: Discovery) -> str:
+    """Channels that are probably in another unit than declared, and the remedy; '' if none are."""
     doubt = found.unit
     if doubt is None:
         return ""
     before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
-    names = _quoted(doubt)
-    looks, it = ("looks", "it") if len(doubt.names) == 1 else ("look", "they")
-    mend = "give the times in s"
+    looks = plural(len(doubt.names), "looks as if it", "look as if they")
+    remedy = "give the times in s"
     if doubt.is_sign:
-        mend = "reverse it in the record or in the model"
+        remedy = "reverse it in the record or in the model"
     elif doubt.kind != "clock":
         where = listed([f"{unit_key(found, doubt, name)}.unit" for name in doubt.names])
-        mend = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
-    so = "had its sign reversed" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
-    others = [f"{_quoted(one)} {_otherwise(one)}" for one in doubt.alike]
+        remedy = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
+    instead = "had its sign reversed" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
+    others = [f"{_quoted(one)} {'with its sign reversed' if one.is_sign else f'in {one.unit}'}" for one in doubt.alike]
     sentences = [
-        f"{names} {looks} as if {it} {so}: {mend}",
+        f"{_quoted(doubt)} {looks} {instead}: {remedy}",
         f"This record does not tell that from {alternatives(others)}" if others else "",
-        needed(found, doubt),
+        needed_values(found, doubt),
         f"The model as declared leaves {before} of the readings, and {after} of them so, as the record is taken here",
     ]
     return ". ".join(filter(None, sentences))
 
 
 def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
-    """Where the unit of a channel is declared: in a plant, or that of an input that it does not name a model."""
+    """Key of the unit of a channel: in a plant, or in a model for an input that the plant does not name."""
     plant = found.twin.declaration
     of_model = doubt.kind == "actuator" and name not in plant.actuators
     return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
-
-
-def _otherwise(doubt: UnitDoubt) -> str:
-    return "with its sign reversed" if doubt.is_sign else f"in {doubt.unit}"
 
 
 def _quoted(doubt: UnitDoubt) -> str:
@@ -109,22 +110,22 @@ def _quoted(doubt: UnitDoubt) -> str:
     return listed([f"'{name}'" for name in doubt.names])
 
 
-def needed(found: Discovery, doubt: UnitDoubt) -> str:
-    """Say which gains and parameters a record would need in the declared unit; '' if none are far off."""
+def needed_values(found: Discovery, doubt: UnitDoubt) -> str:
+    """Gains and parameters that a record would need in the declared unit; '' if none are far off."""
     said = [
-        f"{spoken(found, name, on) if on else name} {number(times, 4)} times as large"
+        f"{cause_name(found, name, on) if on else name} {number(times, 4)} times as large"
         for (name, on), times in doubt.otherwise
     ]
     taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
     return f"{taken}, the record would need {listed(said)} as declared" if said else ""
 
 
-def withheld(found: Discovery) -> str:
-    """Say what is not reported since it is worse on unseen data than the model as declared; '' if nothing is."""
+def withheld_causes(found: Discovery) -> str:
+    """Causes that are not reported since they are worse on unseen data than the model as declared; '' if none are."""
     if found.withheld is None:
         return ""
     before, after = found.simulation_error.validation[0], found.withheld.validation_error
-    causes = [labelled(found, *one) for one in found.withheld.causes]
+    causes = [cause_label(found, *one) for one in found.withheld.causes]
     what = f"{listed(causes)} would explain more of this record, but" if causes else "With adjusted parameters,"
     if after is None:
         return f"{what} the motion on unseen data would no longer be finite, so it is not reported"
@@ -135,12 +136,12 @@ def withheld(found: Discovery) -> str:
     )
 
 
-def unnamed(found: Discovery) -> str:
-    """Say what the law without a name is and what it leaves; '' where there is none."""
+def unnamed_law(found: Discovery) -> str:
+    """Law without a name, and the error that it leaves; '' where there is none."""
     law = found.law
     if law is None:
         return ""
-    name, after = worst(found), law.error[1]
+    name, after = worst_sensor(found), law.error[1]
     does = "explains the record" if law.closed else "explains a part of it"
     alone, noise = found.simulation_error.adjusted[name], found.simulation_error.validation_noise_floor[name]
     short = law.problem.interval and law.problem.interval != found.problem.interval
@@ -148,14 +149,14 @@ def unnamed(found: Discovery) -> str:
     within = f" in shooting intervals of {quantity(seconds, 's', 2)}, the longest that it follows" if short else ""
     unsure = f". {HARDLY_A_FORCE}" if 1.0 <= law.coverage.band < np.inf else ""
     return (
-        f"A law without a name in {law.place} {does}: {form(found, law)}. The validation error of {name} is "
+        f"A law without a name in {law.place} {does}: {law_form(found, law)}. The validation error of {name} is "
         f"{percent(after[name])} with it{within}, and {percent(alone)} with adjusted parameters alone; the noise floor "
         f"is {percent(noise)}{unsure}"
     )
 
 
-def form(found: Discovery, law: UnnamedLaw) -> str:
-    """Say what a law without a name looks like: a force that grows with the 1.7th power of the rate."""
+def law_form(found: Discovery, law: UnnamedLaw) -> str:
+    """Form of a law without a name: a force that grows with the 1.7th power of the rate."""
     if law.form is None:
         return f"{law.free.words}, in tables"
     shares = law.form.shares(law.free)
@@ -163,15 +164,15 @@ def form(found: Discovery, law: UnnamedLaw) -> str:
         a.words(v, law.free.nouns) for (a, v, _), share in zip(law.form.terms, shares, strict=True) if share > LEAST
     ]
     about = "" if law.is_formula else "in tables, about "
-    values = cause(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""
+    values = cause_with_values(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""
     return f"{about}a force that {listed(said)}{f' ({values})' if values else ''}"
 
 
-def measured(found: Discovery) -> str:
-    """Say that commands seem to be measured ones; '' if they do not."""
+def hold_remark(found: Discovery) -> str:
+    """Remark that commands seem to be measured; '' if they do not."""
     if found.first_order_hold is None:
         return ""
-    name = worst(found)
+    name = worst_sensor(found)
     after = found.simulation_error.estimation[1][name]
     left = f"{percent(found.first_order_hold[name])} of {name}, against {percent(after)}"
     return (
@@ -180,38 +181,38 @@ def measured(found: Discovery) -> str:
     )
 
 
-def sureness(found: Discovery) -> str:
-    """Say how probable the last name, its alternatives and none of these are; '' where nothing has a name."""
+def probability_sentence(found: Discovery) -> str:
+    """Probabilities of the last name, its alternatives and none of these; '' where nothing has a name."""
     if found.verdict == "unknown" and found.none_of_these:
         return f"The probability that no name is right is {percent(found.none_of_these)}"
     if found.verdict not in {"named", "ambiguous"} or not found.explanation.hypothesis.instances:
         return ""
-    said = likely(found, found.effects[len(found.explanation.hypothesis.instances) - 1])
+    said = probabilities(found, found.effects[len(found.explanation.hypothesis.instances) - 1])
     said["none of these"] = found.none_of_these
     return f"Probabilities: {listed([f'{name} {percent(part)}' for name, part in said.items()])}"
 
 
 def is_open(found: Discovery) -> bool:
     """Whether the record leaves open what is missing, among what has names of its own."""
-    return found.verdict == "ambiguous" and len(alike(found)) > 1
+    return found.verdict == "ambiguous" and len(possible_causes(found)) > 1
 
 
-def alike(found: Discovery) -> list[str]:
-    """Name what the last cause may be; a delay of the only actuator is that of all of them."""
-    return [*likely(found, found.effects[-1])]
+def possible_causes(found: Discovery) -> list[str]:
+    """Names that the last cause may have; a delay of the only actuator is that of all of them."""
+    return [*probabilities(found, found.effects[-1])]
 
 
-def likely(found: Discovery, cause: Named) -> dict[str, float]:
+def probabilities(found: Discovery, cause: Named) -> dict[str, float]:
     """Cause and its alternatives in words with their probabilities, those that are the same together."""
-    said = {spoken(found, cause.name, cause.on): cause.probability}
+    said = {cause_name(found, cause.name, cause.on): cause.probability}
     for name, on, part in cause.alternatives:
-        label = spoken(found, name, on)
+        label = cause_name(found, name, on)
         if part > SHOWN or label in said:
             said[label] = said.get(label, 0.0) + part
     return said
 
 
-def offered(found: Discovery) -> list[Named]:
+def reported(found: Discovery) -> list[Named]:
     """Causes to report; if they do not explain everything, those that differ surely from 0."""
     if found.verdict != "unknown":
         return list(found.effects)
@@ -224,8 +225,8 @@ def offered(found: Discovery) -> list[Named]:
     return kept
 
 
-def hardly(found: Discovery) -> str:
-    """Say which readings the model hardly follows at all; '' if there are none."""
+def unfollowed_readings(found: Discovery) -> str:
+    """Readings that the model hardly follows at all; '' if there are none."""
     remains = found.simulation_error.adjusted if found.verdict == "unknown" else found.simulation_error.validation[1]
     floor = found.simulation_error.validation_noise_floor
     lost = [f"{name} (error {percent(part)})" for name, part in remains.items() if part >= LOST > 2.0 * floor[name]]
@@ -234,7 +235,7 @@ def hardly(found: Discovery) -> str:
     return f"The model hardly follows {listed(lost)}: {CHECK}"
 
 
-def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
+def adjusted_parameters(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.dictionary}
     prior, theta = found.problem.prior, found.explanation.hypothesis.theta
@@ -248,38 +249,39 @@ def adjusted(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     return moves
 
 
-def moved(found: Discovery) -> str:
-    """Say which parameters moved far beside the causes, and which small errors were adjusted; '' if none were."""
+def adjustments(found: Discovery) -> str:
+    """Parameters that moved far beside the causes, and small errors that were adjusted; '' if there are none."""
     sentences, known = [], found.twin.base.parameters
     for is_believed, how in ((True, "within"), (False, "beyond")):
         those = [
-            f"{name} = {quantity(value, known[name].unit, 4)}, {beyond(value, start)}"
-            for name, (value, start, held) in adjusted(found).items()
+            f"{name} = {quantity(value, known[name].unit, 4)}, {deviation_words(value, start)}"
+            for name, (value, start, held) in adjusted_parameters(found).items()
             if held is is_believed
         ]
         if those:
             every = {1: f"{how} its prior uncertainty", 2: f"both {how} their prior uncertainty"}
             sentences.append(f"{'; '.join(those)}, {every.get(len(those), f'all {how} their prior uncertainty')}")
-    errors = [cause(found, one) for one in found.imperfections if one.deviates > MOVED]
+    errors = [cause_with_values(found, one) for one in found.imperfections if one.deviates > MOVED]
     sentences += [f"{'; '.join(errors)}, small errors that a rig has"] if errors else []
-    far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in adjusted(found).values() if start)
+    moves = adjusted_parameters(found).values()
+    far = any(not held and not 0.5 < value / start < 2.0 for value, start, held in moves if start)
     return f"Adjusted: {'; '.join(sentences)}{f': {CHECK}' if far else ''}" if sentences else ""
 
 
-def beyond(value: float, declared: float) -> str:
-    """Say how far a value is off what is declared."""
+def deviation_words(value: float, declared: float) -> str:
+    """Distance of a value from the declared one: 5 % more than declared."""
     if not declared or not 0.1 < value / declared < 2.0:
         return f"where {number(declared, 5)} is declared"
     off = value / declared - 1.0
     return f"{percent(abs(off))} {'more' if off > 0.0 else 'less'} than declared"
 
 
-def experiment(found: Discovery) -> str:
-    """Say which experiment would decide between the causes that the record leaves open."""
+def deciding_experiment(found: Discovery) -> str:
+    """Experiment that would decide between the causes that the record leaves open."""
     coming = found.next_experiment
     if coming is None:
         return NO_EXPERIMENT if found.twin.actuators else NO_INPUTS
-    one, other = (spoken(found, *rival.names[-1]) for rival in found.rivals[:2])
+    one, other = (cause_name(found, *rival.names[-1]) for rival in found.rivals[:2])
     if not coming.separates:
         return f"no excitation that was tried can tell {one} from {other}"
     most = np.abs(found.record.commands).max(axis=0)
@@ -297,9 +299,9 @@ def experiment(found: Discovery) -> str:
     return f"{sentence}. Its peak is {number(times, 2)} times the record's; {hint}"
 
 
-def left(found: Discovery) -> str:
-    """Say how near to the noise floor the residuals are, if nothing is missing."""
-    name = worst(found)
+def noise_remark(found: Discovery) -> str:
+    """Distance of the residuals from the noise floor, where nothing is missing."""
+    name = worst_sensor(found)
     after, floor = found.simulation_error.validation[1][name], found.simulation_error.validation_noise_floor[name]
     return (
         f"the residual of {listed(found.twin.sensors)} is indistinguishable from noise (validation error of {name} "
@@ -307,8 +309,8 @@ def left(found: Discovery) -> str:
     )
 
 
-def spoken(found: Discovery, name: str, on: str) -> str:
-    """Name a cause with its place: 'dry friction in spring1', 'an added mass on x1'.
+def cause_name(found: Discovery, name: str, on: str) -> str:
+    """Cause with its place: 'dry friction in spring1', 'an added mass on x1'.
 
     Args:
         found: the discovery.
@@ -327,21 +329,21 @@ def spoken(found: Discovery, name: str, on: str) -> str:
     return f"{words} {'in' if effect.where == 'element' else 'of'} {on}"
 
 
-def labelled(found: Discovery, name: str, on: str) -> str:
-    """Name a cause with its place as a label: 'Delay of V1'.
+def cause_label(found: Discovery, name: str, on: str) -> str:
+    """Cause with its place as a label: 'Delay of V1'.
 
     Args:
         found: the discovery.
         name: of the effect, or of a parameter.
         on: its place.
     """
-    return capital(spoken(found, name, on).removeprefix("an ").removeprefix("a "))
+    return capital(cause_name(found, name, on).removeprefix("an ").removeprefix("a "))
 
 
-def cause(found: Discovery, named: Named) -> str:
-    """Name a cause with its parameters: 'dry friction in spring1, fc = 0.00547 ± 0.00001 m/s²'.
+def cause_with_values(found: Discovery, named: Named) -> str:
+    """Cause with its parameters: 'dry friction in spring1, fc = 0.00547 ± 0.00001 m/s²'.
 
-    That of an inertia is said as one says it: 'an added mass of 0.0312 ± 0.0005 kg on x1'.
+    An inertia is worded as people say it: 'an added mass of 0.0312 ± 0.0005 kg on x1'.
     """
     values = []
     sure = [n for n, (value, std) in named.parameters.items() if abs(value) > SURE * std]
@@ -349,17 +351,17 @@ def cause(found: Discovery, named: Named) -> str:
         value, std = named.parameters[name]
         text = f"{name} = {with_deviation(value, std, units(found, named).get(name, ''))}"
         if named.name not in found.dictionary:
-            text += f", {beyond(value, float(found.rig.start[found.rig.names.index(name)]))}"
+            text += f", {deviation_words(value, float(found.rig.start[found.rig.names.index(name)]))}"
         values.append(text)
-    what = spoken(found, named.name, named.on) if named.name in found.dictionary else ""
+    what = cause_name(found, named.name, named.on) if named.name in found.dictionary else ""
     if what and found.dictionary[named.name].is_inertia:
         return what.replace(" on ", f" of {values[0].removeprefix('m = ')} on ", 1)
     return ", ".join(filter(None, [what, *values]))
 
 
-def gap(found: Discovery) -> str:
-    """Say how the validation error falls, for the sensor in which it was largest beside its noise."""
-    (before, how), what, name = without(found), "with this", worst(found)
+def error_change(found: Discovery) -> str:
+    """Fall of the validation error, for the sensor in which it was largest beside its noise."""
+    (before, how), what, name = without_finding(found), "with this", worst_sensor(found)
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     if not found.effects:
         before, how, what = found.simulation_error.validation[0], "as declared", "with adjusted parameters"
@@ -371,38 +373,39 @@ def gap(found: Discovery) -> str:
     )
 
 
-def without(found: Discovery) -> tuple[dict[str, float], str]:
-    """Validation error of each sensor without the finding, and which model that is."""
+def without_finding(found: Discovery) -> tuple[dict[str, float], str]:
+    """Validation error of each sensor without the finding, and the model that leaves it."""
     if found.verdict == "parameter":
         return found.simulation_error.validation[0], "as declared"
     return found.simulation_error.adjusted, "with adjusted parameters"
 
 
-def worst(found: Discovery) -> str:
+def worst_sensor(found: Discovery) -> str:
     """Sensor with the largest error without the finding, relative to its noise floor."""
-    floor, (before, _) = found.simulation_error.validation_noise_floor, without(found)
+    floor, (before, _) = found.simulation_error.validation_noise_floor, without_finding(found)
     return max(floor, key=lambda name: before[name] / max(floor[name], 1e-300))
 
 
 def intervals(found: Discovery) -> str:
-    """Say in which shooting intervals a record was searched; '' where each record is simulated whole."""
+    """Shooting intervals in which a record was searched; '' where each record is simulated whole."""
     seconds = found.shooting_interval
     if seconds is None:
         return ""
     return f"Simulated in shooting intervals of {quantity(seconds, 's')}, each from an initial state of its own"
 
 
-def beside(found: Discovery) -> str:
-    """Say what the known causes do not explain; '' if the residual is noise, or this is said already."""
+def unexplained(found: Discovery) -> str:
+    """Remainder that the known causes do not explain; '' if the residual is noise, or this is said already."""
     if found.closed or not found.effects or found.verdict == "unknown":
         return ""
     little = ", or the noise is not white: the residual is near the noise floor" if found.is_at_noise_floor else ""
-    return f"{'This does' if len(found.effects) == 1 else 'These do'} not explain all{little}. {look(found)}"
+    these = plural(len(found.effects), "This does", "These do")
+    return f"{these} not explain all{little}. {resemblance(found)}"
 
 
-def look(found: Discovery) -> str:
-    """Say what the model error looks like, or the residual beside the causes."""
-    latent = rest(found)
+def resemblance(found: Discovery) -> str:
+    """Likeness of the model error, or of the residual beside the causes, to a force at a place."""
+    latent = remaining_error(found)
     what = "It" if latent is found.localisation.latent else "The residual"
     what = "What is missing" if found.law is not None else what
     place = latent.best
@@ -413,20 +416,20 @@ def look(found: Discovery) -> str:
     return f"{what} looks like a force of {quantity(force.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
 
 
-def rest(found: Discovery) -> LatentForces:
+def remaining_error(found: Discovery) -> LatentForces:
     """Model error, or the residual if causes are reported that do not explain it."""
     seen = found.localisation
-    is_whole = found.law is not None or seen.residual is None or not offered(found)
+    is_whole = found.law is not None or seen.residual is None or not reported(found)
     return seen.latent if is_whole or seen.residual is None else seen.residual
 
 
-def subject(found: Discovery) -> LatentForces:
+def model_error(found: Discovery) -> LatentForces:
     """Model error, or the residual if the known causes do not explain it."""
-    return rest(found) if found.verdict == "unknown" else found.localisation.latent
+    return remaining_error(found) if found.verdict == "unknown" else found.localisation.latent
 
 
-def whereabouts(found: Discovery) -> list[str]:
-    """Say where the model error is, and whether the residuals are white; empty if neither says anything."""
+def location(found: Discovery) -> list[str]:
+    """Place of the model error, and residuals that are not white; empty if neither says anything."""
     seen, latent = found.localisation, found.localisation.latent
     sentences = []
     if found.verdict in {"named", "ambiguous"} and found.effects[-1].name in found.dictionary:
@@ -450,12 +453,20 @@ def whereabouts(found: Discovery) -> list[str]:
     return sentences
 
 
-def remedies(found: Discovery) -> list[tuple[str, str, str, str]]:
-    """Return what each named effect is, what causes it and what helps: (name, meaning, cause, remedy)."""
+def remedies(found: Discovery) -> list[Effect]:
+    """Effects that are named, the likely alternatives among them, those with one name and one cause once."""
     dictionary = found.dictionary
-    seen = dict.fromkeys(n for e in offered(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
+    seen = dict.fromkeys(n for e in reported(found) for n in (e.name, *(a[0] for a in e.alternatives if a[2] > 0.05)))
     known = {(e.spoken, e.cause): e for e in (dictionary[name] for name in reversed(seen) if name in dictionary)}
-    return [(e.spoken, e.meaning, e.cause, e.remedy) for e in reversed(known.values())]
+    return [*reversed(known.values())]
+
+
+def parameter_meaning(found: Discovery, named: Named, name: str) -> str:
+    """Meaning of a parameter of a cause, or its declared value where the cause is another value of it."""
+    effect = found.twin.dictionary.get(named.name)
+    if effect is None:
+        return f"declared {number(float(found.rig.start[found.rig.names.index(name)]), 5)}"
+    return effect.parameters[name].meaning if name in effect.parameters else effect.spoken
 
 
 def units(found: Discovery, named: Named) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Map: the latent force at a place over displacement and rate, with the laws that were found there."""
+"""Map of the latent force at a place over displacement and rate, with the laws there."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import latent_force
@@ -19,6 +16,7 @@ from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, style
 from masking.reports import figure_parts as parts
+from masking.reports.panels import Band, Level, Line, Panel, Part, drawn
 from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
 from masking.reports.text import capital, listed
 
@@ -33,54 +31,37 @@ ALSO = 0.02  # part that all takes beyond what the laws at the place take, from 
 
 
 def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
-    """Draw the latent force over displacement and rate, before and after, with the laws that were found there."""
-    has_after = latent.after is not None and bool(found.written.hypothesis.instances)
-    what = MISSING[latent.where]
-    instances, unnamed = laws_at(found, latent), found.law
+    """Latent force over displacement and rate, before and after, with the laws that are reported there."""
+    what, instances, unnamed = MISSING[latent.where], laws_at(found, latent), found.law
     law = along(found, latent, instances) if instances else None
     if unnamed is not None:
         law = unnamed.force(latent.x, latent.rate)
-    said = _seen(found, latent, what, law)
     values = [latent.before, *([law] if law is not None else [])]
     by, unit = parts.shown(pretty(latent.units[0]), *values)
     reach = 1.08 * by * max(float(np.quantile(np.abs(v), 0.999)) for v in values)
-    rows_of = [(latent.before, BEFORE, "before"), *([(latent.after, AFTER, "after")] if has_after else [])]
-    seen = latent.seen
-    figure, rows = style.panels(len(rows_of), 2.05, (3.62, 3.62) if len(seen) > 1 else (7.8,), heading=said)
-    ranges = np.array([np.quantile(x, [0.0005, 0.9995]) for x, _ in seen])
-    step = max(1, len(latent.x) // POINTS)
-    for (values_of, colour, kind), row in zip(rows_of, rows, strict=True):
-        assert values_of is not None  # noqa: S101  # those that are None have no row
-        for axes, (x, x_unit), (left, right) in zip(row, seen, ranges, strict=True):
-            times, name = parts.shown(pretty(x_unit), x)
-            axes.plot(times * x[::step], by * values_of[::step], ".", color=colour, ms=1.6, alpha=CLOUD, mew=0)
-            centres, means, _ = latent_force.binned(x, values_of)
-            half = 2.0 * latent.deviations[row is not rows[0]]
-            axes.fill_between(times * centres, by * (means - half), by * (means + half), color=colour, alpha=0.16, lw=0)
-            axes.plot(times * centres, by * means, color=colour, lw=1.8)
-            if kind == "before" and law is not None:
-                _law(axes, times * x, by * law)
-                _band(axes, None if unnamed is None else unnamed.band(latent.x, latent.rate, x), times, by)
+    clouds = [(latent.before, latent.deviations[0], BEFORE, what)]
+    if latent.after is not None and found.written.hypothesis.instances:
+        clouds.append((latent.after, latent.deviations[1], AFTER, f"remaining {what}"))
+    drawn_law = None if law is None else by * law
+    across = {"element": "displacement", "actuator": "command", "sensor": "reading"}[latent.where]
+    rows = []
+    for force, deviation, colour, name in clouds:
+        key = f"{what}, mean ± 2 deviations" if colour == BEFORE else name
+        row = list[Panel]()
+        for x, x_unit in latent.seen:
+            times, shown_unit = parts.shown(pretty(x_unit), x)
+            left, right = np.quantile(x, [0.0005, 0.9995])
             pad = 0.03 * (right - left)
-            axes.set(xlim=(times * (left - pad), times * (right + pad)), ylim=(-reach, reach))
-            axes.axhline(0.0, color=MUTED, lw=0.7)
-            label = {"element": "displacement", "actuator": "command", "sensor": "reading"}[latent.where]
-            if row is rows[-1]:
-                axes.set_xlabel(style.with_unit(label if x is latent.x else f"rate of {label}", name))
-        label = what if kind == "before" else f"remaining {what}"
-        row[0].set_ylabel(style.with_unit(label, unit))
-        for axes in row[1:]:
-            axes.tick_params(labelleft=False)
-            axes.yaxis.get_offset_text().set_visible(False)
-    handles: list[Line2D | Patch] = [parts.line_key(f"{what}, mean ± 2 deviations", BEFORE)]
-    if law is not None:
-        label = "law that was fitted" if len(instances) < 2 else f"sum of the {len(instances)} laws that were fitted"
-        handles.append(parts.line_key("law without a name" if unnamed else label, INK, 1.6))
-    if unnamed is not None:
-        handles.append(Patch(color=KNOWN, alpha=KNOWN_OPACITY, label="its band, ± 2 deviations"))
-    if has_after:
-        handles.append(parts.line_key(f"remaining {what}", AFTER))
-    parts.legend(figure, rows[0][-1], handles)
+            content = _cloud(times, x, by * force, 2.0 * by * deviation, colour=colour, key=key)
+            if colour == BEFORE and drawn_law is not None:
+                content += _law(times * x, drawn_law)
+            if colour == BEFORE and unnamed is not None:
+                centres, low, high = unnamed.band(latent.x, latent.rate, x)
+                content.append(Band(times * centres, by * low, by * high, KNOWN, KNOWN_OPACITY, order=4))
+            label = style.with_unit(across if x is latent.x else f"rate of {across}", shown_unit)
+            ends = (times * (left - pad), times * (right + pad))
+            row.append(Panel(content, "" if row else style.with_unit(name, unit), label, ends, (-reach, reach)))
+        rows.append(row)
     caption = (
         f"The {what} at {latent.place} along the record, estimated from its readings by a Kalman smoother that adds a "
         "random walk to the equations. No reading is differentiated; changes faster than the noise allows are smoothed "
@@ -88,14 +69,33 @@ def figure(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigur
     )
     if latent.where == "sensor":
         caption = f"The residual of the reading of {latent.place} along the record, over the simulated reading."
-    return CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption, figure)
+    keys: list[Part] = [Line([], [], BEFORE, 2.0, f"{what}, mean ± 2 deviations")]
+    if law is not None:
+        label = "law that was fitted" if len(instances) < 2 else f"sum of the {len(instances)} laws that were fitted"
+        keys.append(Line([], [], INK, 1.6, "law without a name" if unnamed else label))
+    if unnamed is not None:
+        keys.append(Band([], [], [], KNOWN, KNOWN_OPACITY, "its band, ± 2 deviations"))
+    words = CaptionedFigure("map", f"{capital(what)} over displacement and rate", caption)
+    return drawn(words, rows, 2.05, heading=_explained(found, latent, what, law), keys=keys)
+
+
+def _cloud(times: float, x: Array, force: Array, half: float, *, colour: str, key: str) -> list[Part]:
+    """Samples of a force over x as points, and their means over equal ranges with a band."""
+    few = slice(None, None, max(1, len(x) // POINTS))
+    centres, means, _ = latent_force.binned(x, force)
+    return [
+        Line(times * x[few], force[few], colour, 0.0, marker=".", size=1.6, opacity=CLOUD),
+        Band(times * centres, means - half, means + half, colour, 0.16),
+        Line(times * centres, means, colour, 1.8, key),
+        Level(0.0, MUTED, 0.7, is_dashed=False),
+    ]
 
 
 def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectInstance]:
     """Causes at the place in view that are reported; none beside a law without a name."""
     if found.law is not None:
         return []
-    offered = {(one.name, one.on) for one in discovery_text.offered(found)}
+    offered = {(one.name, one.on) for one in discovery_text.reported(found)}
     return [
         instance
         for instance in found.explanation.hypothesis.instances
@@ -106,7 +106,7 @@ def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectIn
 
 
 def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:
-    """Return what causes at the place that is looked at give together (m,): force, command or reading.
+    """Sum of the causes at the place in view (m,): force, command or reading.
 
     Args:
         found: the discovery.
@@ -135,25 +135,25 @@ def share(latent: latent_force.LatentForce, law: Array | None) -> float:
     return max(1.0 - after / max(before, 1e-300), 0.0)
 
 
-def _seen(found: Discovery, latent: latent_force.LatentForce, what: str, law: Array | None) -> str:
-    """Say how much the laws at the place explain there, and the whole finding if that is more."""
+def _explained(found: Discovery, latent: latent_force.LatentForce, what: str, law: Array | None) -> str:
+    """Part that the laws at the place explain there, and the whole finding if that is more, as a sentence."""
     square = float((latent.before**2).mean())
     is_small = latent.where == "element" and square < SEEN * latent.deviations[0] ** 2
     if found.verdict == "none" or (found.verdict == "parameter" and is_small):
-        beside = "With the parameters that were found, the" if found.verdict == "parameter" else "The"
-        return f"{beside} record shows no {what} at {latent.place} beyond its deviation that follows the motion"
+        adjusted = "With the parameters that were found, the" if found.verdict == "parameter" else "The"
+        return f"{adjusted} record shows no {what} at {latent.place} beyond its deviation that follows the motion"
     if found.law is not None and law is not None:
         part, band = percent(share(latent, law), 3), found.law.coverage.band
         of = f"of the mean square of the {what} at {latent.place}"
         return f"The law without a name explains {part} {of}, and is known to ± {percent(band)} of its rms"
     if found.verdict == "unknown" or latent.after is None or not found.effects:
-        return discovery_text.look(found)
+        return discovery_text.resemblance(found)
     whole = share(latent, None)
     of = f"of the mean square of the {what} at {latent.place}"
     if law is None:
         return f"The finding explains {percent(whole, 3)} {of}"
     instances = laws_at(found, latent)
-    name = listed([discovery_text.spoken(found, instance.effect, instance.at) for instance in instances])
+    name = listed([discovery_text.cause_name(found, instance.effect, instance.at) for instance in instances])
     explains = "explains" if len(instances) == 1 else "together explain"
     if len(instances) == len(found.explanation.hypothesis.instances) and latent.where != "sensor":
         return f"{capital(name)} {explains} {percent(whole, 3)} {of}"
@@ -163,22 +163,14 @@ def _seen(found: Discovery, latent: latent_force.LatentForce, what: str, law: Ar
     return f"{sentence}; the whole finding explains {percent(whole, 3)}" if whole > alone + ALSO else sentence
 
 
-def _band(axes: Axes, band: tuple[Array, Array, Array] | None, times: float, by: float) -> None:
-    """Draw the band of a law without a name, in factors of what is drawn; of others, which have none, nothing."""
-    if band is not None:
-        centres, low, high = band
-        axes.fill_between(times * centres, by * low, by * high, color=KNOWN, alpha=KNOWN_OPACITY, lw=0.8, zorder=4)
-
-
-def _law(axes: Axes, x: Array, law: Array) -> None:
-    """Draw a law: as a line where it is a function of x, as a fine cloud where it is not."""
+def _law(x: Array, law: Array) -> list[Part]:
+    """Law as a line where it is a function of x, as a fine cloud where it is not."""
     order = np.argsort(x)
     steps = np.abs(np.diff(law[order]))
     size = float(np.abs(law).max())
     rough = float(np.ptp(law)) > 1e-9 * size and float(np.quantile(steps, 0.9)) > 2e-3 * float(np.ptp(law))
-    if not rough:
-        places = np.linspace(x[order[0]], x[order[-1]], 400)
-        axes.plot(places, np.interp(places, x[order], law[order]), color=INK, lw=1.6, zorder=5)
-        return
-    step = max(1, len(x) // 6000)
-    axes.plot(x[::step], law[::step], ".", color=INK, ms=1.4, alpha=0.6, mew=0, zorder=5)
+    if rough:
+        few = slice(None, None, max(1, len(x) // 6000))
+        return [Line(x[few], law[few], INK, 0.0, marker=".", size=1.4, opacity=0.6, order=5)]
+    places = np.linspace(x[order[0]], x[order[-1]], 400)
+    return [Line(places, np.interp(places, x[order], law[order]), INK, 1.6, order=5)]

@@ -6,6 +6,7 @@ import base64
 import contextlib
 import functools
 import importlib.metadata
+import math
 import platform
 import re
 import tempfile
@@ -13,21 +14,22 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import lazy_loader as lazy
 import markupsafe
 from markupsafe import Markup
 
+from masking.display import palette
 from masking.display.json_text import json_text
 from masking.display.symbols import is_symbol
 from masking.display.symbols import markup as symbol
 from masking.errors import RecordError
+from masking.model.declaration.quantities import number, percent, with_deviation
+from masking.model.declaration.units import pretty
+from masking.reports.text import capital, capped, listed, probability_text, signed
 
-if TYPE_CHECKING:  # drawing is loaded by what draws
+if TYPE_CHECKING:  # templates and drawing are loaded by what needs them
     import jinja2
 
     from masking.reports.style import CaptionedFigure
-else:
-    jinja2 = lazy.load("jinja2")
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
@@ -103,7 +105,7 @@ def write(contents: Mapping[Path, bytes | str]) -> None:
 
 @contextlib.contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Say of what the system refuses that a folder cannot be written.
+    """Context in which an error of the system says that a folder cannot be written.
 
     Raises:
         RecordError: an OSError was raised.
@@ -116,7 +118,7 @@ def writing(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def staged(folder: Path | None) -> Iterator[Path]:
-    """Give a folder to write into, whose files are moved to another one at the end, unless an error is raised.
+    """Folder to write into, whose files are moved to another one at the end, unless an error is raised.
 
     Args:
         folder: to which files are moved. The other lies beside it, so that paths from both to other files are the same;
@@ -182,6 +184,8 @@ def _power_of_ten(match: re.Match[str]) -> str:
 @functools.cache
 def environment() -> jinja2.Environment:
     """Environment of all templates: values are escaped, and one that is missing is an error."""
+    import jinja2  # noqa: PLC0415  # a summary is written without it
+
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -189,8 +193,20 @@ def environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["prose"] = jinja2.pass_context(lambda context, text: prose(text, context.get("names", ())))
-    made.filters["symbol"] = symbol
-    made.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
-    made.filters["capital"] = lambda text: f"{text[:1].upper()}{text[1:]}"
+    made.filters |= {
+        "prose": jinja2.pass_context(lambda context, text: prose(text, context.get("names", ()))),
+        "base64": lambda content: base64.b64encode(content).decode("ascii"),
+        "capital": capital,
+        "capped": capped,
+        "deviation": with_deviation,
+        "digits": lambda part: f"{part:.4f}" if part >= 0.01 else f"{part:.5f}",
+        "listed": listed,
+        "number": number,
+        "percent": percent,
+        "probability": probability_text,
+        "signed": signed,
+        "symbol": symbol,
+        "unit": pretty,
+    }
+    made.globals |= {"palette": palette, "infinity": math.inf}
     return made

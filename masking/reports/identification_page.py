@@ -1,4 +1,4 @@
-"""Pages of a measurement or a fit: one HTML page that needs no other file, its figures, and its numbers as JSON."""
+"""Pages of measurements, fits and simulations: HTML that needs no other file, figures, and numbers as JSON."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.simulation import Simulated
 from masking.inference.procedures.measurement import Measurement, Row
-from masking.model.declaration.quantities import number, percent
+from masking.model.declaration.quantities import number
 from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
 
-_TILES = 3  # numbers on top of the page of a fit
-# Numbers on top of the page of a measurement: those of these names that it has, or begin with them.
+# Beginnings of the names of numbers on top of a page, of which the first that a measurement has is shown.
 _FIRST = {
     "springs": ("stiffness", "half_gap", "width"),
     "actuators": ("ratio", "residual"),
@@ -45,12 +44,8 @@ def save(measured: Measurement[Any], folder: str | Path) -> None:
         procedure_figures.figures(measured),
         measured.as_dict(),
         title=_TITLES[name],
-        sentence=measured.sentence,
+        result=measured,
         tiles=[_tile(row) for row in first if row is not None],
-        values=[
-            (row.label, number(row.value, 5), "" if row.std is None else number(row.std, 2), row.unit)
-            for row in measured.rows
-        ],
         remarks=measured.notes,
         origin_title="Records and columns",
         origin=[
@@ -73,8 +68,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
         RecordError: the folder cannot be written.
     """
     content = found.as_dict()
-    rows = [(name, number(x["value"], 7), number(x["std"], 2)) for name, x in content["parameters"].items()]
-    errors = (content["chi"]["train"], content["chi"]["validation"], content["floor"])
+    chi = content["chi"]
     html.save(
         Path(folder, "fit.html"),
         "fit",
@@ -82,13 +76,8 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
         names=found.names,
         title="Fit",
         sentence=sentence,
-        tiles=[Tile(name, value, f"± {std}") for name, value, std in rows[:_TILES]],
-        parameters=rows,
-        columns=("sensor", "error chi", "validation error", "noise floor"),
-        errors=[
-            (name, *(number(part[name], 3) if part.get(name) is not None else "" for part in errors))
-            for name in content["floor"]
-        ],
+        parameters=content["parameters"],
+        errors={"error chi": chi["train"], "validation error": chi["validation"], "noise floor": content["floor"]},
         remarks=found.notes,
     )
 
@@ -100,7 +89,7 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
         made: the record and its simulation.
         figures: of it.
         sentence: the finding.
-        folder: where to.
+        folder: made if need be.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -113,11 +102,8 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
         names=made.sensors,
         title="Simulation",
         sentence=sentence,
-        tiles=[Tile(f"error of {name}", percent(chi), "") for name, chi in list(made.chi.items())[:_TILES]],
-        parameters=[],
-        columns=("sensor", "error chi", "noise floor"),
-        errors=[(name, number(chi, 3), number(made.floor[name], 3)) for name, chi in made.chi.items()],
-        remarks=[],
+        parameters={},
+        errors={"error chi": made.chi, "noise floor": made.floor},
     )
 
 

@@ -68,7 +68,7 @@ class Bound:
 
     @classmethod
     def of(cls, entry: Mapping[str, Any], reader: RingReader) -> Bound:
-        """Return what an entry of the ring's facts says."""
+        """Limit that an entry of the ring's facts declares."""
         weights = {str(name): float(weight) for name, weight in entry["weights"].items()}
         return cls(
             str(entry["kind"]), str(entry["label"]), str(entry.get("unit", "")), float(entry["bound"]),
@@ -193,7 +193,7 @@ class Monitor:
         return {"word": word, "why": why, "is_over": bool(trip) or self.reader.is_closed or word == "LOST", **shown}
 
     def facts(self) -> dict[str, Any]:
-        """Return what does not change, as JSON can hold it."""
+        """Facts that do not change, as JSON can hold them."""
         facts, units = self.reader.facts, self.reader.units
         panels: dict[str, list[dict[str, Any]]] = {}
         for place, column in enumerate(self.shown):
@@ -227,7 +227,7 @@ class Monitor:
         }
 
     def since(self, number: int, now: float) -> dict[str, Any]:
-        """Return what there is to show, with the bins from a number on, as JSON can hold it."""
+        """State to show, with the bins from a number on, as JSON can hold it."""
         first, bins = self._bins.since(number)
         return {
             "state": self.state(now),

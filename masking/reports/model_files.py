@@ -1,4 +1,4 @@
-"""Found models as files: the parts that a fit and a discovery write alike."""
+"""Files of models: the parts that a fit and a discovery write alike."""
 
 from __future__ import annotations
 

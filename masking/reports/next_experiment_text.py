@@ -1,4 +1,4 @@
-"""Words: which experiment would tell more of what no name explains, from the range of a record and what it leaves."""
+"""Text of the next experiment for a law without a name, from the range of a record and its residual."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ONE = 0.999  # correlation of displacements from which they are the same motion
 
 
 def further(found: Discovery) -> list[str]:
-    """Sentences that say which experiment would tell more of what no name explains."""
+    """Experiments that would tell more of what no name explains, in sentences."""
     seen = found.localisation
     left, law = seen.residual or seen.latent, found.law
     place = left.best if law is None else next(one for one in left.places if one.name == law.place)
@@ -35,7 +35,7 @@ def further(found: Discovery) -> list[str]:
 
 
 def _of_law(found: Discovery, known: Coverage, place: str) -> str:
-    """Say how well a law without a name is known, where least, and what would mend that."""
+    """Uncertainty of a law without a name, where it is largest, and the motion that would reduce it."""
     _, length, speed = latent_force.element_units(found.written_rig, place)
     least, of_length = known.widest, known.widest.of == "displacement"
     unit = length if of_length else speed
@@ -57,7 +57,7 @@ def _of_law(found: Discovery, known: Coverage, place: str) -> str:
 
 
 def _reach(known: Coverage, length: str, speed: str) -> str:
-    """Say how far a motion goes in what a law follows."""
+    """Range of a motion in what a law follows."""
     fastest = max(map(abs, known.rate))
     sides = {
         "d": f"displacements of {_between(*known.displacement, length)}",
@@ -71,7 +71,7 @@ def _between(low: float, high: float, unit: str) -> str:
 
 
 def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
-    """Say what would tell a memory, another place or a change with time from each other, where the rest shows one."""
+    """Records that would tell a memory, another place or a change with time from each other."""
     parts, thirds = place.decomposition.parts, place.decomposition.regions.get("record", {})
     late = next((name for name, (part, time) in thirds.items() if part > max(MUCH * time, MOST)), None)
     if late is not None:
@@ -90,7 +90,7 @@ def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
 
 
 def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
-    """Say what would tell places apart that explain the model error alike."""
+    """Motions that would tell places apart that explain the model error alike."""
     best, motion = latent.best, found.search.motion
     names = [place.name for place in found.rig.places]
 
@@ -114,7 +114,7 @@ def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
 
 
 def _of_range(found: Discovery, name: str) -> str:
-    """Say how far a record moves a place, beyond which another would tell more."""
+    """Range of a record at a place, beyond which another record would tell more."""
     at = [place.name for place in found.rig.places].index(name)
     motion, (_, length, speed) = found.search.motion, latent_force.element_units(found.rig, name)
     x, fastest = motion.displacement[:, at], float(np.abs(motion.rate[:, at]).max())

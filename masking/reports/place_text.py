@@ -1,4 +1,4 @@
-"""Words: what a force at a place looks like, in plain sentences."""
+"""Text of a force at a place: its dependences, symmetry, regions and power."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.localisation import LatentForces, LocatedForce
 from masking.inference.estimation.whiteness import Whiteness
-from masking.model.declaration.quantities import number, power, quantity, work
+from masking.model.declaration.quantities import number, percent, power, quantity, work
 from masking.model.effects import CROSS_DAMPING
 from masking.reports.text import listed, much
 
@@ -19,16 +19,34 @@ ALIKE = 0.9  # part of it that turns round with the motion, or does not, from wh
 CONSTANT = 0.9  # part of its mean square that is its mean's, from which it hardly changes
 MOST = 0.5  # part of the energy of a force, from which a region is stated
 MUCH = 1.5  # times the part of the time: a part of the energy from which a region is stated
+LITTLE = 0.05  # of the power that a force could take out of the motion: less is not shown
 TAKEN = 0.2  # of the power that a force could take out of the motion, from which that is stated
 
 
 def follows_command(latent: LatentForces, name: str) -> str:
-    """Say how much of the model error follows a command."""
+    """Part of the model error that follows a command."""
     return f"{much(latent.actuators[name])} of the model error follows the command of {name}"
 
 
+def dependences(latent: LatentForces) -> str:
+    """Parts of the model error that follow commands and readings, and harmonics of the force where it is largest."""
+    said = []
+    sides = (("command", latent.actuators, "the model error"), ("reading", latent.sensors, "its residual"))
+    for what, shares, whole in sides:
+        each = listed([f"{percent(part)} ({name})" for name, part in shares.items()])
+        said += [f"A function of a {what} would explain {each} of {whole}."] if shares else []
+    harmonics = latent.best.harmonics
+    if harmonics is not None and harmonics.only_odd:
+        said.append(
+            f"The commands repeat themselves with odd multiples of {harmonics.base:.4g} Hz only; of the force at "
+            f"{latent.best.name}, {percent(harmonics.even)} is at even multiples and "
+            f"{percent(harmonics.odd)} at odd ones that were not excited."
+        )
+    return " ".join(said)
+
+
 def portrayed(place: LocatedForce) -> str:
-    """Say what a force at a place follows, how alike it is in both directions, where it sits and what it takes."""
+    """Dependences of a force at a place, its symmetry, its regions and the power that it takes."""
     parts = place.decomposition.parts
     if parts is None:
         return "it is no larger than its uncertainty"
@@ -58,7 +76,7 @@ def portrayed(place: LocatedForce) -> str:
 
 
 def loss(place: LocatedForce) -> str:
-    """Say which power a force takes out of the motion or puts into it, and which energy in a cycle; '' without units.
+    """Power that a force takes out of the motion or puts into it, and its energy in a cycle; '' without units.
 
     A cycle is one of the motion's frequency, where it has one.
     """
@@ -69,8 +87,17 @@ def loss(place: LocatedForce) -> str:
     return f"{watts} ({work(size / cycle, place.units)} per cycle of {quantity(cycle, 'Hz', 2)})"
 
 
+def taken(place: LocatedForce) -> str:
+    """Power that a force takes out of the motion, negative where it puts it in."""
+    force = place.decomposition
+    if abs(force.taken) <= LITTLE:
+        return "little"
+    size = loss(place) or f"{percent(abs(force.taken))} of the most"
+    return f"{'-' if force.loss < 0.0 else ''}{size}"
+
+
 def symmetry(odd: float, of: str) -> str:
-    """Say how alike a force is in both directions, by the part of it that turns round with the motion.
+    """Symmetry of a force, by the part of it that turns round with the motion.
 
     Args:
         odd: that part of its energy.
@@ -84,7 +111,7 @@ def symmetry(odd: float, of: str) -> str:
 
 
 def regions(place: LocatedForce) -> list[str]:
-    """Say in which part of travel, speed and record a force has much more of its energy than there is time."""
+    """Parts of travel, speed and record in which a force has much more of its energy than there is time."""
     sentences, of = [], place.decomposition.regions
     ends = [of["displacement"][name] for name in ("low", "high")]
     (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
@@ -111,7 +138,7 @@ def regions(place: LocatedForce) -> list[str]:
 
 
 def white(one: Whiteness) -> str:
-    """Say whether residuals are white, and if not, at which frequency they are not."""
+    """Whiteness of residuals, or the frequency at which they are not white."""
     if one.white:
         return "white"
     at = "an offset" if not one.frequency else f"{number(one.frequency, 2)} Hz"
@@ -119,7 +146,7 @@ def white(one: Whiteness) -> str:
 
 
 def opposite(found: Discovery) -> str:
-    """Say that two cross dampings are those of one gyroscopic coupling, which takes no energy; '' if none are."""
+    """Remark on two cross dampings of one gyroscopic coupling, which takes no energy; '' if there are none."""
     known = {one.on: one.parameters["c"] for one in found.effects if one.name == CROSS_DAMPING.name}
     for (one, (c, std)), (other, (d, deviation)) in itertools.combinations(known.items(), 2):
         is_pair = one.split(" on ") == other.split(" on ")[::-1]

@@ -1,20 +1,20 @@
-"""Figures of measurements: what a procedure saw, what it made of it, and how sure that is.
+"""Figures of measurements: records of a procedure, its result, and how sure that is.
 
 Each figure has its finding as a sentence on top; bands are 95 % confidence intervals.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import Any, Final
 
-import lazy_loader as lazy
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
+from scipy import special
 
+from masking.compile.numerics.arrays import Array
 from masking.inference.procedures.actuators import ActuatorRatio
-from masking.inference.procedures.frequency_response import Distortion
 from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
 from masking.inference.procedures.measured_response import Response
 from masking.inference.procedures.measurement import LEVEL, Friction, Measurement
@@ -22,13 +22,8 @@ from masking.inference.procedures.springs import SpringCurve
 from masking.model.declaration.quantities import percent
 from masking.reports import figure_parts as parts
 from masking.reports import style
-from masking.reports.style import BAND, COLOURS, DASHED, INK, MUTED, SIZE, CaptionedFigure
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
-
+from masking.reports.panels import Band, Level, Line, Panel, Part, Span, drawn, plain_numbers
+from masking.reports.style import BAND, COLOURS, INK, MUTED, SIZE, CaptionedFigure
 
 UP: Final = COLOURS[0]  # the way up, the measured
 DOWN: Final = COLOURS[1]  # the way down
@@ -38,41 +33,36 @@ _SIGN = {1: "above", -1: "below"}
 
 
 def figures(measured: Measurement[Any]) -> list[CaptionedFigure]:
-    """Draw the figures of a measurement; the first has the procedure's name."""
-    drawn: list[CaptionedFigure] = _FIGURES[measured.procedure](measured)
-    return drawn
+    """Figures of a measurement; the first has the procedure's name."""
+    made: list[CaptionedFigure] = _FIGURES[measured.procedure](measured)
+    return made
 
 
 def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
     curve, x, f = measured.found, measured.channels["displacement"], measured.channels["force"]
     grid = np.asarray(measured.series["displacement"])
-    (by, x_unit), (times, f_unit) = parts.shown(x.unit, curve.displacement), parts.shown(f.unit, curve.force)
-    figure, (above, below) = style.sheet([2.5, 1.9], heading=measured.sentence)
     line = float(curve.stiffness(0.5 * (curve.lowest + curve.highest)))
-    rest = curve.force - line * curve.displacement
-    small, rest_unit = parts.shown(f.unit, rest)
-    force, band = curve.at(grid), curve.band(grid, LEVEL)
-    for way, colour in ((1.0, UP), (-1.0, DOWN)):
-        chosen = np.where(curve.direction == way, 1.0, np.nan)
-        above.plot(by * curve.displacement, times * curve.force * chosen, color=colour, lw=1.3)
-        below.plot(by * curve.displacement, small * rest * chosen, color=colour, lw=0.9, alpha=0.85)
-    for axes, values, scale in ((above, force, times), (below, force - line * grid, small)):
-        axes.fill_between(by * grid, scale * (values - band), scale * (values + band), color=INK, alpha=BAND, lw=0)
-        axes.plot(by * grid, scale * values, color=INK, lw=1.2, ls=DASHED)
-        axes.set_xlim(by * curve.lowest, by * curve.highest)
-    above.set_ylabel(style.with_unit(f"force {style.symbol(f.name)}", f_unit))
-    below.set_ylabel(style.with_unit("force less a straight line", rest_unit))
-    below.set_xlabel(style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit))
-    parts.legend(figure, above, [
-        parts.line_key("force rises", UP), parts.line_key("force falls", DOWN),
-        parts.line_key(f"spring, order {len(curve.coefficients) - 1}, with 95 %", INK, 1.2, dashed=True),
-    ])  # fmt: skip
+    by, x_unit = parts.shown(x.unit, curve.displacement)
+    panels = []
+    for slope, label, width in ((0.0, f"force {style.symbol(f.name)}", 1.3), (line, "force less a straight line", 0.9)):
+        force, fitted, half = curve.force - slope * curve.displacement, curve.at(grid), curve.band(grid, LEVEL)
+        times, unit = parts.shown(f.unit, force)
+        ways = ((1.0, UP, "force rises"), (-1.0, DOWN, "force falls"))
+        spring = times * (fitted - slope * grid)
+        shown = [
+            *(Line(by * curve.displacement, times * force * np.where(curve.direction == way, 1.0, np.nan), colour,
+                   width, key) for way, colour, key in ways),
+            Band(by * grid, spring - times * half, spring + times * half, INK),
+            Line(by * grid, spring, INK, 1.2, f"spring, order {len(curve.coefficients) - 1}, with 95 %", True),
+        ]  # fmt: skip
+        across = style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit)
+        panels.append([Panel(shown, style.with_unit(label, unit), across, (by * curve.lowest, by * curve.highest))])
     caption = (
         "Above: the record and the spring between its ways up and down, which friction and hysteresis hold apart. "
         "Below: the same less a straight line with the stiffness in the middle of the travel; the band holds the "
         "spring with 95 %."
     )
-    return [CaptionedFigure("springs", "Spring", caption, figure)]
+    return [drawn(CaptionedFigure("springs", "Spring", caption), panels, (2.5, 1.9), heading=measured.sentence)]
 
 
 def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
@@ -80,161 +70,165 @@ def _actuators(measured: Measurement[ActuatorRatio]) -> list[CaptionedFigure]:
     first, second = measured.channels["first"].name, measured.channels["second"].name
     by, unit = parts.shown(motion.unit, np.abs(found.motion))
     order = np.argsort(found.gains)
-    gains, fitted = found.gains[order], found.fitted[order]
+    gains, fitted, near = found.gains[order], found.fitted[order], found.used[order]
     slope = np.polyfit(found.gains[found.used], found.fitted[found.used], 1)[0]
     turn = np.conj(slope) / abs(slope)  # the phase in which the motion passes zero
-    figure, (above, below) = style.sheet([2.1, 2.1], heading=measured.sentence)
-    near = found.used[order]
     low, high = found.interval(LEVEL)
-    for axes, seen, made in (
-        (above, np.abs(found.motion), np.abs(fitted)),
-        (below, (found.motion * turn).real, (fitted * turn).real),
-    ):
-        axes.axvspan(low, high, color=COLOURS[2], alpha=0.35, lw=0)
-        axes.axvline(found.ratio, color=COLOURS[2], lw=1.4)
-        axes.plot(found.gains, by * seen, "o", ms=3.2, mew=0, color=UP, alpha=0.35)
-        axes.plot(found.gains[found.used], by * seen[found.used], "o", ms=4, mew=0, color=UP)
-        axes.plot(gains[near], by * made[near], color=INK, lw=1.2, ls=DASHED)
-        axes.set_xlim(gains[0], gains[-1])
-    above.set_ylim(bottom=0.0)
-    parts.ticks(above)
-    below.axhline(0.0, color=MUTED, lw=0.8)
-    above.set_ylabel(style.with_unit("amplitude of motion", unit))
-    below.set_ylabel(style.with_unit("part in phase", unit))
-    below.set_xlabel(f"gain: command of {style.symbol(second)} per command of {style.symbol(first)}")
-    left = "right" if found.ratio > 0.5 * (gains[0] + gains[-1]) else "left"
-    below.annotate(f"balance at {found.ratio:.4f}, 95 %: {low:.4f} to {high:.4f}", (found.ratio, 0.0),
-                   (-8 if left == "right" else 8, 12), textcoords="offset points", ha=left, fontsize=SIZE - 0.5,
-                   color=COLOURS[2])  # fmt: skip
-    parts.legend(figure, above, [
-        parts.marker_key("readings near the balance", UP, "o", 4),
-        parts.marker_key("others", UP, "o", 3.2, alpha=0.35),
-        parts.line_key("fitted", INK, 1.2, dashed=True),
-    ])  # fmt: skip
+    is_right = found.ratio > 0.5 * (gains[0] + gains[-1])
+
+    def balance(axes: Axes) -> None:
+        axes.annotate(f"balance at {found.ratio:.4f}, 95 %: {low:.4f} to {high:.4f}", (found.ratio, 0.0),
+                      (-8 if is_right else 8, 12), textcoords="offset points", ha="right" if is_right else "left",
+                      fontsize=SIZE - 0.5, color=COLOURS[2])  # fmt: skip
+
+    def panel(seen: Array, made: Array, label: str, **more: Any) -> Panel:  # noqa: ANN401  # fields of a panel
+        shown = [
+            Span(low, high, COLOURS[2], opacity=0.35),
+            Level(found.ratio, COLOURS[2], 1.4, axis="x", is_dashed=False),
+            Line(found.gains[found.used], by * seen[found.used], UP, 0.0, "readings near the balance", marker="o"),
+            Line(found.gains, by * seen, UP, 0.0, "others", marker="o", size=3.2, opacity=0.35),
+            Line(gains[near], by * made[near], INK, 1.2, "fitted", is_dashed=True),
+        ]
+        across = f"gain: command of {style.symbol(second)} per command of {style.symbol(first)}"
+        return Panel(shown, style.with_unit(label, unit), across, (gains[0], gains[-1]), **more)
+
+    amplitude = panel(np.abs(found.motion), np.abs(fitted), "amplitude of motion", ticks=5,
+                      ylim=(0.0, 1.05 * by * float(np.abs(found.motion).max())))  # fmt: skip
+    in_phase = panel((found.motion * turn).real, (fitted * turn).real, "part in phase", finish=balance)
+    zero = Level(0.0, MUTED, 0.8, is_dashed=False)
     caption = (
         "Above: motion at the frequency of the sines against the gain of the second; it is least where the two "
         "actuators balance. Below: its part in the phase in which it passes zero. The ways up and down of the gain "
         "differ by the lag of the motion. Right only where the oscillator was held."
     )
-    return [CaptionedFigure("actuators", "Balance of two actuators", caption, figure)]
+    rows = [[amplitude], [replace(in_phase, parts=[*in_phase.parts, zero])]]
+    words = CaptionedFigure("actuators", "Balance of two actuators", caption)
+    return [drawn(words, rows, 2.1, heading=measured.sentence)]
 
 
 def _friction(measured: Measurement[Friction]) -> list[CaptionedFigure]:
     shift, place = measured.found.shift, measured.found.place
-    count = (shift is not None) + (place is not None)
-    figure, rows = style.sheet([2.3] * count, top=0.04, heading=measured.sentence)
-    if shift is not None and place is not None:
-        for axes, up in ((rows[0], 0.34), (rows[1], 0.0)):  # both have an axis of their own below
-            axes.tick_params(labelbottom=True)
-            height, box = figure.get_size_inches()[1], axes.get_position()
-            axes.set_position((box.x0, box.y0 + up / height, box.width, box.height - (0.34 if up else 0.12) / height))
+    rows, captions = [], []
     if shift is not None:
-        _shift(rows[0], shift, measured)
-    if place is not None:
-        _place(rows[-1], place, measured)
-    words = []
-    if shift is not None:
-        words.append(
+        rows.append([_shift(shift, measured)])
+        captions.append(
             "Shift of the equilibrium after each saw-tooth, and the line through it with its 95 % band: dry friction "
             "shifts it by the same after any travel, hysteresis by more after longer ones."
         )
     if place is not None:
-        words.append(
+        rows.append([_place(place, measured)])
+        captions.append(
             "Half the gap between the ways up and down over the displacement; friction that sits at a place is a step."
         )
-    return [CaptionedFigure("friction", "Friction", " ".join(words), figure)]
+    words = CaptionedFigure("friction", "Friction", " ".join(captions))
+    return [drawn(words, rows, 2.1, heading=measured.sentence)]
 
 
-def _shift(axes: Axes, shift: EquilibriumShift, measured: Measurement[Friction]) -> None:
+def _shift(shift: EquilibriumShift, measured: Measurement[Friction]) -> Panel:
     unit = measured.channels["displacement"].unit
     (by, x_unit), (times, y_unit) = parts.shown(unit, shift.travel), parts.shown(unit, shift.shift)
     grid = np.linspace(0.0, 1.05 * shift.travel.max(), 100)
     rows = np.column_stack([np.ones(len(grid)), grid])
     line = rows @ np.array([shift.constant, shift.growth])
-    factor = float(stats.t.ppf(0.5 + LEVEL / 2.0, len(shift.travel) - 2))
+    factor = float(special.stdtrit(len(shift.travel) - 2, 0.5 + LEVEL / 2.0))
     half = factor * np.sqrt(np.einsum("ij,jk,ik->i", rows, shift.covariance, rows))
-    axes.fill_between(by * grid, times * (line - half), times * (line + half), color=INK, alpha=BAND / 1.5, lw=0)
-    axes.plot(by * grid, times * line, color=INK, lw=1.2, ls=DASHED)
-    axes.plot(by * shift.travel, times * shift.shift, "o", ms=5, mew=0, color=UP)
-    axes.set_xlim(0.0, by * grid[-1])
     highest = min(float((line + half).max()), 2.0 * float(shift.shift.max()))
-    axes.set_ylim(max(min(0.0, times * float((line - half).min())), -0.5 * times * highest), 1.05 * times * highest)
-    parts.ticks(axes)
-    axes.set_xlabel(style.with_unit("travel to either side", x_unit))
-    axes.set_ylabel(style.with_unit("shift of equilibrium", y_unit))
+    lowest = max(min(0.0, float((line - half).min())), -0.5 * highest)
+    shown = [
+        Band(by * grid, times * (line - half), times * (line + half), INK, BAND / 1.5),
+        Line(by * grid, times * line, INK, 1.2, is_dashed=True),
+        Line(by * shift.travel, times * shift.shift, UP, 0.0, marker="o", size=5),
+    ]
+    return Panel(
+        shown,
+        style.with_unit("shift of equilibrium", y_unit),
+        style.with_unit("travel to either side", x_unit),
+        (0.0, by * grid[-1]),
+        (times * lowest, 1.05 * times * highest),
+        ticks=5,
+    )
 
 
-def _place(axes: Axes, place: LocatedFriction, measured: Measurement[Friction]) -> None:
+def _place(place: LocatedFriction, measured: Measurement[Friction]) -> Panel:
     x, f = measured.channels["displacement"], measured.channels["force"]
     (by, x_unit), (times, f_unit) = parts.shown(x.unit, place.displacement), parts.shown(f.unit, place.half_gap)
-    axes.plot(by * place.displacement, times * place.half_gap, "o", ms=3.4, mew=0, color=UP)
-    axes.plot(by * place.displacement, times * place.fitted, color=INK, lw=1.2, ls=DASHED)
-    if place.is_found:
-        half = 1.96 * place.deviation
-        axes.axvspan(by * (place.edge - half), by * (place.edge + half), color=COLOURS[1], alpha=0.35, lw=0)
-        axes.axvline(by * place.edge, color=COLOURS[1], lw=1.4)
+    half = 1.96 * place.deviation
+
+    def edge(axes: Axes) -> None:
+        axes.set_ylim(bottom=min(0.0, 1.1 * times * float(place.half_gap.min())))
+        if not place.is_found:
+            return
         on_left = place.edge > float(place.displacement.mean())
         axes.annotate(
             f"engages {_SIGN[place.side]} {by * place.edge:.3g} ± {by * half:.1g} {x_unit}".rstrip(),
             (by * place.edge, 0.9), (-8 if on_left else 8, 0), ("data", "axes fraction"), "offset points",
             ha="right" if on_left else "left", fontsize=SIZE - 0.5, color=COLOURS[1],
         )  # fmt: skip
-    axes.set_ylim(bottom=min(0.0, 1.1 * times * float(place.half_gap.min())))
-    parts.ticks(axes)
-    axes.set_xlabel(style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit))
-    axes.set_ylabel(style.with_unit(f"half the gap in {style.symbol(f.name)}", f_unit))
+
+    shown: list[Part] = [
+        Line(by * place.displacement, times * place.half_gap, UP, 0.0, marker="o", size=3.4),
+        Line(by * place.displacement, times * place.fitted, INK, 1.2, is_dashed=True),
+    ]
+    if place.is_found:
+        shown += [
+            Span(by * (place.edge - half), by * (place.edge + half), COLOURS[1], opacity=0.35),
+            Level(by * place.edge, COLOURS[1], 1.4, axis="x", is_dashed=False),
+        ]
+    return Panel(
+        shown,
+        style.with_unit(f"half the gap in {style.symbol(f.name)}", f_unit),
+        style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit),
+        ticks=5,
+        finish=edge,
+    )
 
 
 def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
     made = measured.found
     outputs = made.outputs[:_MOST_OUTPUTS]
-    figure, rows = style.sheet([1.7, 0.95] * len(outputs), heading=measured.sentence)
-    for i, (name, colour) in enumerate(zip(made.inputs, COLOURS, strict=False)):
-        found = made.responses[name]
-        f, radius = found.frequencies, found.radius(LEVEL)[:, :, 0]
-        for j in range(len(outputs)):
-            size, angle = np.abs(found.response[:, j, 0]), np.unwrap(np.angle(found.response[:, j, 0]))
-            above, below = rows[2 * j], rows[2 * j + 1]
-            sure = np.clip(radius[:, j] / np.maximum(size, 1e-300), 0.0, 1.0)
-            low = np.maximum(size - radius[:, j], 1e-2 * size)
-            above.fill_between(f, low, size + radius[:, j], color=colour, alpha=BAND, lw=0)
-            above.plot(f, size, color=colour, lw=1.1, marker="o", ms=2.8, mew=0)
+    lines = np.concatenate([made.responses[name].frequencies for name in made.inputs])
+    edge = 0.01 * float(np.ptp(lines))
+    across: dict[str, Any] = {"x": "frequency (Hz)", "xlim": (lines.min() - edge, lines.max() + edge)}
+    inputs = {channel.unit for what, channel in measured.channels.items() if what.startswith("input ")}
+    rows = []
+    for j, output in enumerate(outputs):
+        sizes, phases = list[Part](), list[Part]()
+        for name, colour in zip(made.inputs, COLOURS, strict=False):
+            f, radius = made.responses[name].frequencies, made.responses[name].radius(LEVEL)[:, j, 0]
+            response = made.responses[name].response[:, j, 0]
+            size, angle = np.abs(response), np.unwrap(np.angle(response))
+            sure = np.clip(radius / np.maximum(size, 1e-300), 0.0, 1.0)
             angle -= 2.0 * np.pi * np.round(angle[np.argmin(sure)] / (2.0 * np.pi) + 1e-9)
-            turn = np.degrees(np.arcsin(sure))
-            below.fill_between(f, np.degrees(angle) - turn, np.degrees(angle) + turn, color=colour, alpha=BAND, lw=0)
-            below.plot(f, np.degrees(angle), color=colour, lw=1.1, marker="o", ms=2.4, mew=0)
-            if i == 0:
-                _response_axes(above, below, measured, outputs[j])
-    for axes in rows:
-        lines = np.concatenate([made.responses[name].frequencies for name in made.inputs])
-        edge = 0.01 * float(np.ptp(lines))
-        axes.set_xlim(lines.min() - edge, lines.max() + edge)
-    for axes in rows[::2]:
-        least, most = axes.get_ylim()
-        if most < _NARROW * least:
-            parts.plain_numbers(axes.yaxis)
-    rows[-1].set_xlabel("frequency (Hz)")
-    parts.legend(figure, rows[0], [
-        parts.line_key(f"to {style.symbol(name)}", colour)
-        for name, colour in zip(made.inputs, COLOURS, strict=False)
-    ])  # fmt: skip
+            degrees, turn = np.degrees(angle), np.degrees(np.arcsin(sure))
+            sizes += [
+                Band(f, np.maximum(size - radius, 1e-2 * size), size + radius, colour),
+                Line(f, size, colour, 1.1, f"to {style.symbol(name)}", marker="o", size=2.8),
+            ]
+            phases += [
+                Band(f, degrees - turn, degrees + turn, colour),
+                Line(f, degrees, colour, 1.1, marker="o", size=2.4),
+            ]
+        units = (measured.channels[f"output {output}"].unit, *inputs)
+        ratio = "/".join(unit or "1" for unit in units) if len(units) == 2 and any(units) else ""
+        label = style.with_unit(f"size of {style.symbol(output)}", ratio)
+        rows += [[Panel(sizes, label, log="y", finish=_numbered, **across)]]
+        rows += [[Panel(phases, "phase (°)", ticks=4, finish=_degrees, **across)]]
     more = parts.first_of(len(outputs), len(made.outputs), "sensors")
     caption = f"Size and phase of the response of each sensor, with the band that holds them with 95 %.{more}"
-    found_plates = [CaptionedFigure("response", "Frequency response", caption, figure)]
-    if made.distortions:
-        found_plates.append(_distortion(measured))
-    return found_plates
+    words = CaptionedFigure("response", "Frequency response", caption)
+    response_figure = drawn(words, rows, [1.7, 0.95] * len(outputs), heading=measured.sentence)
+    return [response_figure, _distortion(measured)] if made.distortions else [response_figure]
 
 
-def _response_axes(above: Axes, below: Axes, measured: Measurement[Response], output: str) -> None:
-    units = [measured.channels[f"output {output}"].unit, *{
-        c.unit for what, c in measured.channels.items() if what.startswith("input ")
-    }]  # fmt: skip
-    unit = f"{units[0] or '1'}/{units[1] or '1'}" if len(units) == 2 and any(units) else ""
-    parts.logarithmic(above, "y")
-    above.set_ylabel(style.with_unit(f"size of {style.symbol(output)}", unit))
-    below.set_ylabel("phase (°)")
-    below.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
+def _numbered(axes: Axes) -> None:
+    """Give a logarithmic axis of y that spans little more numbers."""
+    least, most = axes.get_ylim()
+    if most < _NARROW * least:
+        plain_numbers(axes.yaxis)
+
+
+def _degrees(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1.8, 4.5, 9]))
 
 
 def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
@@ -242,39 +236,32 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     outputs = [name for name in made.outputs if name in made.distortions][:_MOST_OUTPUTS]
     shares = {name: made.distortions[name].shares for name in outputs}
     shares_of = [f"{name} {percent(s['even'])} even and {percent(s['odd'])} odd" for name, s in shares.items()]
-    sentence = f"Nonlinear distortion, as part of the response: {', '.join(shares_of)}"
-    figure, rows = style.sheet([1.9] * len(outputs), heading=sentence)
-    for name, axes in zip(outputs, rows, strict=True):
-        each, unit = made.distortions[name], measured.channels[f"output {name}"].unit
-        by, unit = parts.shown(unit, np.sqrt(each.level))
-        size, noise = by * np.sqrt(each.level), by * np.sqrt(each.noise)
-        parts.logarithmic(axes, "y", 6)
-        axes.plot(each.frequencies, np.maximum(noise, 1e-12 * size.max()), color=MUTED, lw=1.0)
-        for lines, marker, colour in _kinds(each):
-            axes.vlines(each.frequencies[lines], noise[lines], size[lines], color=colour, lw=0.7, alpha=0.5)
-            axes.plot(each.frequencies[lines], size[lines], marker, color=colour, ms=4.2, mew=0)
-        axes.set_xlim(0.0, 1.02 * each.frequencies[-1])
-        axes.set_ylabel(style.with_unit(f"amplitude of {style.symbol(name)}", unit))
-    rows[-1].set_xlabel("frequency (Hz)")
-    parts.legend(figure, rows[0], [
-        parts.marker_key("excited lines", UP, "o", 4.2),
-        parts.marker_key("even lines", DOWN, "^", 4.2),
-        parts.marker_key("odd lines left out", COLOURS[2], "s", 4.2),
-        parts.line_key("noise", MUTED, 1.0),
-    ])  # fmt: skip
+    rows = []
+    for name in outputs:
+        each = made.distortions[name]
+        by, unit = parts.shown(measured.channels[f"output {name}"].unit, np.sqrt(each.level))
+        f, size, noise = each.frequencies, by * np.sqrt(each.level), by * np.sqrt(each.noise)
+        kinds = (
+            (np.flatnonzero(each.excited), "o", UP, "excited lines"),
+            (each.even, "^", DOWN, "even lines"),
+            (each.odd, "s", COLOURS[2], "odd lines left out"),
+        )
+        shown = [Line(f[at], size[at], colour, 0.0, key, marker=marker, size=4.2) for at, marker, colour, key in kinds]
+        # Stems from the noise to each line: pieces of one line, with gaps between them.
+        stems = [
+            Line(np.repeat(f[at], 3), np.column_stack([noise[at], size[at], np.full(len(at), np.nan)]).ravel(), colour,
+                 0.7, opacity=0.5, bins=0) for at, _, colour, _ in kinds
+        ]  # fmt: skip
+        floor = Line(f, np.maximum(noise, 1e-12 * size.max()), MUTED, 1.0, "noise")
+        label = style.with_unit(f"amplitude of {style.symbol(name)}", unit)
+        rows.append([Panel([*stems, *shown, floor], label, "frequency (Hz)", (0.0, 1.02 * f[-1]), log="y")])
     caption = (
         "What the sensor has at each line: where nothing was excited, a linear rig would have noise only. Even lines "
         "show distortion that does not change its sign with the motion, odd lines that which does, such as friction."
     )
-    return CaptionedFigure("distortion", "Nonlinear distortion", caption, figure)
-
-
-def _kinds(found: Distortion) -> tuple[tuple[NDArray[np.int64], str, str], ...]:
-    return (
-        (np.flatnonzero(found.excited), "o", UP),
-        (found.even, "^", DOWN),
-        (found.odd, "s", COLOURS[2]),
-    )
+    words = CaptionedFigure("distortion", "Nonlinear distortion", caption)
+    sentence = f"Nonlinear distortion, as part of the response: {', '.join(shares_of)}"
+    return drawn(words, rows, 1.9, heading=sentence)
 
 
 _FIGURES: Final[dict[str, Any]] = {

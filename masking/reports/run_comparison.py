@@ -1,4 +1,4 @@
-"""Comparison of two runs: what was declared otherwise, and what came out of it."""
+"""Comparison of two runs: differences of their declarations and of their measures."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Comparison:
 
     @cached_property
     def studies(self) -> tuple[Study, Study]:
-        """Return what each shows."""
+        """Study of each."""
         return Study(self.first), Study(self.second)
 
     @property
@@ -101,7 +101,7 @@ class Comparison:
 
     @property
     def sentence(self) -> str:
-        """Say what differs between the runs, and how far."""
+        """Differences between the runs in a sentence."""
         systems = [str(one.manifest.get("virtual_name") or "unknown") for one in (self.first, self.second)]
         if systems[0] != systems[1]:
             what = f"The virtual systems are {listed(systems)}."
@@ -133,19 +133,8 @@ class Comparison:
         return "\n".join([self.sentence, *(line for table in tables for line in aligned(table))])
 
 
-def compare(first: Recording, second: Recording, names: tuple[str, str]) -> Comparison:
-    """Compare two recordings.
-
-    Args:
-        first: a recording.
-        second: another one.
-        names: of the runs.
-    """
-    return Comparison(first, second, names)
-
-
 def _measures(facts: Study) -> Iterator[tuple[str, float | str]]:
-    """Give each measure of a run with its name."""
+    """Measures of a run with their names."""
     for name, chi in facts.chi.items():
         yield f"masking error chi of {name}", chi
     for pair in facts.pairs:
@@ -170,7 +159,7 @@ def _of_pair(pair: PhasePair) -> Iterator[tuple[str, float | str]]:
 
 
 def _flat(node: Mapping[str, Any] | list[Any], path: str = "") -> Iterator[tuple[str, float | str]]:
-    """Give the leaves of nested mappings and lists with their paths."""
+    """Leaves of nested mappings and lists with their paths."""
     items = node.items() if isinstance(node, Mapping) else enumerate(node)
     for key, value in items:
         if key in _WORDS or (not path and key not in _SECTIONS):

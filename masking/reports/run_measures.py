@@ -21,7 +21,7 @@ _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings
 
 
 def _ends(a: Array, b: Array) -> list[str]:
-    """Return in which way the last fifth of two oscillators (runs, m) ends, as basins have it."""
+    """Kind of motion in the last fifth of two oscillators (runs, m), as basins name it."""
     last = int((1.0 - _FIFTH) * (a.shape[1] - 1))
     size = np.maximum(np.abs(a).max(axis=1), np.abs(b).max(axis=1))
     return [LABELS[i] for i in end_of(a[:, last:], b[:, last:], _NEAR, _REST * size)]
@@ -158,6 +158,6 @@ def measure_each(motions: Sequence[Array], names: Sequence[str]) -> dict[str, li
 
 
 def empty(name: str) -> Measured:
-    """Return what stands for a measure of a run that failed."""
+    """Value that stands for a measure of a run that failed."""
     kind = name.partition(".")[0]
     return "" if kind in WORDS else np.empty(0) if kind in {"maxima", "section"} else math.nan

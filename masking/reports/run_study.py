@@ -1,14 +1,13 @@
-"""Study: what a recording shows, in numbers; the figures draw it and the report words it."""
+"""Study of a run: what a recording shows in numbers, which figures draw and texts describe."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,13 +25,9 @@ from masking.analysis.synchronisation import (
 from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError, RecordError
 from masking.lab.records.recording import Recording
+from masking.model.declaration import units
 from masking.model.declaration.input_definitions import internals
 from masking.reports.long_record import deviation, drawn
-
-if TYPE_CHECKING:
-    from masking.model.declaration import units
-else:  # only a table of parameters with units needs it
-    units = lazy.load("masking.model.declaration.units", suppress_warning=True)
 
 SUM_WINDOW_PERIODS = 3
 _END = 0.05  # part of the record over which its last phase is stated
@@ -76,6 +71,7 @@ class InputUse:
     rms: float
     limit: float | None
     used: float | None
+    meaning: str = ""
     demanded: Array | None = None
     saturated: float = 0.0
     throttled: float = 0.0
@@ -97,6 +93,11 @@ class InputUse:
         """Largest magnitude that was demanded."""
         return self.peak if self.demanded is None else float(np.abs(self.demanded).max())
 
+    @property
+    def demanded_part(self) -> float:
+        """Largest magnitude that was demanded, as a part of the limit; 0 without one."""
+        return self.demand / self.limit if self.limit else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
@@ -113,9 +114,13 @@ class BudgetRow:
 
     @property
     def title(self) -> str:
-        """Say which run it is."""
+        """Name of the run."""
         titles = {"": "as it is", "sampling": "sampled faster", "all of these": "without all"}
         return titles.get(self.cause, f"without {self.cause}")
+
+    def chi_of(self, names: Iterable[str]) -> list[float]:
+        """Masking error of some coordinates, NaN where it is not known."""
+        return [self.chi.get(name, math.nan) for name in names]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +131,11 @@ class Budget:
     whole: BudgetRow
     rows: tuple[BudgetRow, ...]
     without_all: BudgetRow
+
+    @property
+    def by_worth(self) -> list[BudgetRow]:
+        """The run as it is, those without a cause, the most worthwhile first, and the run without all."""
+        return [self.whole, *sorted(self.rows, key=lambda row: row.rms), self.without_all]
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,13 +280,19 @@ class Study:
         """How much of each input was used."""
         return tuple(_use(self.whole, name, self.recording) for name in self.whole.inputs)
 
+    @property
+    def most_used(self) -> InputUse | None:
+        """Input that went furthest towards its limit, or beyond; None where no input has one."""
+        used = [use for use in self.inputs if use.used is not None]
+        return max(used, key=lambda use: use.demanded_part, default=None)
+
     @cached_property
     def budget(self) -> Budget | None:
         """The error budget, None where there is none."""
         return _budget(self.recording)
 
     def _verdict(self, second: str) -> Synchronisation | None:
-        """Say in which way the first oscillator and another are synchronised; None for too short a record."""
+        """Synchronisation of the first oscillator and another; None for too short a record."""
         tau, first = self.tau, self.oscillators[0]
         rows = slice(None, None, max(1, int(self.period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
         a, b = self.motion(first)[rows], self.motion(second)[rows]
@@ -294,11 +310,11 @@ class Study:
         return PhasePair(first, second, series, start, end, steady_start, steady_end, verdict)
 
     def motion(self, coordinate: str) -> Array:
-        """Give the coordinate as it moved, shape (samples,)."""
+        """Coordinate as it moved (samples,)."""
         return self.recording[f"{self.prefix}.{coordinate}"]
 
     def ideal(self, coordinate: str) -> Array | None:
-        """Give the coordinate of the virtual system by itself, where it was recorded."""
+        """Coordinate of the virtual system by itself, where it was recorded."""
         return self.recording.columns.get(f"ideal.{coordinate}")
 
     @property
@@ -313,16 +329,16 @@ class Study:
         return (last - first) / self.time_scale
 
     def between(self, start: float | None, end: float | None) -> Study:
-        """Give what lies between two times in units of `tau`, with all its samples, for a picture of it."""
+        """Part between two times in units of `tau`, with all its samples."""
         limits = (None if at is None else at * self.time_scale for at in (start, end))
         return Study(self.whole.between(*limits))
 
     def unit(self, column: str) -> str:
-        """Give the declared unit of a column; "" where it is dimensionless or not declared."""
+        """Declared unit of a column; "" where it is dimensionless or not declared."""
         return self.recording.units.get(column, "")
 
     def meaning(self, coordinate: str) -> str:
-        """Give the declared meaning of a coordinate, "" where there is none."""
+        """Declared meaning of a coordinate, "" where there is none."""
         return str(_entry(self.recording.manifest, "columns", f"{self.prefix}.{coordinate}").get("meaning") or "")
 
     @property
@@ -350,7 +366,7 @@ class Study:
 
 
 def parameters(recording: Recording) -> tuple[Parameter, ...]:
-    """Give the parameters of the virtual system with the values that ran, which may differ from the declared ones.
+    """Parameters of the virtual system with the values that ran, which may differ from the declared ones.
 
     Those that stand for points of its inputs are none of them.
     """
@@ -369,7 +385,7 @@ def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.
 
 
 def why_no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
-    """Say why a phase difference cannot be given; "" where it can."""
+    """Reason why there is no phase difference; "" where it can."""
     if not manifest.get("oscillators"):
         return "the record does not say which coordinates are oscillators"
     if len(motions) < 2:
@@ -389,7 +405,8 @@ def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
     declared = _entry(recording.manifest, "limits", name)
     limit = abs(float(declared["max"])) if declared.get("max") is not None else None
     peak = float(np.abs(series).max())
-    unit = str(declared.get("unit") or _entry(recording.manifest, "columns", f"input.{name}").get("unit") or "")
+    column = _entry(recording.manifest, "columns", f"input.{name}")
+    unit = str(declared.get("unit") or column.get("unit") or "")
     demanded, power = shown.columns.get(f"demanded.{name}"), shown.columns.get(f"power.{name}")
     squares, saturated, throttled = 0.0, 0, 0
     kinds = ("input",) if demanded is None else ("input", "demanded")
@@ -410,6 +427,7 @@ def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
         math.sqrt(squares / len(recording)),
         limit,
         peak / limit if limit else None,
+        str(column.get("meaning") or ""),
         demanded,
         saturated / len(recording),
         throttled / len(recording),
@@ -463,7 +481,7 @@ def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:
 
 
 def _value(value: Any) -> float | str | None:  # noqa: ANN401  # a JSON value
-    """Give a number, the text of an expression, or None."""
+    """Number, text of an expression, or None."""
     try:
         return None if value is None else float(value)
     except (TypeError, ValueError):
@@ -471,7 +489,7 @@ def _value(value: Any) -> float | str | None:  # noqa: ANN401  # a JSON value
 
 
 def _entry(manifest: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
-    """Give the mapping at a path of the manifest, an empty one where there is none."""
+    """Mapping at a path of the manifest, empty where there is none."""
     node: Any = manifest
     for key in path:
         node = node.get(key) if isinstance(node, Mapping) else None

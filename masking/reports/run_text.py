@@ -1,16 +1,15 @@
-"""Wording: what a study shows, in sentences and short lines of plain text."""
+"""Text of a run: its study in sentences and short lines of plain text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
-from masking.reports.run_study import InputUse, Parameter, PhasePair, Study, parameters
+from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, parameters
 from masking.reports.text import short
 
 _SUMMARY_LINES, _WIDTH = 14, 100
@@ -21,23 +20,18 @@ _MUCH = 1.1  # times its limit: from here on an input is stated in multiples, be
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
 _NO_PHASE = "no fixed phase"
-STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
+_STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
+_HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be shown
 
 
-def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, float]) -> list[str]:
-    """Sentences on what limits the validity of the result; empty if all is well.
-
-    Args:
-        recording: of the run.
-        uses: how much of each input was used.
-        chi: masking error of each coordinate.
-    """
-    uses, manifest = tuple(uses), recording.manifest
-    found = [text for text in (exceeded(uses), cut(uses)) if text]
+def warnings(study: Study) -> list[str]:
+    """Sentences on what limits the validity of the result; empty if all is well."""
+    manifest = study.recording.manifest
+    found = [text for text in (exceeded(study.inputs), cut(study.inputs)) if text]
     rate = float(manifest.get("rate") or 0.0)
     compensates = (manifest.get("observer") or {}).get("kind") in _WITH_MODEL
     is_late = manifest.get("mode") == "sampled" and rate > 0.0 and not compensates
-    if is_late and any(part > _TRUE for part in chi.values()):
+    if is_late and any(part > _TRUE for part in study.chi.values()):
         late = 0.5 / rate
         late_words = f"{number(late)} s" if late >= 1.0 else f"{number(1e3 * late)} ms"
         found.append(
@@ -56,7 +50,7 @@ def warnings(recording: Recording, uses: Iterable[InputUse], chi: Mapping[str, f
 
 
 def passive(manifest: Mapping[str, Any]) -> str:
-    """Say how what is passive moves by itself, how far it went and which energy it took."""
+    """Reach, energy and own stability of the passive coordinates."""
     free, columns = manifest["passive"], manifest.get("columns") or {}
     peaks = free["peak"].items()
     far = [f"{n} up to {with_unit(x, str((columns.get(f'rig.{n}') or {}).get('unit') or ''))}" for n, x in peaks]
@@ -66,7 +60,7 @@ def passive(manifest: Mapping[str, Any]) -> str:
 
 
 def missed(manifest: Mapping[str, Any]) -> str:
-    """Say where homing left the rig, if that is not where it should begin; nothing where it is."""
+    """Distance of the rig from its initial state after homing; nothing where it is there."""
     start = manifest.get("start") or {}
     wanted, reached = start.get("wanted") or {}, start.get("reached") or {}
     size = max((abs(value) for value in wanted.values()), default=0.0)
@@ -81,7 +75,7 @@ def missed(manifest: Mapping[str, Any]) -> str:
 
 
 def exceeded(uses: Iterable[InputUse]) -> str:
-    """Say which inputs went beyond their limits; nothing where none did."""
+    """Inputs beyond their limits; nothing where none are."""
     sentences = []
     for use in uses:
         if use.is_exceeded and use.used is not None:
@@ -92,7 +86,7 @@ def exceeded(uses: Iterable[InputUse]) -> str:
 
 
 def cut(uses: Iterable[InputUse]) -> str:
-    """Say which inputs were held back by a limit, for how long; nothing where all that was demanded was applied."""
+    """Inputs that a limit held back, and for how long; nothing where all that was demanded was applied."""
     sentences = []
     for use in uses:
         if not use.is_cut:
@@ -108,7 +102,7 @@ def cut(uses: Iterable[InputUse]) -> str:
 
 
 def observer(facts: Study) -> str:
-    """Say how the controller knew the rig's state, "" where it knew the true one."""
+    """Observer of the rig's state; "" where the controller knew the true one."""
     entry = facts.recording.manifest.get("observer") or {}
     kind = str(entry.get("kind") or "")
     if not kind or kind == "exact":
@@ -127,7 +121,7 @@ def observer(facts: Study) -> str:
 
 
 def external(facts: Study) -> str:
-    """Say what becomes of a push: a disturbance observer takes it for an error of its model, unless it is felt."""
+    """Response to a push: a disturbance observer takes it for an error of its model, unless it is felt."""
     manifest = facts.recording.manifest
     declared = ((manifest.get("declarations") or {}).get("experiment") or {}).get("controller") or {}
     if declared.get("external") == "felt":
@@ -139,14 +133,14 @@ def external(facts: Study) -> str:
 
 
 def _rig(name: str) -> str:
-    """Put an article before a plant's name, where the name does not bring its own."""
+    """Plant's name with an article, where it does not bring its own."""
     first = name.lower().partition(" ")[0]
     name = name if first in _OWNED or first.endswith(("'s", "\u2019s")) else f"the {name}"
     return name[0].upper() + name[1:]
 
 
 def headline(facts: Study) -> list[str]:
-    """Sentences that say what happened; what is beyond a limit would happen."""
+    """Outcome in sentences; what is beyond a limit would happen."""
     manifest = facts.recording.manifest
     plant = _rig(str(manifest.get("plant_name") or "").strip() or "rig")
     possible = not exceeded(facts.inputs)
@@ -183,7 +177,7 @@ def headline(facts: Study) -> list[str]:
 
 
 def ended(manifest: Mapping[str, Any]) -> str:
-    """Say what ended a run before its duration, or that what was to end it did not; nothing where nothing was to."""
+    """Early end of a run, or that its condition was not met; nothing where no condition was set."""
     stop = manifest.get("stop") or {}
     if not stop:
         return ""
@@ -196,7 +190,7 @@ def ended(manifest: Mapping[str, Any]) -> str:
 
 
 def regulation(manifest: Mapping[str, Any]) -> str:
-    """Say what the controller held besides the wanted dynamics; nothing where it held nothing."""
+    """Quantities that the controller held besides the wanted dynamics; nothing where it held none."""
     declared = (manifest.get("declarations") or {}).get("experiment") or {}
     wanted = (declared.get("controller") or {}).get("regulate") or {}
     parts = [f"an energy of {number(wanted['energy'])}"] if wanted.get("energy") is not None else []
@@ -221,7 +215,7 @@ def _phase_sentence(pair: PhasePair) -> str:
 
 
 def _since(facts: Study) -> str:
-    """Say from when on two oscillators are synchronised, by definition 8.1."""
+    """Time from which two oscillators are synchronised, by definition 8.1."""
     found = facts.pairs[0].verdict if facts.pairs else None
     if found is None or not math.isfinite(found.time):
         return ""
@@ -229,7 +223,7 @@ def _since(facts: Study) -> str:
 
 
 def _state(phase: float, steady: float) -> str:
-    if steady < STEADY:
+    if steady < _STEADY:
         return _NO_PHASE
     if phase <= _NEAR * math.pi:
         return "in-phase"
@@ -272,25 +266,25 @@ def summary(facts: Study) -> str:
     if manifest.get("timing"):
         rows.append(("time", "  ".join(timing(manifest))))
     first, *more = headline(facts)
-    said = [first, *warnings(facts.recording, facts.inputs, facts.chi), *more]
+    said = [first, *warnings(facts), *more]
     lines = said + [f"  {name:<11}{short(text, _WIDTH)}" for name, text in rows]
     return "\n".join(lines[:_SUMMARY_LINES])
 
 
 def timing(manifest: Mapping[str, Any]) -> list[str]:
-    """Say how long each stage took, compilation first."""
+    """Time that each stage took, compilation first."""
     stages = dict(manifest.get("timing") or {})
     ordered = sorted(stages, key=lambda stage: stage != "compilation")
     return [f"{stage} {number(stages[stage])} s" for stage in ordered]
 
 
 def change(parameter: Parameter) -> str:
-    """Name a parameter with the value that ran."""
+    """Parameter with the value that ran."""
     return f"{parameter.name} = {number(parameter.value, 7)} {parameter.unit}".rstrip()
 
 
 def declared(parameter: Parameter) -> str:
-    """Say in brackets what was declared, where that is not what the value shows."""
+    """Declared value in brackets, where it is not the value that ran."""
     if parameter.is_changed:
         return f" (declared {number(parameter.declared, 7)})"
     is_computed = isinstance(parameter.declared, str) and isinstance(parameter.value, float)
@@ -298,7 +292,7 @@ def declared(parameter: Parameter) -> str:
 
 
 def record_words(facts: Study) -> str:
-    """Say how long the record is, and how and how often it was taken."""
+    """Length of the record, and its sampling."""
     manifest, unit = facts.recording.manifest, facts.unit("t")
     first, last = facts.whole.span
     words = f"{len(facts.whole)} samples, {number(last - first)} {unit}".rstrip() + " of the rig"
@@ -312,7 +306,7 @@ def record_words(facts: Study) -> str:
 
 
 def ticks(manifest: Mapping[str, Any]) -> str:
-    """Say how well a run on a plant kept its time, and what its motion is known from."""
+    """Timing of a run on a plant, and the source of its motion."""
     rig = manifest["rig"]
     counts = rig.get("counters") or {}
     parts = [f"{rig.get('end')}"]
@@ -323,7 +317,7 @@ def ticks(manifest: Mapping[str, Any]) -> str:
 
 
 def loop_times(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Say how long the ticks of a run on a plant took, and how late they began: one line, or none."""
+    """Durations of the ticks of a run on a plant, and how late they began: one line, or none."""
     times = manifest["rig"].get("timing") or {}
 
     def words(one: Mapping[str, Any]) -> str:
@@ -335,14 +329,59 @@ def loop_times(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def use_words(use: InputUse) -> str:
-    """Say how much of its limit an input used."""
+    """Part of its limit that an input used."""
     if use.used is None:
         return f"{use.name} peak {with_unit(use.peak, use.unit)}"
     return f"{use.name} {percent(use.used)} of {use.limit:g} {use.unit}".rstrip()
 
 
+def power(use: InputUse) -> str:
+    """Largest mean power of an input and its limit; nothing where none was recorded."""
+    most = "" if use.most_power is None else f" of {use.most_power:g}"
+    return "" if use.power is None else f"{number(use.power)}{most} W"
+
+
+def locking(pair: PhasePair) -> str:
+    """Remark on a phase that is not fixed at the end; nothing on one that is."""
+    return "" if pair.steady_end >= _STEADY else "not fixed"
+
+
+def worth(row: BudgetRow, whole: BudgetRow) -> list[str]:
+    """Change of the masking error without a cause, in percent with its sign, and what helps against the cause."""
+    change = "" if row is whole or not whole.rms > 0.0 else "diverges"
+    if change and math.isfinite(row.rms):
+        change = f"{100.0 * (row.rms / whole.rms - 1.0):+.0f} %".replace("-", "\N{MINUS SIGN}")
+        change = "0 %" if change[1:] == "0 %" else change
+    helps = row.remedy if row.rms <= _HELPS * whole.rms else ""
+    return [change, "; ".join(filter(None, (row.note, helps)))]
+
+
+def provenance(facts: Study, files: Sequence[str]) -> list[tuple[str, object]]:
+    """Names and values of where a record comes from.
+
+    Args:
+        facts: of the record.
+        files: of the record and its report.
+    """
+    manifest = facts.recording.manifest
+    scale = manifest.get("time_scale")
+    return [
+        ("plant", manifest.get("plant_name")),
+        ("virtual system", manifest.get("virtual_name")),
+        ("record", record_words(facts)),
+        ("observer", observer(facts)),
+        ("time", f"{number(scale, 7)} s of the rig per unit of virtual time" if scale else None),
+        ("created", manifest.get("created")),
+        ("commit", manifest.get("commit")),
+        ("versions", ", ".join(f"{name} {version}" for name, version in (manifest.get("versions") or {}).items())),
+        ("time taken", ", ".join(timing(manifest))),
+        ("energy drift", ", ".join(f"{name} {number(e)}" for name, e in (manifest.get("energy") or {}).items())),
+        ("files", ", ".join(files)),
+    ]
+
+
 def sum_name(facts: Study) -> str:
-    """Write the magnitude of the sum of the oscillators."""
+    """Magnitude of the sum of the oscillators."""
     names = facts.oscillators
     return f"|{' + '.join(names if len(names) <= 3 else (names[0], '...', names[-1]))}|"
 
@@ -352,21 +391,21 @@ def _duration(facts: Study) -> str:
 
 
 def length(facts: Study) -> tuple[str, str]:
-    """Give the length of the record and its unit."""
+    """Length of the record and its unit."""
     unit = "" if facts.is_scaled else facts.unit("t")
     return number(facts.length, 4), unit or "units of time"
 
 
 def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
-    """Write a rate with its unit."""
+    """Rate with its unit."""
     return f"{number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{number(rate)} Hz"
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Write a value with its unit, which may be none."""
+    """Value with its unit, which may be none."""
     return f"{number(value)} {unit}".rstrip()
 
 
 def pi(phase: float) -> str:
-    """Write a phase in multiples of pi."""
+    """Phase in multiples of pi."""
     return f"{phase / math.pi:.3f} pi"

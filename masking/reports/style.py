@@ -1,4 +1,4 @@
-"""Drawing: the parts that every figure of a report is made of, in one style.
+"""Style of every figure of a report: sizes, captions, and grids of axes.
 
 Colours, axes and typeset names are those of `masking.display`.
 """
@@ -24,7 +24,7 @@ from masking.display.thinning import BINS, Series, envelope, thin
 __all__ = [
     "BAND", "BARE", "BELOW", "BINS", "BOTTOM", "COLOURS", "DASHED", "DPI", "GAP", "GRID", "INK", "LEFT", "LEGEND",
     "LIMIT", "MUTED", "NOTE", "RIGHT", "SIZE", "WIDTH", "CaptionedFigure", "Series", "absent", "dress", "envelope",
-    "panels", "sheet", "symbol", "thin", "with_unit",
+    "grid", "sheet", "symbol", "thin", "with_unit",
 ]  # fmt: skip
 
 WIDTH = 9.0  # inches, all figures
@@ -37,12 +37,12 @@ BAND: Final = 0.22  # opacity
 
 @dataclass(frozen=True)
 class CaptionedFigure:
-    """One figure with its words; `figure` is None if there is nothing to draw, and `caption` then says why."""
+    """Figure with its words; `figure` is None if there is nothing to draw, and `caption` then says why."""
 
     name: str
     title: str
     caption: str
-    figure: Figure | None
+    figure: Figure | None = None
 
     @functools.cached_property
     def png(self) -> bytes | None:
@@ -65,71 +65,52 @@ def absent(name: str, title: str, why: str) -> CaptionedFigure:
     return CaptionedFigure(name, title, f"Not shown: {why}.", None)
 
 
-def sheet(
-    heights: Sequence[float], *, zooms: bool = False, top: float | None = None, heading: str = ""
-) -> tuple[Figure, list[Axes]]:
-    """Make a figure of stacked axes.
+def sheet(heights: Sequence[float], *, top: float = LEGEND) -> tuple[Figure, list[Axes]]:
+    """Figure of stacked axes with one axis of x, and these axes from above.
 
     Args:
         heights: of the axes, in inches.
-        zooms: whether the last row is two axes side by side.
-        top: room above and below the heading, in inches; by default for a legend.
-        heading: the finding, written on top.
-
-    Returns:
-        the figure, and its axes from above.
+        top: room above them, in inches.
     """
-    full, gaps = WIDTH - LEFT - RIGHT, [GAP] * (len(heights) - 1)
-    widths: list[tuple[float, ...]] = [(full,)] * len(heights)
-    if zooms:
-        widths[-1], gaps[-1] = ((full - 0.6) / 2,) * 2, 0.85  # room for the tick labels above and the titles below
-    figure, grid = _grid(heights, widths, gaps, top, heading)
-    rows = [axes for row in grid for axes in row]
-    for axes in (rows[:-2] if zooms else rows)[:-1]:
+    figure, rows = grid(heights, [[WIDTH - LEFT - RIGHT]] * len(heights), [GAP] * (len(heights) - 1), top)
+    stacked = [axes for (axes,) in rows]
+    for axes in stacked[:-1]:
         axes.tick_params(labelbottom=False)
-    figure.align_ylabels(rows[:-1] if zooms else rows)
-    return figure, rows
+    figure.align_ylabels(stacked)
+    return figure, stacked
 
 
-def panels(
-    count: int, height: float, widths: Sequence[float], top: float | None = None, heading: str = ""
-) -> tuple[Figure, list[list[Axes]]]:
-    """Make a figure of rows of axes side by side.
-
-    Args:
-        count: number of rows.
-        height: of each, in inches.
-        widths: of the columns, in inches; the rest of the figure's width is shared out between them.
-        top: room above and below the heading, in inches; by default for a legend.
-        heading: the finding, written on top.
-
-    Returns:
-        the figure, and the axes of each row.
-    """
-    figure, rows = _grid([height] * count, [widths] * count, [0.62] * (count - 1), top, heading)
-    for column in zip(*rows, strict=True):
-        figure.align_ylabels(column)
-    return figure, rows
-
-
-def _grid(
+def grid(
     heights: Sequence[float],
     widths: Sequence[Sequence[float]],
     gaps: Sequence[float],
-    top: float | None,
-    heading: str,
+    top: float,
+    *,
+    heading: str = "",
+    left: float = LEFT,
+    right: float = RIGHT,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Make a figure of rows of axes with given heights, widths in each row, and gaps between rows, in inches."""
+    """Figure of rows of axes, and the axes of each row; lengths in inches.
+
+    Args:
+        heights: of the rows.
+        widths: of the axes in each row; the rest of the figure's width is shared out between them.
+        gaps: between the rows.
+        top: room above the rows and below the heading.
+        heading: the finding, written on top.
+        left: room beside the axes.
+        right: room beside the axes.
+    """
     # A number and its unit stay together.
     kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", heading.replace("$", r"\$"))
     lines = textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
-    room = 0.2 + 0.2 * len(lines) + (BELOW if top is None else top) if lines else LEGEND if top is None else top
+    room = 0.2 + 0.2 * len(lines) + top if lines else top
     total = room + sum(heights) + sum(gaps) + BOTTOM
     figure, rows, y = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white"), [], total - room
     for height, row, gap in zip(heights, widths, [*gaps, 0.0], strict=True):
         y -= height
-        between = (WIDTH - LEFT - RIGHT - sum(row)) / max(1, len(row) - 1)
-        lefts = [LEFT + sum(row[:i]) + i * between for i in range(len(row))]
+        between = (WIDTH - left - right - sum(row)) / max(1, len(row) - 1)
+        lefts = [left + sum(row[:i]) + i * between for i in range(len(row))]
         boxes = [(x / WIDTH, y / total, width / WIDTH, height / total) for x, width in zip(lefts, row, strict=True)]
         rows.append([figure.add_axes(box) for box in boxes])
         y -= gap

@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.figure import Figure
 
 from masking.compile.numerics.arrays import Array
+from masking.display.palette import PAPER, UNKNOWN
 from masking.lab.records.table_chunks import Columns
-from masking.reports import figure_parts as parts
 from masking.reports import style
+from masking.reports.panels import Band, Level, Line, Panel, Span, bars, drawn, plain_numbers
 from masking.reports.run_measures import MEANINGS
 from masking.reports.stability_figures import END_COLOURS, edges, is_geometric
-from masking.reports.style import BAND, BARE, COLOURS, INK, LEGEND, MUTED, CaptionedFigure
+from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
 from masking.reports.text import capital, share
 
 _KINDS: Final = {
     **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
-    "not synchronised": COLOURS[3], "unknown": "#d9d9d9", "": "#ffffff",
+    "not synchronised": COLOURS[3], "unknown": UNKNOWN, "": PAPER,
 }  # fmt: skip
 _QUANTILES: Final = (0.1, 0.5, 0.9)
 _BINS: Final = 40
-_ROOM: Final = 0.19  # of the width of a figure, for words beside bars
+_ROOM: Final = 1.71  # inches, for words beside bars
 _SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
 def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]:
-    """Draw what a sweep measured over what it varied.
+    """Measures of a sweep over the parameters that it varied.
 
     Args:
         facts: of the sweep: `over`, `measures`.
@@ -59,12 +62,12 @@ def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]
     return found
 
 
-def _over(axis: Any, values: Array) -> None:  # noqa: ANN401  # an axis of matplotlib
-    """Make an axis logarithmic where the values of a grid (m,) are so."""
-    if is_geometric(values):
-        axis.axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": edges(values)[[0, -1]]})
-        parts.plain_numbers(axis)
-        axis.set_minor_formatter(NullFormatter())
+def _geometric(axes: Axes, x: Array, y: Array | None = None) -> None:
+    """Make axes logarithmic where the values of a grid (m,) are so."""
+    for axis, values in ((axes.xaxis, x), (axes.yaxis, y)):
+        if values is not None and is_geometric(values):
+            axes.set(**{f"{axis.axis_name}scale": "log", f"{axis.axis_name}lim": edges(values)[[0, -1]]})
+            plain_numbers(axis)
 
 
 def _label(name: str) -> str:
@@ -89,60 +92,57 @@ def _numbers(column: Any) -> Array:  # noqa: ANN401  # a column of any kind
 
 
 def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
-    """Draw several values of each run over what varies last: a bifurcation diagram."""
+    """Several values of each run over what varies last: a bifurcation diagram."""
     at = np.asarray(columns[grid[-1]] if grid else columns["run"], dtype=float)
     rows, ways = columns[name], columns.get("way")
-    figure, (axes,) = style.sheet([4.2], top=LEGEND if ways else BARE)
+    clouds, keys = [], []
     for way, colour in zip(("up", "down") if ways else ("",), COLOURS, strict=False):
         chosen = [i for i in range(len(at)) if not ways or ways[i] == way]
         x = np.concatenate([np.full(len(rows[i]), at[i]) for i in chosen] or [np.empty(0)])
         y = np.concatenate([np.asarray(rows[i]) for i in chosen] or [np.empty(0)])
-        axes.plot(x, y, ".", ms=1.8 if way != "down" else 0.9, color=colour, rasterized=True)
-    if ways:
-        parts.legend(figure, None, [parts.marker_key(way, c) for way, c in zip(("up", "down"), COLOURS, strict=False)])
-    parts.ticks(axes)
-    _over(axes.xaxis, np.unique(at))
+        clouds.append(Line(x, y, colour, 0.0, marker=".", size=1.8 if way != "down" else 0.9))
+        keys += [Line([], [], colour, 0.0, way, marker="o", size=6)] if way else []
     kind, _, of = name.partition(".")
     moved, _, crossed = of.partition("@")
     what = f"maxima of {style.symbol(moved)}" if kind == "maxima" else style.symbol(moved)
     where = f": {moved} where {crossed} crosses 0 upwards" if crossed else f" of {moved}"
-    axes.set(xlabel=labels[grid[-1]] if grid else "run", ylabel=what)
     more = " Followed up and down: each run begins where the one before it ended." if ways else ""
     caption = f"{capital(kind)}{where}, over the second half of each run.{more}"
-    return CaptionedFigure(f"diagram_{_file(name)}", "Bifurcation diagram", caption, figure)
+    finish = functools.partial(_geometric, x=np.unique(at))
+    panel = Panel(clouds, what, labels[grid[-1]] if grid else "run", ticks=5, finish=finish)
+    return drawn(CaptionedFigure(f"diagram_{_file(name)}", "Bifurcation diagram", caption), [[panel]], 4.2, keys=keys)
 
 
 def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
-    """Draw a measure over one parameter: the middle, and a band where there are several runs at each value."""
+    """Measure over one parameter: the middle, and a band where there are several runs at each value."""
     at, column = np.asarray(columns[over], dtype=float), columns[name]
     values = np.unique(at)
-    figure, (axes,) = style.sheet([3.2], top=BARE if isinstance(column, np.ndarray) else LEGEND)
+    finish = functools.partial(_geometric, x=values)
+    words = CaptionedFigure(
+        f"curve_{_file(name)}", f"{capital(name)} over {over}", f"{capital(_words(name))}, over {over}"
+    )
     if not isinstance(column, np.ndarray):
-        _shares(figure, axes, at, values, [str(text) for text in column])
-        axes.set(xlabel=labels[over], ylabel="share of the runs", ylim=(0.0, 1.0))
-        _over(axes.xaxis, values)
-        parts.ticks(axes)
-        caption = f"{capital(_words(name))}, over {over}: the share of the runs."
-        return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
+        texts = [str(text) for text in column]
+        kinds = [kind for kind in _KINDS if kind in texts and kind]
+        shown = functools.partial(_shares, at=at, values=values, words=texts)
+        panel = Panel([], "share of the runs", labels[over], None, (0.0, 1.0), ticks=5, finish=shown)
+        return drawn(
+            replace(words, caption=f"{words.caption}: the share of the runs."), [[panel]], 3.2, keys=_keys(kinds)
+        )
     with np.errstate(all="ignore"):
         groups = [column[at == value] for value in values]
         groups = [group[np.isfinite(group)] for group in groups]
         low, middle, high = np.array([np.quantile(g, _QUANTILES) if len(g) else [math.nan] * 3 for g in groups]).T
-    axes.plot(values, middle, "o-" if len(values) < 30 else "-", ms=3, color=COLOURS[0], lw=1.6)
     has_band = max(map(len, groups)) > 1
-    if has_band:
-        axes.fill_between(values, low, high, color=COLOURS[0], alpha=BAND, lw=0)
-    if _is_wide(middle):
-        parts.logarithmic(axes, "y")
-    else:
-        parts.ticks(axes)
-        axes.set_ylim(*_range(np.concatenate([low, high])))
-        axes.ticklabel_format(axis="y", useOffset=False)
-    axes.set(xlabel=labels[over], ylabel=_measure(name))
-    _over(axes.xaxis, values)
-    caption = f"{capital(_words(name))}, over {over}"
-    caption += ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
-    return CaptionedFigure(f"curve_{_file(name)}", f"{capital(name)} over {over}", caption, figure)
+    curve = [
+        Line(values, middle, COLOURS[0], 1.6, marker="o" if len(values) < 30 else "", size=3),
+        *([Band(values, low, high, COLOURS[0])] if has_band else []),
+    ]
+    wide = _is_wide(middle)
+    reach = None if wide else _range(np.concatenate([low, high]))
+    more = ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
+    panel = Panel(curve, _measure(name), labels[over], None, reach, "y" * wide, ticks=5, finish=finish)
+    return drawn(replace(words, caption=f"{words.caption}{more}"), [[panel]], 3.2)
 
 
 def _range(values: Array) -> tuple[float, float]:
@@ -160,7 +160,8 @@ def _is_wide(values: Array) -> bool:
     return bool(len(finite)) and bool(finite.min() > 0.0) and bool(finite.max() > 300.0 * finite.min())
 
 
-def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) -> None:  # noqa: ANN401  # matplotlib's own
+def _shares(axes: Axes, at: Array, values: Array, words: list[str]) -> None:
+    """Draw the share of each word among the runs at each value."""
     kinds = [kind for kind in _KINDS if kind in words and kind]
     shares = [
         [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
@@ -168,14 +169,19 @@ def _shares(figure: Any, axes: Any, at: Array, values: Array, words: list[str]) 
     cells = edges(values)
     steps = [[*of_kind, of_kind[-1]] for of_kind in shares]
     axes.stackplot(cells, steps, colors=[_KINDS[kind] for kind in kinds], step="post")
-    axes.set_xlim(cells[[0, -1]])
+    axes.set(xlim=cells[[0, -1]], ylim=(0.0, 1.0))
     axes.grid(visible=False)
-    parts.legend(figure, None, [Patch(facecolor=_KINDS[kind], label=kind) for kind in kinds])
+    _geometric(axes, values)
+
+
+def _keys(kinds: Iterable[str], labels: Mapping[str, str] | None = None) -> list[Span]:
+    return [Span(0.0, 0.0, _KINDS[kind], (labels or {}).get(kind, kind), opacity=1.0) for kind in kinds]
 
 
 def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
-    """Draw a measure over two parameters: the median, or the commonest word."""
+    """Measure over two parameters: the median, or the commonest word."""
     x, y, column = np.asarray(columns[grid[0]]), np.asarray(columns[grid[1]]), columns[name]
+    is_word = not isinstance(column, np.ndarray)
     across, up = np.unique(x), np.unique(y)
     places = np.searchsorted(across, x) * len(up) + np.searchsorted(up, y)
     numbers, cells = _numbers(column), np.full(len(across) * len(up), np.nan)
@@ -183,71 +189,64 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
     for group in np.split(order, np.flatnonzero(np.diff(places[order])) + 1):
         of_cell = numbers[group][np.isfinite(numbers[group])]
         if len(of_cell):
-            is_number = isinstance(column, np.ndarray)
-            cells[places[group[0]]] = (
-                np.median(of_cell) if is_number else Counter(of_cell.tolist()).most_common(1)[0][0]
-            )
-    is_word = not isinstance(column, np.ndarray)
-    figure, (axes,) = style.sheet([4.8], top=LEGEND if is_word else BARE)
-    table = cells.reshape(len(across), len(up)).T
+            cells[places[group[0]]] = Counter(of_cell.tolist()).most_common(1)[0][0] if is_word else np.median(of_cell)
+    table = edges(across), edges(up), cells.reshape(len(across), len(up)).T
+    keys: list[Span] = []
     if is_word:
-        chosen = [kind for kind in _KINDS if kind and kind in column]
-        axes.pcolormesh(edges(across), edges(up), table, cmap=ListedColormap(list(_KINDS.values())), vmin=-0.5,
-                        vmax=len(_KINDS) - 0.5, rasterized=True)  # fmt: skip
         runs = Counter(text for text in column if text)
-        keys = [
-            Patch(facecolor=_KINDS[k], edgecolor=MUTED, label=f"{k} {share(runs[k] / runs.total())}") for k in chosen
-        ]
-        parts.legend(figure, None, keys)
-    else:
-        drawn = axes.pcolormesh(edges(across), edges(up), table, cmap="viridis", rasterized=True)
-        bar = figure.colorbar(drawn, ax=axes, pad=0.02)
-        bar.set_label(_measure(name), color=INK)
-    axes.grid(visible=False)
-    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
-    axes.set(xlabel=labels[grid[0]], ylabel=labels[grid[1]])
-    for axis, values in ((axes.xaxis, across), (axes.yaxis, up)):
-        _over(axis, values)
-    several = len(column) > len(across) * len(up)
-    middle = (
-        ": the commonest at each point; the legend has the share of each in all runs"
-        if is_word
-        else ": the median of the runs at each point"
-    ) * several
+        shares = {str(kind): f"{kind} {share(runs[kind] / runs.total())}" for kind in runs}
+        keys = _keys([kind for kind in _KINDS if kind in runs], shares)
+
+    def finish(axes: Axes) -> None:
+        if is_word:
+            colours = ListedColormap(list(_KINDS.values()))
+            axes.pcolormesh(*table, cmap=colours, vmin=-0.5, vmax=len(_KINDS) - 0.5, rasterized=True)
+        else:
+            mesh = axes.pcolormesh(*table, cmap="viridis", rasterized=True)
+            figure = axes.figure
+            assert isinstance(figure, Figure)  # noqa: S101  # for the type checker: these axes lie in no sub-figure
+            figure.colorbar(mesh, ax=axes, pad=0.02).set_label(_measure(name), color=INK)
+        axes.grid(visible=False)
+        _geometric(axes, across, up)
+
+    how = "the commonest at each point; the legend has the share of each in all runs"
+    how = how if is_word else "the median of the runs at each point"
+    several = f": {how}" if len(column) > len(across) * len(up) else ""
     more = f", over all values of {' and '.join(grid[2:])}" if len(grid) > 2 else ""
     title = f"{capital(name)} over {grid[0]} and {grid[1]}"
-    return CaptionedFigure(f"map_{_file(name)}", title, f"{capital(_words(name))}{middle}{more}.", figure)
+    words = CaptionedFigure(f"map_{_file(name)}", title, f"{capital(_words(name))}{several}{more}.")
+    return drawn(words, [[Panel([], labels[grid[1]], labels[grid[0]], ticks=8, finish=finish)]], 4.8, keys=keys)
 
 
 def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  # a column of any kind
-    """Draw how often each value or word came out."""
+    """Histogram of a measure, or the share of each word."""
     title, file = f"Distribution of {name}", f"distribution_{_file(name)}"
     if isinstance(column, np.ndarray):
         finite = column[np.isfinite(column)]
         if not len(finite):
             return style.absent(file, title, "no run has a value")
-        figure, (axes,) = style.sheet([2.6], top=BARE)
-        axes.hist(finite, bins=min(_BINS, max(5, len(finite) // 10)), color=COLOURS[0])
         low, middle, high = np.quantile(finite, _QUANTILES)
-        for value in (low, middle, high):
-            axes.axvline(value, color=INK, lw=0.9, ls=style.DASHED)
-        parts.ticks(axes)
-        axes.set(xlabel=_measure(name), ylabel="runs", ylim=(0.0, None))
+
+        def histogram(axes: Axes) -> None:
+            axes.hist(finite, bins=min(_BINS, max(5, len(finite) // 10)), color=COLOURS[0])
+            axes.set_ylim(0.0, None)
+
+        levels = [Level(value, axis="x") for value in (low, middle, high)]
         caption = f"{capital(_words(name))}: median {middle:.4g}, from {low:.4g} to {high:.4g} in 80 % of the runs."
-        return CaptionedFigure(file, title, caption, figure)
+        panel = Panel(levels, "runs", _measure(name), ticks=5, finish=histogram)
+        return drawn(CaptionedFigure(file, title, caption), [[panel]], 2.6)
     counts = Counter(text for text in column if text)
     if not counts:
         return style.absent(file, title, "no run has a value")
-    figure, (axes,) = style.sheet([0.5 + 0.3 * len(counts)], top=BARE)
-    kinds, total = [*counts], sum(counts.values())
-    shares, box = [counts[kind] / total for kind in kinds], axes.get_position()
-    axes.set_position((_ROOM, box.y0, box.x1 - _ROOM, box.height))
-    axes.barh(range(len(kinds)), shares, height=0.66, color=[_KINDS.get(kind, MUTED) for kind in kinds])
-    axes.set_yticks(range(len(kinds)), kinds)
-    axes.grid(visible=False, axis="y")
-    axes.tick_params(axis="y", length=0)
-    axes.set(xlabel="share of the runs", xlim=(0.0, 1.0), ylim=(len(kinds) - 0.4, -0.6))
-    return CaptionedFigure(file, title, f"{capital(_words(name))}: the share of the runs.", figure)
+    shares = [count / counts.total() for count in counts.values()]
+
+    def words_as_bars(axes: Axes) -> None:
+        axes.barh(range(len(shares)), shares, height=0.66, color=[_KINDS.get(kind, MUTED) for kind in counts])
+        bars(axes, [*counts])
+
+    words = CaptionedFigure(file, title, f"{capital(_words(name))}: the share of the runs.")
+    panel = Panel([], "", "share of the runs", (0.0, 1.0), finish=words_as_bars)
+    return drawn(words, [[panel]], 0.5 + 0.3 * len(counts), left=_ROOM)
 
 
 def _file(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Page of a sweep: what happened in a sentence, its pictures, and the runs that failed."""
+"""Page of a sweep: its outcome in a sentence, its pictures, and the runs that failed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from masking.lab.records.table_chunks import Columns
 from masking.reports import html, sweep_figures
-from masking.reports.html import Tile
 from masking.reports.text import listed
 
 PAGE: Final = "sweep.html"
@@ -20,7 +19,7 @@ _NAMED: Final = 4  # of what varies, that the sentence names
 
 
 def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
-    """Say how many runs were made, and what came out of them.
+    """Number of runs and their outcome in a sentence.
 
     Args:
         facts: of the sweep, as its file has them.
@@ -75,16 +74,15 @@ def save(facts: Mapping[str, Any], columns: Columns, said: str, folder: Path) ->
         RecordError: a file cannot be written.
     """
     failures = [(str(run), text) for run, text in zip(columns["run"], columns["error"], strict=True) if text]
-    tiles = [Tile("runs", str(len(columns["run"]))), Tile("failed", str(len(failures)), is_wrong=bool(failures))]
     html.save(
         folder / PAGE,
         "sweep",
         sweep_figures.figures(facts, columns),
         title=f"sweep of {facts['name']}",
-        tiles=tiles,
         names=[*(name for one in facts["over"] for name in one["name"].split(",")), *facts["measures"]],
         lead=said,
-        failures=failures[:_SHOWN],
-        more=max(0, len(failures) - _SHOWN),
+        runs=len(columns["run"]),
+        failures=failures,
+        most=_SHOWN,
     )
     return folder / PAGE

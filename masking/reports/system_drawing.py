@@ -12,8 +12,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.palette import COLOURS, MUTED
 from masking.errors import RecordError
-from masking.model.declaration.expression import Expression
-from masking.model.declaration.operations import Step
+from masking.model.declaration.operations import CONSTANTS, Step
 from masking.model.declaration.shape_declaration import Shape
 
 _LOOKED = 240  # instants at which the extent of a motion is looked at
@@ -80,12 +79,8 @@ class Drawing:
     def code(self) -> str:
         """Function of JavaScript that gives `numbers` of coordinates and time."""
         names = {name: f"q[{i}]" for i, name in enumerate(self.coordinates)} | {"t": "t"}
-        names |= {name: f"({value!r})" for name, value in self.parameters.items()}
-
-        def text(expression: Expression) -> str:
-            return expression.walk(lambda step: repr(step.number()), lambda step: names[step.value], _javascript)
-
-        rows = (",".join(text(x) for _, x in shape.formulas) for shape in self.shapes)
+        algebra = _JavaScript(names | {name: f"({value!r})" for name, value in self.parameters.items()})
+        rows = (",".join(x.walk(algebra) for _, x in shape.formulas) for shape in self.shapes)
         return f"(q,t)=>[{','.join(f'[{row}]' for row in rows)}]"
 
     def view(self, times: Array, motion: Array) -> tuple[tuple[float, float, float, float], int]:
@@ -158,13 +153,24 @@ def _around(kind: str, numbers: Sequence[float]) -> list[tuple[float, float]]:
     return [(x - width, y - height), (x + width, y + height), *spoke]
 
 
-def _javascript(step: Step, args: Sequence[str]) -> str:
-    """Operation of an expression as JavaScript."""
-    if step.operation in _SAME:
-        return f"({args[0]}{step.operation}{args[1]})"
-    if step.operation in _CODE:
-        return _CODE[step.operation].format(*args)
-    return f"Math.{step.operation}({','.join(args)})"
+@dataclass(frozen=True, slots=True)
+class _JavaScript:
+    """Writes an expression as JavaScript; `names` are what stands for its symbols."""
+
+    names: Mapping[str, str]
+
+    def number(self, step: Step) -> str:
+        return repr(CONSTANTS.get(step.value) or float(step.value))
+
+    def symbol(self, step: Step) -> str:
+        return self.names[step.value]
+
+    def apply(self, step: Step, args: Sequence[str]) -> str:
+        if step.operation in _SAME:
+            return f"({args[0]}{step.operation}{args[1]})"
+        if step.operation in _CODE:
+            return _CODE[step.operation].format(*args)
+        return f"Math.{step.operation}({','.join(args)})"
 
 
 def shape_facts(drawing: Drawing) -> list[dict[str, Any]]:

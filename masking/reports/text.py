@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from masking.model.declaration.quantities import percent
+from masking.model.declaration.quantities import number, percent
 
 
 def listed(words: Sequence[str], between: str = ", ") -> str:
-    """Write several words as a list: a, b and c."""
-    return words[0] if len(words) == 1 else f"{between.join(words[:-1])} and {words[-1]}"
+    """Several words as a list: a, b and c; '' for none."""
+    return f"{between.join(words[:-1])} and {words[-1]}" if len(words) > 1 else "".join(words)
 
 
 def alternatives(words: Sequence[str]) -> str:
-    """Write several words of which one holds: either a, b or c."""
+    """Several words of which one holds: either a, b or c."""
     return words[0] if len(words) == 1 else f"either {', '.join(words[:-1])} or {words[-1]}"
+
+
+def plural(count: int, single: str, several: str) -> str:
+    """Word that agrees with a number of things."""
+    return single if count == 1 else several
 
 
 def capital(text: str) -> str:
@@ -29,12 +34,12 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def much(part: float) -> str:
-    """Write how much of something: all, nothing, or a part in percent."""
+    """Part of something: all, nothing, or a percentage."""
     return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"
 
 
 def share(part: float) -> str:
-    """Write a share in percent, to at most two digits after the point: 100 % is all, and 0 % none."""
+    """Share in percent, to at most two digits after the point: 100 % is all, and 0 % none."""
     smaller = round(100.0 * min(part, 1.0 - part), 9)
     if 0.0 < smaller < 0.01:
         return "< 0.01 %" if part < 0.5 else "> 99.99 %"
@@ -44,3 +49,18 @@ def share(part: float) -> str:
 def short(text: str, most: int) -> str:
     """Text cut to a number of letters, an ellipsis for the rest."""
     return text if len(text) <= most else f"{text[: most - 1].rstrip(' ,')}…"
+
+
+def probability_text(p: float) -> str:
+    """Probability with three digits after the point."""
+    return f"{p:.3f}" if p > 5e-4 else "< 0.001"
+
+
+def signed(part: float) -> str:
+    """Relative change in percent, with its sign."""
+    return f"{'-' if part < 0.0 else '+'}{number(100.0 * abs(part), 2)} %"
+
+
+def capped(part: float, most: float = 10.0) -> str:
+    """Part in percent; one above the most is only said to be more."""
+    return f"> {100.0 * most:.0f} %" if part > most else percent(part, 3)

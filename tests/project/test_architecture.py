@@ -49,8 +49,7 @@ FLOORS: dict[str, set[str]] = {
     },
     "estimation": {"numerics", "display", "codegen", "records", "rig"},
     "discovery": {
-        *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "signals", "rig"),
-        "estimation",
+        *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
     },
     "procedures": {"numerics", "declaration", "modelling", "records", "rig", "estimation"},
     "reports": {

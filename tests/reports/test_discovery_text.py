@@ -14,6 +14,7 @@ from masking.inference.discovery.next_experiment import NextExperiment
 from masking.model.declaration.quantities import number, power, quantity
 from masking.model.effects import EFFECTS
 from masking.reports import discovery_page, discovery_text, figure_parts, force_map
+from masking.reports.text import capped, signed
 from tests.inference.discovery.test_force_decomposition import INSTANCES, discoveries, rig
 
 __all__ = ["discoveries", "rig"]  # fixtures
@@ -33,7 +34,7 @@ def test_without_effects_the_title_says_what_is_left(discoveries):
     found = replace(
         found, simulation_error=gaps((1.33, 0.1, 0.1), (0.94, 0.1, 0.1), (0.001, 0.1, 0.1), (0.94, 0.1, 0.1))
     )
-    assert discovery_text.gap(found) == (
+    assert discovery_text.error_change(found) == (
         "The validation error of s1 is 133 % as declared and 94 % with adjusted parameters; the noise floor is 0.1 %"
     )
 
@@ -42,7 +43,7 @@ def test_a_parameter_is_compared_with_what_is_declared(discoveries):
     named = (Named("z2", "", {"z2": (0.02, 1e-5)}, 1.0),)
     found = replace(discoveries("friction"), verdict="parameter", effects=named)
     found = replace(found, simulation_error=gaps((0.027, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3), (1e-3, 1e-3, 1e-3)))
-    assert "The validation error of s1 is 2.7 % as declared and 0.1" in discovery_text.gap(found)
+    assert "The validation error of s1 is 2.7 % as declared and 0.1" in discovery_text.error_change(found)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_a_reading_that_is_hardly_followed(discoveries, after, floor, told):
     found = replace(
         discoveries("friction"), simulation_error=gaps((1.0, 0.1, 0.1), (after, 0.1, 0.1), (floor, 0.1, 0.1))
     )
-    said = discovery_text.hardly(found)
+    said = discovery_text.unfollowed_readings(found)
     assert told in said
     assert bool(said) is bool(told)
     assert said in discovery_text.sentence(found)
@@ -75,9 +76,9 @@ def test_a_law_that_may_be_nothing_is_not_offered(discoveries):
     )
     lost = replace(found, effects=(unsure,))
     assert "nearest" not in discovery_text.sentence(lost)
-    assert list(discovery_page._causes(lost)) == []
+    assert discovery_text.reported(lost) == []
     springs = Named("polynomial_spring", "spring1", {"k2": (0.0, 1.0), "k3": (9.0, 1.0)}, 0.9)
-    assert discovery_text.offered(replace(found, effects=(springs,))) == [springs]
+    assert discovery_text.reported(replace(found, effects=(springs,))) == [springs]
 
 
 def test_opposite_cross_dampings_are_one_gyroscopic_coupling(discoveries):
@@ -107,16 +108,16 @@ def test_parameters_that_moved_are_told(discoveries, wide, how):
         ),
         problem=replace(found.problem, prior=replace(prior, deviation=wide * prior.deviation)),
     )
-    assert discovery_text.moved(moved).startswith("Adjusted: z2 = ")
-    assert discovery_text.moved(moved).endswith(f", 5 % more than declared, {how} its prior uncertainty")
+    assert discovery_text.adjustments(moved).startswith("Adjusted: z2 = ")
+    assert discovery_text.adjustments(moved).endswith(f", 5 % more than declared, {how} its prior uncertainty")
     off = Named("z2", "", {"z2": (theta[at], 0.0)}, 1.0)
-    assert discovery_text.moved(replace(moved, verdict="parameter", effects=(off,))) == ""
-    assert [*discovery_text.adjusted(moved)] == ["z2"]
+    assert discovery_text.adjustments(replace(moved, verdict="parameter", effects=(off,))) == ""
+    assert [*discovery_text.adjusted_parameters(moved)] == ["z2"]
 
 
 @pytest.mark.parametrize(("value", "told"), [(2.1, "5 % more than"), (1.8, "10 % less than"), (-1.0, "where 2 is")])
 def test_how_far_a_value_is_off(value, told):
-    assert discovery_text.beyond(value, 2.0).startswith(told)
+    assert discovery_text.deviation_words(value, 2.0).startswith(told)
 
 
 def coming(found, peak, separation=1e3):
@@ -131,21 +132,21 @@ def coming(found, peak, separation=1e3):
 def test_an_experiment_is_said_in_words(discoveries):
     found = discoveries("friction")
     most = float(np.abs(found.record.commands[:, 0]).max())
-    said = discovery_text.experiment(coming(found, 3.0 * most))
+    said = discovery_text.deciding_experiment(coming(found, 3.0 * most))
     assert said.startswith(f"a multisine of V1 up to {quantity(3.0 * most, 'V')}, V2 up to 10 mV and V3 up to ")
     assert ", 3 to 12 Hz, 30 s long, would tell dry friction in spring1 from Dahl friction in spring1" in said
     assert "{" not in said
     lasting = discovery_text.sentence(coming(found, 3.0 * most, separation=0.0))
     assert lasting.endswith("No excitation that was tried can tell dry friction in spring1 from "
                             "Dahl friction in spring1")  # fmt: skip
-    assert "multisine" not in str([*discovery_page._causes(coming(found, most))])  # it is in the first paragraph
+    assert "multisine" not in discovery_text.cause_with_values(found, coming(found, most).effects[0])
 
 
 def test_limits_are_asked_for_where_there_are_none(discoveries):
     found = coming(discoveries("friction"), 1.0)
     declaration = found.twin.declaration
     limited = declaration.limits.inputs.keys() >= set(found.twin.actuators)
-    assert ("a plant file may declare limits" in discovery_text.experiment(found)) is not limited
+    assert ("a plant file may declare limits" in discovery_text.deciding_experiment(found)) is not limited
 
 
 def test_a_delay_of_the_only_actuator_is_told_once():
@@ -156,11 +157,11 @@ def test_a_delay_of_the_only_actuator_is_told_once():
         )
         for actuators in (("force",), ("force", "torque"))
     )
-    assert discovery_text.alike(one) == ["a delay of force"]
-    assert discovery_text.likely(one, last) == {"a delay of force": 1.0}
+    assert discovery_text.possible_causes(one) == ["a delay of force"]
+    assert discovery_text.probabilities(one, last) == {"a delay of force": 1.0}
     assert not discovery_text.is_open(one)
-    assert discovery_text.alike(two) == ["a delay of all actuators", "a delay of force"]
-    assert discovery_text.labelled(two, "delay", "force") == "Delay of force"
+    assert discovery_text.possible_causes(two) == ["a delay of all actuators", "a delay of force"]
+    assert discovery_text.cause_label(two, "delay", "force") == "Delay of force"
 
 
 @pytest.mark.parametrize(
@@ -188,10 +189,10 @@ def test_the_map_credits_each_law_with_its_own_part(discoveries):
     together = replace(
         found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, instances=both))
     )
-    said = force_map._seen(together, latent, "force", laws[0])
+    said = force_map._explained(together, latent, "force", laws[0])
     assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together explain ")
     alone = replace(together, effects=effects[1:])  # the other is not offered at this place
-    part = force_map._seen(replace(alone, explanation=together.explanation), latent, "force", laws[1])
+    part = force_map._explained(replace(alone, explanation=together.explanation), latent, "force", laws[1])
     assert part.startswith("Hardening spring in spring1 explains ")
     assert "; the whole finding explains " in part
 
@@ -200,7 +201,7 @@ def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
     found = discoveries("friction")
     latent = latent_force.force_at(found, "spring1")
     small = replace(latent, before=1e-9 * latent.before)
-    told = force_map._seen(replace(found, verdict="parameter"), small, "force", None)
+    told = force_map._explained(replace(found, verdict="parameter"), small, "force", None)
     assert told.startswith("With the parameters that were found, the record shows no force at spring1")
 
 
@@ -241,9 +242,9 @@ def test_numbers_read_as_people_write_them():
     assert quantity(-0.1234, "m") == "-123 mm"
     assert quantity(1200.0, "N/m") == "1200 N/m"
     assert quantity(3.2e-5, "m/s**2") == "32 µm/s²"
-    assert discovery_page._paid(1.59e7) == "> 1000 %"
-    assert discovery_page._paid(0.5) == "50 %"
-    assert discovery_page._signed(1.1) == "+110 %"
+    assert capped(1.59e7) == "> 1000 %"
+    assert capped(0.5) == "50 %"
+    assert signed(1.1) == "+110 %"
 
 
 def test_powers_have_units():

@@ -500,7 +500,7 @@ def test_a_logarithmic_axis_holds_two_powers_of_ten(exponent, decades):
 @pytest.mark.parametrize("peak", [1.1, 0.0999, 3.0, 1e-9, 2.4e17, 5e-324])
 def test_a_constant_peak_has_two_labels(peak):
     _, (axes,) = style.sheet([2.0])
-    run_figures._log_peaks(axes, np.arange(30.0), np.full(30, peak), run_figures.INK)
+    run_figures._peaks(Study(series(30, 1)), [(np.full(30, peak), run_figures.INK, "")], "").draw(axes)
     axes.figure.canvas.draw()
     low, high = axes.get_ylim()
     labels = [text.get_text() for text in axes.get_yticklabels() if low <= text.get_position()[1] <= high]

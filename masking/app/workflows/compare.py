@@ -6,7 +6,7 @@ from pathlib import Path
 
 from masking.app.workflows.output_folders import beside, check_folder
 from masking.lab.records.recording import Recording
-from masking.reports import comparison_page, run_comparison
+from masking.reports import comparison_page
 from masking.reports.run_comparison import Comparison
 
 
@@ -25,7 +25,7 @@ def compare(
         RecordError: there is no such recording, or the page cannot be written.
     """
     check_folder(out, comparison_page.PAGE, overwrite=overwrite)
-    made = run_comparison.compare(Recording.load(first), Recording.load(second), names(first, second))
+    made = Comparison(Recording.load(first), Recording.load(second), names(first, second))
     if out is not None:
         comparison_page.save(made, Path(out))
     return made

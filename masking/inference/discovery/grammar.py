@@ -15,7 +15,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.model.declaration.expression import Expression
-from masking.model.modelling.expression_columns import on_columns
+from masking.model.declaration.operations import CONSTANTS, Step
 
 MOST_SHAPES = 3  # numbers that shape a form
 _TINY = "1e-9"  # of the largest displacement or rate: powers have derivatives from there on
@@ -163,7 +163,34 @@ def _ordinal(value: float) -> str:
     return text + {"1": "st", "2": "nd", "3": "rd"}.get(text, "th")
 
 
+class Columns:
+    """Reads an expression for columns (m,) or numbers by symbol."""
+
+    def __init__(self, known: Mapping[str, Array | float]) -> None:
+        self.known = known
+
+    def number(self, step: Step) -> Array | float:
+        """Give the value of a literal."""
+        return CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)
+
+    def symbol(self, step: Step) -> Array | float:
+        """Give the value of a name."""
+        return self.known[step.value]
+
+    def apply(self, step: Step, args: Sequence[Array | float]) -> Array | float:
+        """Give the value of an operation."""
+        found: Array = _OPERATIONS[step.operation](*args)
+        return found
+
+
+_OPERATIONS = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power, "negative": np.negative,
+    "abs": np.abs, "max": np.maximum, "atan": np.arctan,
+    **{name: getattr(np, name) for name in ("sign", "sin", "sinh", "tan", "tanh", "exp", "log")},
+}  # fmt: skip
+
+
 def evaluated(text: str, known: Mapping[str, Array | float]) -> Array:
     """Values of an expression (m,) for columns (m,) or numbers by symbol."""
     with np.errstate(all="ignore"):
-        return on_columns(Expression(text), known)
+        return np.asarray(Expression(text).walk(Columns(known)), dtype=float)

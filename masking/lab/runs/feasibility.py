@@ -24,9 +24,9 @@ from masking.errors import DeclarationError, IntegrationError, MaskingError, Pro
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import complete, loop_state, rig_state
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.model.declaration.quantities import percent
 from masking.model.modelling import input_series
-from masking.model.modelling.expression_columns import on_columns
 
 if TYPE_CHECKING:
     from scipy import signal
@@ -349,12 +349,30 @@ def mean_power(power: Array, step: float, time: float) -> Array:
 def evaluate(expression: Expression, columns: Mapping[str, Array | float]) -> Array:
     """Values of an expression (m,) for columns (m,) or numbers by symbol, primes included."""
     try:
-        with np.errstate(all="raise", under="ignore"):
-            return np.atleast_1d(on_columns(expression, columns))
+        return np.atleast_1d(np.asarray(expression.walk(_Columns(columns)), dtype=float))
     except (ArithmeticError, ValueError):  # row by row, a branch of `where` that is not chosen does no harm
         rows = max(np.size(column) for column in columns.values())
         table = {name: np.broadcast_to(column, rows) for name, column in columns.items()}
         return np.array([expression.evaluate({name: c[i] for name, c in table.items()}) for i in range(rows)])
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Numbers, a column at a time."""
+
+    columns: Mapping[str, Array | float]
+
+    def number(self, step: Step) -> Any:  # noqa: ANN401  (a number, or a column of them)
+        return CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)
+
+    def symbol(self, step: Step) -> Any:  # noqa: ANN401
+        return self.columns[step.value]
+
+    def apply(self, step: Step, args: Sequence[Any]) -> Any:  # noqa: ANN401
+        number = OPERATIONS[step.operation].number
+        if step.operation in {"+", "-", "*", "negative", "abs"}:
+            return number(*args)
+        return np.asarray(np.frompyfunc(number, len(args), 1)(*args), dtype=float)
 
 
 def _mend(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> Mend:

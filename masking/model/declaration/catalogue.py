@@ -95,7 +95,7 @@ def names(kind: str) -> list[str]:
 
 
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
-    """File of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
+    """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
 
     Args:
         kind: of `KINDS`; None for any: the first in their order that has the name.
@@ -128,7 +128,7 @@ def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWH
 
 
 def kind_of(name_or_path: str | Path) -> str:
-    """Kind of a name or file, by its name or by its keys."""
+    """Tell of which kind a name or file is, by its name or by its keys."""
     path = find(None, name_or_path)
     for kind in _FOLDERS:
         if str(name_or_path) in names(kind):
@@ -138,14 +138,14 @@ def kind_of(name_or_path: str | Path) -> str:
 
 
 def kind_of_keys(keys: Collection[str]) -> str | None:
-    """Kind of a file with these keys: the one with most keys of its own; None without any of those."""
+    """Tell of which kind a file with these keys is: the one with most keys of its own; None without any of those."""
     counts = {kind: len(own.intersection(keys)) for kind, own in OWN_KEYS.items()}
     kind = max(counts, key=counts.__getitem__)
     return kind if counts[kind] else None
 
 
 def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: Node | None = None) -> Problem:
-    """Problem of a file of another kind than is needed.
+    """Say that a file, whose content may be given, is of another kind than is needed.
 
     Args:
         kind: that is needed.
@@ -169,7 +169,7 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
 
 
 def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path], reference: Reference) -> Problem:
-    """Problem of a file or name that does not exist, with what was probably meant."""
+    """Say that there is no such file or name, and what was probably meant."""
     message = (
         f"there is no {kind or 'model, plant, experiment or dictionary'} '{text}'"
         if is_name

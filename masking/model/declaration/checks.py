@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from masking.errors import DeclarationError, Problem, nearest
-from masking.model.declaration import definitions
+from masking.model.declaration import expansion_size
 from masking.model.declaration.couplings import driven_outputs, motions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ModelDeclaration
@@ -26,17 +26,17 @@ _FORMULAS = {
 
 
 def velocities(names: Iterable[str]) -> list[str]:
-    """First derivatives of coordinates."""
+    """Give the first derivatives of coordinates."""
     return [f"{name}'" for name in names]
 
 
 def accelerations(names: Iterable[str]) -> list[str]:
-    """Second derivatives of coordinates."""
+    """Give the second derivatives of coordinates."""
     return [f"{name}''" for name in names]
 
 
 def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
-    """Left-hand side of the equation in which a force on a coordinate acts: x'', or such as m*x''.
+    """Give the left-hand side of the equation in which a force on a coordinate acts: x'', or such as m*x''.
 
     It holds this acceleration and no other; that of an internal state is its rate. None where there is no such
     equation, as in a Lagrangian model.
@@ -49,22 +49,22 @@ def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
 
 
 def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
-    """Every expression of a model with its path, the left-hand sides of equations included."""
-    entries = {p: getattr(model, p) for p in ("lagrangian", "dissipation", "energy")}
-    entries |= {
+    """Yield every expression of a model with its path, the left-hand sides of equations included."""
+    found = {p: getattr(model, p) for p in ("lagrangian", "dissipation", "energy")}
+    found |= {
         f"{section}.{name}": x for section in ("definitions", "forces") for name, x in getattr(model, section).items()
     }
     for section, parts in _FORMULAS.items():
         for name, entry in getattr(model, section).items():
-            entries |= {f"{section}.{name}.{part}": getattr(entry, part) for part in parts}
-    entries |= {f"elements.{e}.acts.{name}": x for e, entry in model.elements.items() for name, x in entry.acts.items()}
-    entries |= {f"events.{e}.{part}": x for e, entry in model.events.items() for part, x in entry.formulas}
-    yield from ((path, x) for path, x in entries.items() if isinstance(x, Expression))
+            found |= {f"{section}.{name}.{part}": getattr(entry, part) for part in parts}
+    found |= {f"elements.{e}.acts.{name}": x for e, entry in model.elements.items() for name, x in entry.acts.items()}
+    found |= {f"events.{e}.{part}": x for e, entry in model.events.items() for part, x in entry.formulas}
+    yield from ((path, x) for path, x in found.items() if isinstance(x, Expression))
     yield from ((f"equations.{left}", side) for left, right in model.equations.items() for side in (left, right))
 
 
 def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
-    """Path of every formula with a delay, with the problem that it is where none may be."""
+    """Yield the path of every formula with a delay, with the problem that it is where none may be."""
     for path, expression in formulas(model):
         for step in expression.steps:
             if step.operation == "delay":
@@ -73,12 +73,12 @@ def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
 
 
 def beyond_ordinary(model: ModelDeclaration) -> list[str]:
-    """Parts of a model that ordinary differential equations have not: delays, events."""
+    """List what a model has that ordinary differential equations have not: delays, events."""
     return [*["delays"] * any(delayed(model)), *["events"] * bool(model.events)]
 
 
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
-    """Problems of a model; of one that is not whole, only of names and symbols.
+    """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
     Args:
         model: that was read.
@@ -102,29 +102,47 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     return problems
 
 
+def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
+    """Describe what is wrong with one value of a declaration, or with its key.
+
+    Args:
+        declaration: that was read.
+        path: of the value.
+        message: what is wrong.
+        mend: what to do about it.
+        at_key: whether it is at the key.
+    """
+    place = declaration.key_place(path) if at_key else declaration.place(path)
+    return Problem(place, path, message, mend)
+
+
 def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     owner: dict[str, str] = {}
     for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
         for name in getattr(model, section):
             if name in owner:
                 message = f"the name '{name}' is already used in {owner[name]}"
-                yield model.key_problem(f"{section}.{name}", message, "rename one of them")
+                yield problem_at(model, f"{section}.{name}", message, "rename one of them", at_key=True)
             owner.setdefault(name, section)
     for index, name in enumerate(model.oscillators or ()):
         if name not in model.coordinates and name not in lost:
-            mend = nearest(name, model.coordinates)
-            yield model.problem(f"oscillators.{index}", f"'{name}' is not a coordinate", mend)
-    own = [name for name in model.forces if name not in lost]
-    yield from model.unknown_keys("forces", own, model.coordinates, "a coordinate")
+            yield problem_at(
+                model, f"oscillators.{index}", f"'{name}' is not a coordinate", nearest(name, model.coordinates)
+            )
+    for name in model.forces:
+        if name not in model.coordinates and name not in lost:
+            message = f"'{name}' is not a coordinate"
+            yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
     taken = {*model.coordinates, *model.states, *model.outputs}
-    kinds = ["a coordinate", *["a state"] * bool(model.states), *["an output"] * bool(model.outputs)]
-    for element, entry in model.elements.items():
-        own = [name for name in entry.acts if name not in lost]
-        yield from model.unknown_keys(f"elements.{element}.acts", own, taken, _joined(kinds, "or"))
+    for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
+        if name not in taken and name not in lost:
+            kinds = ["a coordinate", *["a state"] * bool(model.states), *["an output"] * bool(model.outputs)]
+            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not {_joined(kinds, 'or')}"
+            yield problem_at(model, path, message, nearest(name, taken), at_key=True)
     for name in driven_outputs(model):
         if name in owner:
             message = f"elements act on the output '{name}', a name that is already used in {owner[name]}"
-            yield model.key_problem(f"outputs.{name}", message, "rename one of them")
+            yield problem_at(model, f"outputs.{name}", message, "rename one of them", at_key=True)
 
 
 def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
@@ -133,7 +151,7 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
     rest = [*coordinates, *velocities(coordinates), *model.states, *model.inputs, *model.parameters]
     rest += [*model.definitions, "t"]
     moving = [*rest, *accelerations(coordinates)]
-    accelerated = definitions.holding(accelerations(coordinates), model.definitions)
+    accelerated = _definitions_with(model, accelerations(coordinates))
     steady = [symbol for symbol in moving if symbol not in model.inputs]
     own = [left for left in model.equations if model.state_of(left)]
     of_states = {f"equations.{left}" for left in own}
@@ -173,7 +191,7 @@ def _drawing(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
     for i, shape in enumerate(model.drawing):
         if len(shape.kinds) != 1:
             message = f"a shape is of one kind, not {_joined(shape.kinds, 'and') or 'none'}"
-            yield model.problem(f"drawing.{i}", message, f"write one of {', '.join(shape.KINDS)}")
+            yield problem_at(model, f"drawing.{i}", message, f"write one of {', '.join(shape.KINDS)}")
         for _, expression in shape.formulas:
             known = [*velocities(coordinates), *model.inputs, *model.definitions, *model.states]
             yield from check_symbols(expression, [*coordinates, *model.parameters, "t"], coordinates, known)
@@ -185,7 +203,7 @@ def _drawing(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
 def check_symbols(
     expression: Expression, allowed: Collection[str], coordinates: Collection[str], known: Collection[str] = ()
 ) -> Iterator[Problem]:
-    """Problem of each symbol that is not allowed: derivative of no coordinate, not for here, or unknown.
+    """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown.
 
     Args:
         expression: in which they stand.
@@ -206,46 +224,62 @@ def check_symbols(
             yield problem
 
 
+def _definitions_with(model: ModelDeclaration, symbols: Collection[str]) -> set[str]:
+    """Give the definitions that contain one of some symbols, by way of other definitions too."""
+    found: set[str] = set()
+    grown = True
+    while grown:
+        more = {
+            name
+            for name, expression in model.definitions.items()
+            if any(symbol in symbols or symbol in found for symbol in expression.symbols)
+        }
+        grown, found = more != found, more
+    return found
+
+
 def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that the parts of a model fit together: as many equations as coordinates, or one Lagrangian."""
     count, wanted = len(model.motion), len(model.coordinates)
     if model.terms:
         mend = "add to the equations themselves, or extend another model"
-        yield model.key_problem("terms", "terms are only for a model that extends another", mend)
+        yield problem_at(model, "terms", "terms are only for a model that extends another", mend, at_key=True)
     yield from _counted_states(model)
     if model.lagrangian is not None:
         if count:
-            yield model.key_problem("equations", "a model has equations or a lagrangian, not both")
+            yield problem_at(model, "equations", "a model has equations or a lagrangian, not both", at_key=True)
         if not wanted:
-            yield model.key_problem("lagrangian", "a lagrangian needs coordinates")
+            yield problem_at(model, "lagrangian", "a lagrangian needs coordinates", at_key=True)
         return
     for part in ("dissipation", "forces"):
         if getattr(model, part):
-            yield model.key_problem(part, f"{part} stands only with a lagrangian", "write it into the equations")
+            message = f"{part} stands only with a lagrangian"
+            yield problem_at(model, part, message, "write it into the equations", at_key=True)
     if not wanted:
         if count:
-            yield model.key_problem("equations", "equations need coordinates")
+            yield problem_at(model, "equations", "equations need coordinates", at_key=True)
         if not model.outputs and not model.states:
-            yield model.problem("", "a model without coordinates needs outputs")
+            yield problem_at(model, "", "a model without coordinates needs outputs")
         return
     if not count:
-        yield model.key_problem("coordinates", "coordinates need equations or a lagrangian")
+        yield problem_at(model, "coordinates", "coordinates need equations or a lagrangian", at_key=True)
         return
     yield from _counted(model)
 
 
 def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
-    seen: set[str] = set()
+    """Check that every internal state has one equation."""
+    found: set[str] = set()
     for left in model.equations:
         name = model.state_of(left)
-        if name in seen:
+        if name in found:
             message = f"the internal state '{name}' has two equations"
-            yield model.key_problem(f"equations.{left.text}", message, "remove one of them")
-        seen |= {name} if name else set()
+            yield problem_at(model, f"equations.{left.text}", message, "remove one of them", at_key=True)
+        found |= {name} if name else set()
     for name in model.states:
-        if name not in seen:
+        if name not in found:
             message = f"the internal state '{name}' has no equation"
-            yield model.key_problem(f"states.{name}", message, f"write {name}': ... under equations")
+            yield problem_at(model, f"states.{name}", message, f"write {name}': ... under equations", at_key=True)
 
 
 def _elements(model: ModelDeclaration) -> Iterator[Problem]:
@@ -254,17 +288,17 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
         moving = {*model.coordinates, *model.states, *model.inputs}
         if not motions(element):
             path, message = f"elements.{name}", "an element needs a displacement, or a rate"
-            yield model.key_problem(path, message, "write how far it is stretched, such as x1 - x3")
+            yield problem_at(model, path, message, "write how far it is stretched, such as x1 - x3", at_key=True)
         for part in ("displacement", "rate"):
             moved = getattr(element, part)
             if moved is not None and not moved.names & moving:
                 kinds = [k for k, n in (("a state", model.states), ("an input", model.inputs)) if n]
                 kinds = ["a coordinate", *(kinds if not model.coordinates else ())]
                 path, message = f"elements.{name}.{part}", f"a {part} must contain {_joined(kinds, 'or')}"
-                yield model.problem(path, message, "write the difference of two, such as x1 - x3")
+                yield problem_at(model, path, message, "write the difference of two, such as x1 - x3")
         if not element.acts:
             path, message = f"elements.{name}.acts", "an element acts on at least one coordinate"
-            yield model.problem(path, message, "write {x1: -1, x3: 1}")
+            yield problem_at(model, path, message, "write {x1: -1, x3: 1}")
         for coordinate in element.acts:
             if model.lagrangian is None and coordinate in model.coordinates and not equation_of(model, coordinate):
                 yield no_equation(model, coordinate, f"elements.{name}.acts.{coordinate}")
@@ -273,46 +307,60 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
 def _events(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that every event has a condition that changes, and jumps of states."""
     states = [*model.coordinates, *velocities(model.coordinates), *model.states]
-    moving, driven = [*states, *model.definitions, "t"], definitions.holding(model.inputs, model.definitions)
+    moving, driven = [*states, *model.definitions, "t"], _definitions_with(model, model.inputs)
     for name, event in model.events.items():
         for part, message, mend in event.problems(states, moving):
-            described = model.key_problem if part.startswith("jumps.") else model.problem
-            yield described(f"events.{name}.{part}", message, mend)
+            yield problem_at(model, f"events.{name}.{part}", message, mend, at_key=part.startswith("jumps."))
         for _, expression in event.formulas:
             for symbol in sorted(expression.symbols & driven):
                 message = f"'{symbol}' contains an input, which an event may not contain"
                 mend = "write the condition in terms of the motion, or give the model a state that follows the input"
                 yield expression.problem(expression.first(symbol), message, mend)
     if model.events and any(delayed(model)):
-        yield model.key_problem("events", "a model has events or delays, not both", "leave one of them out")
+        mend = "leave one of them out"
+        yield problem_at(model, "events", "a model has events or delays, not both", mend, at_key=True)
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
-    """Problem of a coordinate that has no equation of motion of its own, so that no force can act on it.
+    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it.
 
     Args:
         model: with the equations.
         coordinate: on which a force is to act.
         path: where that is written.
     """
+    message = f"no equation has {coordinate}'' and no other acceleration on its left side"
     mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
-    return model.key_problem(path, f"no equation has {coordinate}'' and no other acceleration on its left side", mend)
+    return problem_at(model, path, message, mend, at_key=True)
 
 
 def _counted(model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that the equations determine every acceleration."""
     count, wanted = len(model.motion), len(model.coordinates)
-    held = [definitions.inside(left.symbols | right.symbols, model.definitions) for left, right in model.motion.items()]
-    present = [[name for name in model.coordinates if f"{name}''" in symbols] for symbols in held]
+    present = [_accelerations_in(model, sides) for sides in model.motion.items()]
     missing = [name for name in model.coordinates if not any(name in found for found in present)]
     if count == wanted:
         yield from _determined(model, present)
         return
     for name in missing:
         message = f"no equation contains {name}''"
-        yield model.key_problem(f"coordinates.{name}", message, f"write {name}'': ... under equations")
+        yield problem_at(model, f"coordinates.{name}", message, f"write {name}'': ... under equations", at_key=True)
     if not (missing and count < wanted):
         few = "too few" if count < wanted else "too many"
-        yield model.key_problem("equations", f"{count} equations for {wanted} coordinates are {few}")
+        yield problem_at(model, "equations", f"{count} equations for {wanted} coordinates are {few}", at_key=True)
+
+
+def _accelerations_in(model: ModelDeclaration, sides: Iterable[Expression]) -> list[str]:
+    """List the coordinates whose accelerations an equation contains, in its definitions too."""
+    pending = sorted(set().union(*(side.symbols for side in sides)))
+    found, seen = set(), set(pending)
+    while pending:
+        symbol = pending.pop()
+        found.add(symbol)
+        inside = model.definitions[symbol].symbols - seen if symbol in model.definitions else frozenset()
+        seen |= inside
+        pending += sorted(inside)
+    return [name for name in model.coordinates if f"{name}''" in found]
 
 
 def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> Iterator[Problem]:
@@ -333,7 +381,7 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
             mend = f"one of these must contain {never}"
         else:
             message, mend = f"the equation contains no acceleration, and none determines {never}", f"write {never}: ..."
-        yield model.key_problem(f"equations.{lefts[equations[-1]].text}", message, mend)
+        yield problem_at(model, f"equations.{lefts[equations[-1]].text}", message, mend, at_key=True)
 
 
 def _matched(equation: int, present: Sequence[Collection[str]], owner: dict[str, int]) -> list[int]:
@@ -367,11 +415,13 @@ def _unused(model: ModelDeclaration) -> Iterator[Problem]:
     for section, what in (("parameters", "parameter"), ("definitions", "definition"), ("inputs", "input")):
         for name in getattr(model, section):
             if name not in used:
-                yield model.key_problem(f"{section}.{name}", f"the {what} '{name}' is not used", "remove it or use it")
+                yield problem_at(
+                    model, f"{section}.{name}", f"the {what} '{name}' is not used", "remove it or use it", at_key=True
+                )
 
 
 def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Expression]) -> Iterator[Problem]:
-    """Problem of each cycle of names that share none, at the first of them."""
+    """Yield one problem for each cycle of names that share none, at the first of them."""
     uses = {name: sorted(expression.names & expressions.keys()) for name, expression in expressions.items()}
     while True:
         try:
@@ -380,22 +430,24 @@ def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Exp
             loop = error.args[1][:0:-1]  # graphlib names what is used before what uses it
         first = min(loop, key=[*uses].index)
         turned = [*loop[loop.index(first) :], *loop[: loop.index(first)]]
-        yield model.key_problem(f"{section}.{first}", f"defined by itself: {' -> '.join([*turned, first])}")
+        message = f"defined by itself: {' -> '.join([*turned, first])}"
+        yield problem_at(model, f"{section}.{first}", message, at_key=True)
         uses = {name: used for name, used in uses.items() if name not in loop}
 
 
 def _large(model: ModelDeclaration) -> Iterator[Problem]:
-    for path, size in definitions.oversized(formulas(model), model.definitions):
+    for path, size in expansion_size.oversized(formulas(model), model.definitions):
+        message = f"with its definitions written out it has {size} operations and operands"
         mend = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
-        yield model.problem(path, f"with its definitions written out it has {size} operations and operands", mend)
+        yield problem_at(model, path, message, mend)
 
 
 def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:
-    """Values of the parameters, as far as they can be computed, and their problems."""
+    """Give the values that can be found, and everything that is wrong with them."""
     problems: list[Problem] = []
     for name in overrides:
         if name not in model.parameters:
-            problems.append(model.problem("parameters", f"no parameter '{name}'", nearest(name, model.parameters)))
+            problems.append(problem_at(model, "parameters", f"no parameter '{name}'", nearest(name, model.parameters)))
     formulas = {
         name: parameter.value
         for name, parameter in model.parameters.items()
@@ -427,7 +479,7 @@ def _is_coherent(unit: str) -> bool:
 def bounded(
     declaration: Declaration, path: str, shown: str, value: float | None, bounds: tuple[float | None, float | None]
 ) -> Iterator[Problem]:
-    """Problems of the bounds of a parameter, and of a value outside of them.
+    """Check the bounds of a parameter, and that its value lies within them.
 
     Args:
         declaration: that holds the parameter.
@@ -438,10 +490,11 @@ def bounded(
     """
     low, high = bounds
     if value is not None and not math.isfinite(value):
-        yield declaration.problem(f"{path}.value", f"{shown} is not finite")
+        yield problem_at(declaration, f"{path}.value", f"{shown} is not finite")
     elif low is not None and high is not None and low > high:
-        yield declaration.problem(f"{path}.bounds", f"the lower bound {low:g} is above the upper bound {high:g}")
+        message = f"the lower bound {low:g} is above the upper bound {high:g}"
+        yield problem_at(declaration, f"{path}.bounds", message)
     elif value is not None and low is not None and value < low:
-        yield declaration.problem(f"{path}.value", f"{shown} is below its lower bound {low:g}")
+        yield problem_at(declaration, f"{path}.value", f"{shown} is below its lower bound {low:g}")
     elif value is not None and high is not None and value > high:
-        yield declaration.problem(f"{path}.value", f"{shown} is above its upper bound {high:g}")
+        yield problem_at(declaration, f"{path}.value", f"{shown} is above its upper bound {high:g}")

@@ -35,12 +35,12 @@ class Part:
     model: ModelDeclaration
 
     def called(self, name: str) -> str:
-        """Name in the whole."""
+        """Return what one of its names is in the whole."""
         return f"{self.name}_{name}"
 
     @property
     def names(self) -> dict[str, str]:
-        """Names in the whole by those in its expressions, derivatives included."""
+        """Return what each name in its expressions is in the whole, derivatives included."""
         own = {name for section in _NAMED for name in getattr(self.model, section)}
         own |= {*self.plant.actuators, *self.plant.sensors}
         return {name + primes: self.called(name) + primes for name in own for primes in ("", "'", "''")}
@@ -65,89 +65,67 @@ def compose(parts: Iterable[Part]) -> tuple[PlantDeclaration, ModelDeclaration]:
     return whole.with_dictionaries(*own.values()), made
 
 
-def _as_it_is(part: Part, entry: Any) -> Any:  # noqa: ANN401
-    return entry
-
-
-def _with(key: str) -> Callable[[Part, Any], Any]:
-
-    def change(part: Part, entry: Any) -> Any:  # noqa: ANN401
-        return {**entry, key: part.written(entry[key])} if key in entry else entry
-
-    return change
-
-
-def _element(part: Part, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Element; its own force is over its displacement `d` and rate, which keep their names."""
-    changed = dict(entry)
-    for key in {"displacement", "rate"} & changed.keys():
-        changed[key] = part.written(changed[key])
-    if "force" in changed:
-        own = {name: whole for name, whole in part.names.items() if name not in {"d", "d_rate"}}
-        changed["force"] = Expression(changed["force"]).renamed(own)
-    changed["acts"] = {part.called(name): part.written(text) for name, text in changed.get("acts", {}).items()}
-    return changed
-
-
-# How the entries of each section change in the whole.
-_OF_MODEL: Mapping[str, Callable[[Part, Any], Any]] = {
-    "coordinates": _as_it_is,
-    "states": _with("size"),
-    "inputs": _as_it_is,
-    "parameters": _with("value"),
-    "outputs": _with("expression"),
-    "definitions": Part.written,
-    "elements": _element,
-    "forces": Part.written,
-}
-_OF_PLANT: Mapping[str, Callable[[Part, Any], Any]] = {
-    "parameters": _as_it_is,
-    "sensors": _with("measures"),
-    "actuators": _as_it_is,
-    "allocation": Part.written,
-}
-
-
 def _model(parts: list[Part]) -> dict[str, Any]:
+    """Models as one."""
     all_data = {part.name: part.model.canonical() for part in parts}
-    model: dict[str, Any] = {"name": _title(parts, lambda part: part.model.name)}
-    model |= {section: _joined(parts, section, all_data, change) for section, change in _OF_MODEL.items()}
-    model["equations"] = {
-        part.written(left): part.written(right)
-        for part in parts
-        for left, right in all_data[part.name].get("equations", {}).items()
+    made: dict[str, Any] = {"name": _title(parts, lambda part: part.model.name)}
+    sections: dict[str, Callable[[Part, Any], Any]] = {
+        "coordinates": lambda part, entry: entry,
+        "states": lambda part, entry: {**entry, **({"size": part.written(entry["size"])} if "size" in entry else {})},
+        "inputs": lambda part, entry: entry,
+        "parameters": _with("value"),
+        "outputs": _with("expression"),
+        "definitions": lambda part, text: part.written(text),
+        "elements": _element,
+        "forces": lambda part, text: part.written(text),
     }
+    for section, change in sections.items():
+        made[section] = _joined(parts, section, {n: data.get(section, {}) for n, data in all_data.items()}, change)
+    equations = {}
+    for part in parts:
+        for left, right in all_data[part.name].get("equations", {}).items():
+            equations[part.written(left)] = part.written(right)
+    made["equations"] = equations
     _check_kind(parts)
     for key in _SUMMED:
-        terms = [f"({part.written(data[key])})" for part in parts if key in (data := all_data[part.name])]
-        if terms and (key == "dissipation" or len(terms) == len(parts)):
-            model[key] = " + ".join(terms)
-    model["scales"] = _shared(parts, "scales", [data.get("scales", {}) for data in all_data.values()])
-    model["scales"] = {key: _with("value")(parts[0], scale) for key, scale in model["scales"].items()}
+        given = [(part, data[key]) for part in parts if key in (data := all_data[part.name])]
+        if given and (key == "dissipation" or len(given) == len(parts)):
+            made[key] = " + ".join(f"({part.written(text)})" for part, text in given)
+    made["scales"] = _shared(parts, "scales", [data.get("scales", {}) for data in all_data.values()])
+    made["scales"] = {key: _with("value")(parts[0], scale) for key, scale in made["scales"].items()}
     if any(part.model.oscillators for part in parts):
         own = [(part, part.model.oscillators or part.model.coordinates) for part in parts]
-        model["oscillators"] = [part.called(name) for part, names in own for name in names]
-    return {key: value for key, value in model.items() if value}
+        made["oscillators"] = [part.called(name) for part, names in own for name in names]
+    return {key: value for key, value in made.items() if value}
 
 
 def _plant(parts: list[Part]) -> dict[str, Any]:
+    """Plants as one, beside their models."""
     all_data = {part.name: part.plant.canonical() for part in parts}
-    plant: dict[str, Any] = {"name": _title(parts, lambda part: part.plant.name), "model": " + ".join(all_data)}
-    plant |= {section: _joined(parts, section, all_data, change) for section, change in _OF_PLANT.items()}
+    made: dict[str, Any] = {"name": _title(parts, lambda part: part.plant.name), "model": " + ".join(all_data)}
+    sections: dict[str, Callable[[Part, Any], Any]] = {
+        "parameters": lambda part, value: value,
+        "sensors": _with("measures"),
+        "actuators": lambda part, entry: entry,
+        "allocation": lambda part, text: part.written(text),
+    }
+    for section, change in sections.items():
+        made[section] = _joined(parts, section, {n: data.get(section, {}) for n, data in all_data.items()}, change)
     _check_actuators(parts)
     limits = {name: data.get("limits", {}) for name, data in all_data.items()}
-    plant["limits"] = {"inputs": _joined(parts, "inputs", limits, _as_it_is, "limits.inputs")}
+    inputs = _joined(parts, "limits.inputs", {n: x.get("inputs", {}) for n, x in limits.items()}, lambda _, x: x)
+    made["limits"] = {"inputs": inputs}
     for key in ("coordinates", "velocities"):
-        plant["limits"][key] = {
+        made["limits"][key] = {
             part.written(text): limit for part in parts for text, limit in limits[part.name].get(key, {}).items()
         }
     shared = _shared(parts, "limits.power", [x.get("power") for x in limits.values()])
-    plant["limits"] |= {"power": shared} if shared else {}
+    made["limits"] |= {"power": shared} if shared else {}
     missed = [x["missed"] for x in limits.values() if "missed" in x]  # one loop, which is held to the least
-    plant["limits"] |= {"missed": min(missed)} if missed else {}
-    plant["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))
-    plant["effects"] = _effects(parts, {name: data.get("effects", {}) for name, data in all_data.items()})
-    return {key: value for key, value in plant.items() if value}
+    made["limits"] |= {"missed": min(missed)} if missed else {}
+    made["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))
+    made["effects"] = _effects(parts, {name: data.get("effects", {}) for name, data in all_data.items()})
+    return {key: value for key, value in made.items() if value}
 
 
 def _check_actuators(parts: list[Part]) -> None:
@@ -171,38 +149,59 @@ def _effects(parts: list[Part], given: Mapping[str, Mapping[str, Any]]) -> dict[
         return not entry.get("at")
 
     loop = [{name: entry for name, entry in given[part.name].items() if is_shared(entry)} for part in parts]
-    effects = dict(_shared(parts, "effects of the loop", loop))
+    made = dict(_shared(parts, "effects of the loop", loop))
     for part in parts:
         for name, entry in given[part.name].items():
             if is_shared(entry):
                 continue
             at = entry["at"] if isinstance(entry["at"], list | tuple) else [entry["at"]]
             own = {key: part.written(value) for key, value in entry.get("parameters", {}).items()}
-            effects[part.called(name)] = {**entry, "at": [part.called(place) for place in at], "parameters": own}
-    return effects
+            made[part.called(name)] = {**entry, "at": [part.called(place) for place in at], "parameters": own}
+    return made
+
+
+def _with(key: str) -> Callable[[Part, Any], Any]:
+    """Change of an entry that holds one expression."""
+
+    def change(part: Part, entry: Any) -> Any:  # noqa: ANN401
+        return {**entry, key: part.written(entry[key])}
+
+    return change
+
+
+def _element(part: Part, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Element; its own force is over its displacement `d` and rate, which keep their names."""
+    made = dict(entry)
+    for key in {"displacement", "rate"} & made.keys():
+        made[key] = part.written(made[key])
+    if "force" in made:
+        own = {name: whole for name, whole in part.names.items() if name not in {"d", "d_rate"}}
+        made["force"] = Expression(made["force"]).renamed(own)
+    made["acts"] = {part.called(name): part.written(text) for name, text in made.get("acts", {}).items()}
+    return made
 
 
 def _joined(
-    parts: list[Part], section: str, data: Mapping[str, Any], change: Callable[[Part, Any], Any], path: str = ""
+    parts: list[Part], section: str, given: Mapping[str, Mapping[str, Any]], change: Callable[[Part, Any], Any]
 ) -> dict[str, Any]:
-    """Section with the entries of all parts, whose data are by their names.
+    """Section with the entries of all parts.
 
     Raises:
         DeclarationError: a name of one part is that of another.
     """
-    joined: dict[str, Any] = {}
+    made: dict[str, Any] = {}
     for part in parts:
-        for name, entry in data[part.name].get(section, {}).items():
+        for name, entry in given[part.name].items():
             whole = part.called(name)
-            if whole in joined:
-                message = f"{path or section}: '{whole}' of {part.name} is also that of another plant"
+            if whole in made:
+                message = f"{section}: '{whole}' of {part.name} is also that of another plant"
                 raise DeclarationError(Problem(None, f"plants.{part.name}", message, "give the plants other names"))
-            joined[whole] = change(part, entry)
-    return joined
+            made[whole] = change(part, entry)
+    return made
 
 
 def _shared(parts: list[Part], what: str, given: list[Any]) -> Any:  # noqa: ANN401
-    """Value that all parts share.
+    """Return what is the same in all parts.
 
     Raises:
         DeclarationError: it is not.

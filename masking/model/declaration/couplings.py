@@ -2,37 +2,36 @@
 
 from __future__ import annotations
 
-from masking.model.declaration.definitions import holding, inside
 from masking.model.declaration.differentiate import rate_of
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Element, ModelDeclaration
 
 
 def acted_on(model: ModelDeclaration) -> set[str]:
-    """Names of the coordinates, internal states and outputs that elements act on."""
+    """Give the names of the coordinates, internal states and outputs that elements act on."""
     return {name for element in model.elements.values() for name in element.acts}
 
 
 def driven_states(model: ModelDeclaration) -> tuple[str, ...]:
-    """Internal states that forces act on: those of elements, or all of a model of nothing but states."""
+    """Give the internal states that forces act on: those of elements, or all of a model of nothing but states."""
     if not model.coordinates and not model.elements:
         return tuple(model.states)
     return tuple(name for name in model.states if name in acted_on(model))
 
 
 def driven_outputs(model: ModelDeclaration) -> tuple[str, ...]:
-    """Outputs that elements act on, such as the force of a component on a test bench."""
+    """Give the outputs that elements act on, such as the force of a component on a test bench."""
     others = {*model.coordinates, *model.states}
     return tuple(name for name in model.outputs if name in acted_on(model) - others)
 
 
 def motions(element: Element) -> tuple[Expression, ...]:
-    """Displacement and rate of an element, as far as it has them."""
+    """Give what an element follows: displacement and rate, as far as it has them."""
     return tuple(x for x in (element.displacement, element.rate) if x is not None)
 
 
 def measured_inputs(model: ModelDeclaration) -> tuple[str, ...]:
-    """Inputs that elements follow: a motion that was measured, where others are commands.
+    """Give the inputs that elements follow: a motion that was measured, where others are commands.
 
     What acts on coordinates and follows no motion but inputs, without a rate, is a force of commands.
     """
@@ -56,12 +55,15 @@ def has_own_force(model: ModelDeclaration, element: Element) -> bool:
     """Whether an element declares a force that follows nothing but its own motion."""
     if element.force is None:
         return False
-    held = inside(element.force.names & model.definitions.keys(), model.definitions)
-    return {symbol.rstrip("'") for symbol in held}.isdisjoint({*model.coordinates, *model.inputs, "t"})
+    seen, pending = set[str](), {*element.force.names} & {*model.definitions}
+    while pending:
+        seen |= pending
+        pending = set().union(*(model.definitions[name].names for name in pending)) & {*model.definitions} - seen
+    return not set().union(*(model.definitions[name].names for name in seen)) & {*model.coordinates, *model.inputs, "t"}
 
 
 def motion_rate(model: ModelDeclaration, element: Element) -> Expression | None:
-    """Rate of an element: as declared, or from its displacement of coordinates; None if unknown."""
+    """Give how fast an element is stretched: as declared, or from its displacement of coordinates; None if unknown."""
     if element.rate is not None or element.displacement is None or not has_rate(model, element):
         return element.rate
     return Expression(rate_of(element.displacement, model.coordinates))
@@ -86,12 +88,16 @@ def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
 
 
 def fed_outputs(model: ModelDeclaration) -> tuple[str, ...]:
-    """Outputs that inputs or forces change at once."""
+    """Give the outputs that inputs or forces change at once."""
     direct, driven = _fed_names(model), driven_outputs(model)
     return tuple(n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct)
 
 
 def _fed_names(model: ModelDeclaration) -> set[str]:
-    """Inputs, accelerations, and the definitions that hold them."""
+    """Give inputs, accelerations, and the definitions that hold them."""
     direct = {*model.inputs, *(f"{name}''" for name in model.coordinates)}
-    return direct | holding(direct, model.definitions)
+    grown = True
+    while grown:  # through definitions of definitions
+        more = {name for name, expression in model.definitions.items() if expression.symbols & direct} - direct
+        grown, direct = bool(more), direct | more
+    return direct

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 from masking.errors import Problem, nearest
 from masking.model.declaration import driven_coordinates
@@ -13,14 +11,17 @@ from masking.model.declaration.checks import (
     beyond_ordinary,
     check_symbols,
     parameter_values,
+    problem_at,
     velocities,
 )
 from masking.model.declaration.couplings import is_commanded
+from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import (
     Declaration,
     ExperimentDeclaration,
     ModelDeclaration,
     PlantDeclaration,
+    Transform,
 )
 
 LARGEST_RECORDING = 2**31  # bytes of one that is in memory
@@ -29,26 +30,29 @@ _PROPOSED_DIVISORS = (1, 2, 4, 5, 10)
 
 
 def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
-    """Problems of a plant that does not fit its model."""
+    """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
     for what in beyond_ordinary(model):
         mend = "only models that are simulated by themselves, and virtual systems, do"
-        problems.append(plant.problem("model", f"the model {model.name} has {what}", mend))
+        problems.append(problem_at(plant, "model", f"the model {model.name} has {what}", mend))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
     further = (*accelerations(model.coordinates), *model.states, *model.inputs, *model.outputs)
     seen = [*measurable, *(name for name in further if name not in measurable)]
     for name, sensor in plant.sensors.items():
         if sensor.gain.value == 0.0:
-            problems.append(plant.problem(f"sensors.{name}.gain", "the gain is 0"))
+            problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))
         problems += check_symbols(sensor.measures, seen, model.coordinates)
         if sensor.range is not None and not sensor.range[0] < sensor.range[1]:
             message = f"the range is {list(sensor.range)}"
             problems.append(
-                plant.problem(f"sensors.{name}.range", message, "write [least, largest], such as [-10, 10]")
+                problem_at(plant, f"sensors.{name}.range", message, "write [least, largest], such as [-10, 10]")
             )
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
-    problems += plant.unknown_keys("limits.inputs", plant.limits.inputs, channels, owner)
+    for name in plant.limits.inputs:
+        if name not in channels:
+            path, message = f"limits.inputs.{name}", f"'{name}' is not {owner}"
+            problems.append(problem_at(plant, path, message, nearest(name, channels), at_key=True))
     problems += _allocation(plant, model)
     for expression in plant.limits.coordinates:
         problems += check_symbols(expression, measurable, model.coordinates)
@@ -57,31 +61,35 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
         problems += check_symbols(expression, positions, model.coordinates)
     if plant.limits.missed is not None and plant.limits.missed > 1.0:
         message = f"missed is a share of the samples, not {plant.limits.missed:g}"
-        problems.append(plant.problem("limits.missed", message, "write a number up to 1, such as 0.05"))
+        problems.append(problem_at(plant, "limits.missed", message, "write a number up to 1, such as 0.05"))
     return problems
 
 
 def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
     """Check that actuators are wired to every input of the model, and to nothing else."""
     if plant.allocation and not plant.actuators:
-        yield plant.key_problem("allocation", "an allocation needs actuators", "declare them under actuators")
+        yield problem_at(
+            plant, "allocation", "an allocation needs actuators", "declare them under actuators", at_key=True
+        )
         return
     for name in plant.actuators:
         if name in model.parameters:
             message = f"the name '{name}' is already a parameter of {model.name}"
-            yield plant.key_problem(f"actuators.{name}", message, "rename it")
-    yield from plant.unknown_keys("allocation", plant.allocation, model.inputs, f"an input of {model.name}")
-    for expression in plant.allocation.values():
+            yield problem_at(plant, f"actuators.{name}", message, "rename it", at_key=True)
+    for name, expression in plant.allocation.items():
+        if name not in model.inputs:
+            path, message = f"allocation.{name}", f"'{name}' is not an input of {model.name}"
+            yield problem_at(plant, path, message, nearest(name, model.inputs), at_key=True)
         yield from check_symbols(expression, [*plant.actuators, *model.parameters], ())
     for name in model.inputs if plant.actuators else ():
         if name not in plant.allocation:
             mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            yield plant.key_problem("allocation", f"nothing is allocated to the input {name}", mend)
+            yield problem_at(plant, "allocation", f"nothing is allocated to the input {name}", mend, at_key=True)
     used = set().union(*(expression.names for expression in plant.allocation.values()))
     for name in plant.actuators:
         if plant.allocation and name not in used:
             message = f"the actuator '{name}' is wired to nothing"
-            yield plant.key_problem(f"actuators.{name}", message, "remove it or wire it")
+            yield problem_at(plant, f"actuators.{name}", message, "remove it or wire it", at_key=True)
 
 
 def check_experiment(
@@ -91,7 +99,7 @@ def check_experiment(
     virtual_model: ModelDeclaration,
     believed_model: ModelDeclaration | None = None,
 ) -> list[Problem]:
-    """Problems where an experiment, its plant and its models meet.
+    """List what does not fit where an experiment, its plant and its models meet.
 
     Args:
         experiment: what is checked.
@@ -111,15 +119,15 @@ def check_experiment(
     if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
         message = f"the model {virtual_model.name} has no energy to balance"
         mend = "declare its energy or a lagrangian, or leave energy_balance out"
-        problems.append(experiment.key_problem("controller.energy_balance", message, mend))
+        problems.append(problem_at(experiment, "controller.energy_balance", message, mend, at_key=True))
     problems += _record(experiment)
     problems += _stop(experiment, virtual_model)
     problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
     problems += _loop(experiment, plant, plant_model)
     if not virtual_model.coordinates:
-        problems.append(experiment.problem("virtual", f"the model {virtual_model.name} has no coordinates"))
+        problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
     if not plant_model.inputs:
-        problems.append(experiment.problem("plant", f"the model {plant_model.name} of the plant has no inputs"))
+        problems.append(problem_at(experiment, "plant", f"the model {plant_model.name} of the plant has no inputs"))
     return problems
 
 
@@ -134,15 +142,15 @@ def _jumps(
                 f"in the event '{name}' of {virtual.name}, {', '.join(moved)} jumps, and no force makes a rig jump"
             )
             mend = "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
-            yield experiment.problem("virtual", message, mend)
+            yield problem_at(experiment, "virtual", message, mend)
     if experiment.controller.model is not None and believed is not None:
         for what in beyond_ordinary(believed):
             message, mend = f"the model {believed.name} has {what}", "take a model of the rig without"
-            yield experiment.problem("controller.model", message, mend)
+            yield problem_at(experiment, "controller.model", message, mend)
 
 
 def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per_unit: float) -> float:
-    """Number of rows of an experiment's recording.
+    """Give the rows of an experiment's recording.
 
     Args:
         experiment: the declaration.
@@ -154,7 +162,7 @@ def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per
 
 
 def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
-    """Number of columns of a recording: time, positions and velocities of rig, virtual system and ideal, and inputs."""
+    """Give the columns of a recording: time, positions and velocities of rig, virtual system and ideal, and inputs."""
     moving = len(rig.coordinates) + 2 * len(virtual.coordinates) + len(virtual.states)
     return 1 + 2 * moving + len(rig.inputs)
 
@@ -162,7 +170,7 @@ def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
 def check_size(
     experiment: ExperimentDeclaration, rows: float, columns: int, largest: float = LARGEST_RECORDING
 ) -> list[Problem]:
-    """Problem of a duration whose recording, of 8 bytes a number, would be too large.
+    """Refuse a duration whose recording, of 8 bytes a number, would be too large.
 
     Args:
         experiment: what is recorded.
@@ -175,11 +183,11 @@ def check_size(
         return []
     message = f"{_short(experiment.duration)} units are {_short(rows)} rows, {_short(size / 2**30)} GiB"
     mend = "shorten duration or " + ("lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'")
-    return [experiment.problem("duration", message, mend)]
+    return [problem_at(experiment, "duration", message, mend)]
 
 
 def _short(number: float) -> str:
-    """Number in two or three digits: 373, 5.5e10."""
+    """Write a number in two or three digits: 373, 5.5e10."""
     if number < 1000.0:
         return f"{number:.3g}"
     digits, _, exponent = f"{number:.1e}".partition("e")
@@ -191,15 +199,16 @@ def _loop(experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: Model
     if not rig.coordinates:
         message = f"the model {rig.name} of the plant has no coordinates: there is no motion to close a loop around"
         mend = "choose a rig; what such a model is missing is found by 'masking discover', from a record"
-        yield experiment.problem("plant", message, mend)
+        yield problem_at(experiment, "plant", message, mend)
     for name, sensor in plant.sensors.items():
         if rig.coordinates and is_commanded(rig, sensor.measures):
             message = f"the sensor {name} reads {sensor.measures}, which a command changes at once"
             mend = "a controller reads before it commands; leave this sensor out of the plant"
-            yield plant.problem(f"sensors.{name}", message, mend)
+            yield problem_at(plant, f"sensors.{name}", message, mend)
 
 
 def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:
+    """Check that a recording takes whole samples of the controller."""
     rate = experiment.controller.rate
     if rate is None or experiment.record is None:
         return
@@ -207,7 +216,7 @@ def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         message = f"{_hertz(experiment.record.rate)} does not divide the controller's rate of {_hertz(rate)}"
         allowed = ", ".join(_hertz(rate / divisor) for divisor in _PROPOSED_DIVISORS)
-        yield experiment.problem("record.rate", message, f"allowed: {allowed}, ...")
+        yield problem_at(experiment, "record.rate", message, f"allowed: {allowed}, ...")
 
 
 def _stop(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
@@ -218,17 +227,17 @@ def _stop(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterato
     for i, name in enumerate(wanted.of):
         if name not in model.coordinates:
             message = f"'{name}' is not a coordinate of {model.name}"
-            yield experiment.problem(f"stop.of.{i}", message, nearest(name, model.coordinates))
+            yield problem_at(experiment, f"stop.of.{i}", message, nearest(name, model.coordinates))
     two = wanted.of or model.oscillators or tuple(model.coordinates)
     if (wanted.of and len(wanted.of) != 2) or len(two) < 2 or two[0] == two[1]:
         message = f"two coordinates synchronise, not {', '.join(two) or 'none'}"
-        yield experiment.key_problem("stop", message, "name two, such as 'of: [x1, x2]'")
+        yield problem_at(experiment, "stop", message, "name two, such as 'of: [x1, x2]'", at_key=True)
     limits = {"eps": (wanted.eps, wanted.eps < 1.0, "less than 1: it is a part of the amplitude")}
     limits["false_alarm"] = (wanted.false_alarm, wanted.false_alarm < 1.0, "less than 1: it is a probability")
     limits["memory"] = (wanted.memory, wanted.memory >= 0.5, "at least 0.5 periods")
     for name, (value, is_allowed, words) in limits.items():
         if not is_allowed:
-            yield experiment.problem(f"stop.{name}", f"must be {words}, not {value:g}")
+            yield problem_at(experiment, f"stop.{name}", f"must be {words}, not {value:g}")
 
 
 def _hertz(rate: float) -> str:
@@ -242,19 +251,23 @@ def _overrides(
     declaration: Declaration, section: str, overrides: Mapping[str, float], model: ModelDeclaration
 ) -> Iterator[Problem]:
     known = {name: value for name, value in overrides.items() if name in model.parameters}
-    yield from declaration.unknown_keys(section, overrides, model.parameters, f"a parameter of {model.name}")
+    for name in overrides.keys() - known.keys():
+        path, message = f"{section}.{name}", f"'{name}' is not a parameter of {model.name}"
+        yield problem_at(declaration, path, message, nearest(name, model.parameters), at_key=True)
     for problem in parameter_values(model, known)[1]:
         name = problem.path.split(".")[1] if "." in problem.path else ""
         path = f"{section}.{name}"
-        yield replace(problem, place=declaration.place(path), path=path) if name in known else problem
+        place = declaration.place(path) if name in known else problem.place
+        yield Problem(place, path if name in known else problem.path, problem.message, problem.mend, problem.excerpt)
 
 
 def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iterator[Problem]:
     for section, changes in (("effects", experiment.effects), ("controller.effects", experiment.controller.effects)):
         for name in changes:
             if name not in plant.effects:
+                message = f"'{name}' is not an effect of {plant.name}"
                 mend = nearest(name, plant.effects) if plant.effects else "it declares none"
-                yield experiment.key_problem(f"{section}.{name}", f"'{name}' is not an effect of {plant.name}", mend)
+                yield problem_at(experiment, f"{section}.{name}", message, mend, at_key=True)
 
 
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -263,16 +276,18 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     for name in ("observer", "homing", "effects", "rest", "energy_balance"):
         if settings.rate is None and getattr(settings, name):
             message = f"{name} is for a controller that runs at a rate"
-            yield experiment.key_problem(f"controller.{name}", message, "write 'rate: 1 kHz', or leave it out")
+            mend = "write 'rate: 1 kHz', or leave it out"
+            yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
     yield from _regulation(experiment)
     yield from _following(experiment)
     observer = settings.observer
     if observer is not None and observer.kind == "exact" and settings.homing is not None:
         message, mend = "an exact observer places the rig where it starts", "leave homing out, or take an observer"
-        yield experiment.key_problem("controller.homing", message, mend)
+        yield problem_at(experiment, "controller.homing", message, mend, at_key=True)
     if observer is not None and observer.order not in {1, 2}:
         message = f"{observer.order} is not an order of a disturbance"
-        yield experiment.problem("controller.observer.order", message, "allowed: 1 (a constant), 2 (a straight line)")
+        mend = "allowed: 1 (a constant), 2 (a straight line)"
+        yield problem_at(experiment, "controller.observer.order", message, mend)
 
 
 def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -282,10 +297,11 @@ def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     for name in ("rest", "energy_balance"):
         if getattr(settings, name) is not None and not has_model:
             message = f"{name} needs an observer that follows a model"
-            yield experiment.key_problem(f"controller.{name}", message, "take 'observer: disturbance', or leave it out")
+            mend = "take 'observer: disturbance', or leave it out"
+            yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
     if settings.rest is not None and settings.homing is None:
         message, mend = "offsets are measured before homing, and there is none", "write 'homing: 3', or leave rest out"
-        yield experiment.key_problem("controller.rest", message, mend)
+        yield problem_at(experiment, "controller.rest", message, mend, at_key=True)
 
 
 def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -295,12 +311,12 @@ def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
         return
     if wanted.energy is None and wanted.phase is None:
         message, mend = "nothing is regulated", "give 'energy: 0.02', 'phase: anti', or both; or leave it out"
-        yield experiment.key_problem("controller.regulate", message, mend)
+        yield problem_at(experiment, "controller.regulate", message, mend, at_key=True)
         return
     for name, needs, value in (("rate", "energy", wanted.energy), ("coupling", "phase", wanted.phase)):
         if value is None and name in wanted.model_fields_set:
             message, mend = f"{name} has no effect without {needs}", f"give {needs}, or leave {name} out"
-            yield experiment.key_problem(f"controller.regulate.{name}", message, mend)
+            yield problem_at(experiment, f"controller.regulate.{name}", message, mend, at_key=True)
 
 
 def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
@@ -311,15 +327,16 @@ def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: Mo
             what = ", nor an internal state" if model.states else ""
             what += f", nor a passive one of the rig ({', '.join(free)})" if free else ""
             message = f"'{name}' is not a coordinate of {model.name}, nor the velocity of one{what}"
-            yield experiment.key_problem(f"initial.{name}", message, nearest(name, allowed))
+            yield problem_at(experiment, f"initial.{name}", message, nearest(name, allowed), at_key=True)
         elif name.rstrip("'") in free and experiment.controller.homing is not None:
             message = f"{name.rstrip(chr(39))} is passive: homing cannot bring it to a value"
             mend = "leave it out: it begins as homing leaves it; or leave homing out, in a simulation"
-            yield experiment.key_problem(f"initial.{name}", message, mend)
+            yield problem_at(experiment, f"initial.{name}", message, mend, at_key=True)
     for name, coordinate in model.coordinates.items():
         if coordinate.initial is None and name not in experiment.initial:
+            message = f"no initial value for {name}"
             mend = f"give initial.{name} here or coordinates.{name}.initial in {model.name}"
-            yield experiment.key_problem("initial", f"no initial value for {name}", mend)
+            yield problem_at(experiment, "initial", message, mend, at_key=True)
 
 
 def _transform(
@@ -328,29 +345,38 @@ def _transform(
     transform, rows, columns = experiment.transform, len(virtual.coordinates), len(rig.coordinates)
     if rows > columns:
         message = f"{virtual.name} has {rows} coordinates and the rig {columns}"
-        yield experiment.problem("virtual", message, "a virtual system has at most as many as its rig")
+        yield problem_at(experiment, "virtual", message, "a virtual system has at most as many as its rig")
         return
     if transform.kind == "identity" and driven_coordinates.selected([*rig.coordinates], [*virtual.coordinates]) is None:
         message = f"the identity takes rig coordinates by name, and the rig has {', '.join(rig.coordinates)}"
         mend = f"say what {', '.join(virtual.coordinates)} are: 'transform: {{expressions: {{...}}}}', or a matrix"
-        yield experiment.problem("virtual", message, mend)
+        yield problem_at(experiment, "virtual", message, mend)
     if transform.matrix is not None and transform.expressions is not None:
-        yield experiment.problem("transform", "a transform is a matrix or expressions, not both")
+        yield problem_at(experiment, "transform", "a transform is a matrix or expressions, not both")
     used: set[str] = set()
-    for entry in (*itertools.chain(*(transform.matrix or ())), *(transform.expressions or {}).values()):
+    for entry in _entries(transform):
         used |= entry.names
         allowed = [*transform.parameters, *(rig.coordinates if transform.matrix is None else ())]
         yield from check_symbols(entry, allowed, rig.coordinates, known=[*rig.coordinates])
     if transform.matrix is not None and [len(row) for row in transform.matrix] != [columns] * rows:
-        yield experiment.problem("transform.matrix", f"the matrix must have {rows} rows of {columns} entries")
+        yield problem_at(experiment, "transform.matrix", f"the matrix must have {rows} rows of {columns} entries")
     if transform.expressions is not None:
         for name in virtual.coordinates.keys() - transform.expressions.keys():
-            yield experiment.key_problem("transform.expressions", f"no expression for {name}")
-        what = f"a coordinate of {virtual.name}"
-        yield from experiment.unknown_keys("transform.expressions", transform.expressions, virtual.coordinates, what)
+            yield problem_at(experiment, "transform.expressions", f"no expression for {name}", at_key=True)
+        for name in transform.expressions.keys() - virtual.coordinates.keys():
+            path, message = f"transform.expressions.{name}", f"'{name}' is not a coordinate of {virtual.name}"
+            yield problem_at(experiment, path, message, nearest(name, virtual.coordinates), at_key=True)
     for name in transform.parameters:
         path = f"transform.parameters.{name}"
         if name in rig.coordinates:
-            yield experiment.key_problem(path, f"the name '{name}' is already a coordinate of the rig")
+            yield problem_at(experiment, path, f"the name '{name}' is already a coordinate of the rig", at_key=True)
         if name not in used:
-            yield experiment.key_problem(path, f"the parameter '{name}' is not used", "remove it or use it")
+            yield problem_at(
+                experiment, path, f"the parameter '{name}' is not used", "remove it or use it", at_key=True
+            )
+
+
+def _entries(transform: Transform) -> Iterator[Expression]:
+    for row in transform.matrix or ():
+        yield from row
+    yield from (transform.expressions or {}).values()

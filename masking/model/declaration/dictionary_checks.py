@@ -9,15 +9,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
 
 from masking.errors import DeclarationError, Problem
-from masking.model.declaration.checks import bounded
-from masking.model.declaration.dimensions import dimension_in, unit_problems
+from masking.model.declaration.checks import bounded, problem_at
+from masking.model.declaration.dimensions import dimension_in, unit_problem
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import Step
 from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
-from masking.model.declaration.units import NONE, Dimension, describe, dimension_of, times
+from masking.model.declaration.units import NONE, Dimension, describe, dimension_of
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 MOST_PARAMETERS = 7
 MOST_STATES = 1
@@ -34,7 +42,7 @@ _UNITS = {
 
 
 def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Collection[str]) -> list[Problem]:
-    """Problems of a dictionary; of one that is not whole, only names and symbols.
+    """List everything that is wrong with a dictionary; of one that is not whole, only names and symbols.
 
     Args:
         declaration: that was read.
@@ -43,7 +51,7 @@ def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Coll
     """
     problems: list[Problem] = []
     if not declaration.dictionary:
-        problems.append(declaration.problem("dictionary", "the dictionary is empty", "declare an effect in it"))
+        problems.append(problem_at(declaration, "dictionary", "the dictionary is empty", "declare an effect in it"))
     for name, effect in declaration.dictionary.items():
         checker = _Checker(declaration, f"dictionary.{name}", effect)
         unknown = [*checker.symbols()]
@@ -60,23 +68,32 @@ def factors(effect: OwnEffect) -> tuple[str, ...]:
     with values to try are none.
     """
     held = set().union(*(state.rate.names for state in effect.states.values()))
-    names: list[str] = []
+    found: list[str] = []
     for name, parameter in effect.parameters.items():
         if parameter.value is None and not parameter.tried and name not in held:
-            degree, _ = _as_written(effect.expression, {*names, name})
-            names += [name] if degree <= 1.0 else []
-    _, rest = _as_written(effect.expression, names)
+            degree, _ = effect.expression.walk(_Factors({*found, name}))
+            found += [name] if degree <= 1.0 else []
+    _, rest = effect.expression.walk(_Factors(found))
     subject: object = {"sensor": "s", "actuator": "u"}.get(effect.where, 0.0)
-    return tuple(names) if rest == subject else ()
+    return tuple(found) if rest == subject else ()
 
 
 _Rest = float | str | None  # a number, a symbol, or anything else
 
 
-def _as_written(expression: Expression, factors: Collection[str]) -> tuple[float, _Rest]:
-    """Degree of an expression in some symbols, infinite where it is no polynomial, and its rest where they are 0."""
+@dataclass(frozen=True, slots=True)
+class _Factors:
+    """Reads an expression as written: its degree in some symbols, infinite if no polynomial, and its rest at 0."""
 
-    def apply(step: Step, args: Sequence[tuple[float, _Rest]]) -> tuple[float, _Rest]:
+    factors: Collection[str]
+
+    def number(self, step: Step) -> tuple[float, _Rest]:
+        return 0.0, None if step.value == "pi" else float(step.value)
+
+    def symbol(self, step: Step) -> tuple[float, _Rest]:
+        return (1.0, 0.0) if step.value in self.factors else (0.0, step.value)
+
+    def apply(self, step: Step, args: Sequence[tuple[float, _Rest]]) -> tuple[float, _Rest]:
         degrees, (_, a), (_, b) = [degree for degree, _ in args], args[0], args[-1]
         degree, rest = 0.0 if max(degrees) == 0.0 else math.inf, None
         match step.operation:
@@ -91,12 +108,6 @@ def _as_written(expression: Expression, factors: Collection[str]) -> tuple[float
                 degree = max(degrees) if degrees[0] == 0.0 else math.inf
                 rest = b if args[1][1] == b else None
         return degree, rest
-
-    return expression.walk(
-        lambda step: (0.0, step.number()),
-        lambda step: (1.0, 0.0) if step.value in factors else (0.0, step.value),
-        apply,
-    )
 
 
 def _sum(a: _Rest, b: _Rest, sign: str) -> _Rest:
@@ -114,7 +125,7 @@ def _product(a: _Rest, b: _Rest) -> _Rest:
 def _refusals(expression: Expression) -> tuple[Problem, ...]:
     """Problems of an expression that show once it is simplified, such as a division by x - x."""
     try:
-        expression.to_sympy()
+        expression.to_sympy({symbol: sp.Symbol(symbol, real=True) for symbol in expression.symbols})
     except DeclarationError as error:
         return error.problems
     return ()
@@ -134,17 +145,19 @@ class _Checker:
         for section, most, what in (("parameters", MOST_PARAMETERS, "parameters"), ("states", MOST_STATES, "states")):
             names = getattr(effect, section)
             if len(names) > most:
+                message = f"{len(names)} {what} are too many"
                 mend = f"an effect has at most {MOST_PARAMETERS} parameters and {MOST_STATES} state"
-                yield self._problem(section, f"{len(names)} {what} are too many", mend)
+                yield self._problem(section, message, mend, at_key=True)
             for name in names:
                 if name in TAKEN:
                     message = f"the name '{name}' is taken in an effect"
-                    yield self._problem(f"{section}.{name}", message, f"choose another, such as {name}0")
+                    yield self._problem(f"{section}.{name}", message, f"choose another, such as {name}0", at_key=True)
                 elif section == "states" and name in effect.parameters:
                     message = f"the name '{name}' is already used in parameters"
-                    yield self._problem(f"{section}.{name}", message, "rename one of them")
+                    yield self._problem(f"{section}.{name}", message, "rename one of them", at_key=True)
 
     def symbols(self) -> Iterator[Problem]:
+        """Check the symbols of expressions, and that they can be compiled."""
         effect = self.effect
         rates = [state.rate for state in effect.states.values()]
         allowed = [*SYMBOLS[effect.where], *effect.parameters, *effect.states]
@@ -156,22 +169,24 @@ class _Checker:
 
     def numbers(self) -> Iterator[Problem]:
         """Check that all is used, bounds and values, and that a discovery can estimate or hold each parameter."""
-        effect, estimated = self.effect, factors(self.effect)
+        effect, found = self.effect, factors(self.effect)
         used = effect.expression.names.union(*(state.rate.names for state in effect.states.values()))
         for name in {**effect.parameters, **effect.states}.keys() - used:
             section, what = ("parameters", "parameter") if name in effect.parameters else ("states", "state")
-            yield self._problem(f"{section}.{name}", f"the {what} '{name}' is not used", "remove it or use it")
+            message, mend = f"the {what} '{name}' is not used", "remove it or use it"
+            yield self._problem(f"{section}.{name}", message, mend, at_key=True)
         for name, parameter in effect.parameters.items():
             path = f"parameters.{name}"
             shown = f"{parameter.value or 0.0:g}"
             yield from bounded(self.declaration, f"{self.path}.{path}", shown, parameter.value, parameter.bounds)
-            if name in used - {*estimated} and parameter.value is None and not parameter.tried:
+            if name in used - {*found} and parameter.value is None and not parameter.tried:
+                message = f"'{name}' is no factor of what the effect does"
                 mend = "give values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
-                yield self._problem(path, f"'{name}' is no factor of what the effect does", mend)
+                yield self._problem(path, message, mend, at_key=True)
         starts = math.prod(len(parameter.tried) for parameter in effect.parameters.values() if parameter.tried)
         if starts > MOST_STARTS:
             message, mend = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
-            yield self._problem("parameters", message, mend)
+            yield self._problem("parameters", message, mend, at_key=True)
 
     def units(self) -> Iterator[Problem]:
         """Check that units are made of those of the place, and that the expressions have the dimensions they should."""
@@ -184,7 +199,7 @@ class _Checker:
             try:
                 symbols[path.partition(".")[2]] = self._dimension(unit)
             except DeclarationError as error:
-                problems += unit_problems(self.declaration, f"{self.path}.{path}.unit", error)
+                problems.append(unit_problem(self.declaration, f"{self.path}.{path}.unit", error))
         if problems:
             yield from problems
             return
@@ -195,13 +210,13 @@ class _Checker:
         yield from self._same(effect.expression, symbols, subject, f"the {what} is {letter}")
         for name, state in effect.states.items():
             own = symbols[name] or NONE
-            rate = times(own, dimension_of("s"), -1)
+            rate = tuple(a - b for a, b in zip(own, dimension_of("s"), strict=True))
             yield from self._same(state.rate, symbols, rate, f"the rate of '{name}' is {self._shown(describe(rate))}")
             if state.size is not None:
                 yield from self._same(state.size, symbols, own, f"the state '{name}' is {self._shown(describe(own))}")
 
     def _dimension(self, unit: str) -> Dimension:
-        """Dimension of a unit, with those that stand for the place's."""
+        """Give the dimension of a unit, with those that stand for the place's."""
         units, template = _UNITS[self.effect.where], Expression(unit, path="unit")
         if template.symbols <= units.keys():
             return dimension_of(template.renamed(units))
@@ -216,22 +231,23 @@ class _Checker:
         if expression.unknown(symbols):
             return  # it has its own problem
         try:
-            own = dimension_in(expression, symbols)
+            found = dimension_in(expression, symbols)
         except DeclarationError as error:
-            yield from (replace(problem, message=self._shown(problem.message)) for problem in error.problems)
+            for problem in error.problems:
+                yield Problem(problem.place, problem.path, self._shown(problem.message), problem.mend, problem.excerpt)
             return
-        if own is not None and own != wanted:
-            is_number = "a number without unit" if own == NONE else self._shown(describe(own))
+        if found is not None and found != wanted:
+            is_number = "a number without unit" if found == NONE else self._shown(describe(found))
             yield expression.problem((0, len(expression.text)), f"{said}, the expression {is_number}")
 
     def _shown(self, text: str) -> str:
-        """Text with the units of the place instead of their stand-ins."""
+        """Write a text with the units of the place instead of their stand-ins."""
         for letter, unit in _UNITS[self.effect.where].items():
             text = re.sub(rf"\b{unit}\b", letter, text)
         return text
 
-    def _problem(self, path: str, message: str, mend: str = "") -> Problem:
-        return self.declaration.key_problem(f"{self.path}.{path}", message, mend)
+    def _problem(self, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
+        return problem_at(self.declaration, f"{self.path}.{path}", message, mend, at_key)
 
 
 _A = {"element": "an element", "sensor": "a sensor", "actuator": "an actuator"}

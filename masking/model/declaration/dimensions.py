@@ -7,6 +7,7 @@ is a pure number, and a literal 0 fits everything. Units of one dimension, such 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -14,21 +15,21 @@ from fractions import Fraction
 from masking.errors import DeclarationError, Problem
 from masking.model.declaration.checks import equation_of, formulas
 from masking.model.declaration.couplings import driven_outputs
-from masking.model.declaration.definitions import in_order
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.operations import OPERATIONS, Step
+from masking.model.declaration.operations import COMPARISONS, Step
 from masking.model.declaration.schema import Declaration, Element, ModelDeclaration
-from masking.model.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of, instead_of, times
+from masking.model.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of, instead_of
 
 _SECTIONS = ("coordinates", "states", "inputs", "parameters", "outputs", "elements", "scales")
 _USUAL = {  # the scales that are proposed, in this order
     "time": "s", "length": "m", "mass": "kg", "voltage": "V", "current": "A", "temperature": "K", "substance": "mol",
     "luminosity": "cd",
 }  # fmt: skip
+_SAME = COMPARISONS | {"+", "-", "min", "max", "atan2"}
 
 
 def check_dimensions(model: ModelDeclaration) -> list[Problem]:
-    """Problems where a model adds, compares or equates unlike dimensions; none of a model without units."""
+    """List where a model adds, compares or equates unlike dimensions; a model without units is not looked at."""
     units, problems = _dimensions(model)
     if problems or is_plain(model):
         return problems
@@ -36,7 +37,7 @@ def check_dimensions(model: ModelDeclaration) -> list[Problem]:
 
 
 def check_scales(model: ModelDeclaration) -> list[Problem]:
-    """Problems of units that a model's scales cannot make dimensionless, each with the scales to add.
+    """List the units of a model that its scales cannot make dimensionless, each with the scales to add.
 
     A model without scales is not looked at, nor one with a unit that is none, which `check_dimensions` reports.
     """
@@ -70,7 +71,7 @@ def is_plain(model: ModelDeclaration) -> bool:
 
 
 def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | None:
-    """Dimension of every symbol of a model, derivatives included; None where a declared unit is none."""
+    """Give the dimension of every symbol of a model, derivatives included; None where a declared unit is none."""
     units, problems = _dimensions(model)
     if problems:
         return None
@@ -80,7 +81,7 @@ def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | 
 
 
 def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
-    """Dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
+    """Give the dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
 
     That on an internal state is of its rate, and that on an output that elements act on of the output itself.
 
@@ -92,40 +93,39 @@ def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
     if not problems:
         checker.start()
         action = None if model.lagrangian is None else checker.of(model.lagrangian)
-        forces = {
-            name: checker.on(name, action) for name in (*model.coordinates, *model.states, *driven_outputs(model))
-        }
+        found = {name: checker.on(name, action) for name in (*model.coordinates, *model.states, *driven_outputs(model))}
     if problems:
         raise DeclarationError(problems)
-    return forces
+    return found
 
 
 def dimension_in(expression: Expression, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
-    """Dimension of an expression, None where any fits; raises `DeclarationError` where it has none."""
-    return _Reader(expression, symbols).read()
+    """Give the dimension of an expression, None when it fits any; raises `DeclarationError` where it has none."""
+    return expression.walk(_Dimensions(expression, symbols))[0]
 
 
 def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | None]) -> Dimension | None:
-    """Dimension of an element's displacement: as declared, or that of its rate times time."""
+    """Give the dimension of how far an element is stretched: as declared, or that of its rate times time."""
     if element.displacement is not None:
         return dimension_in(element.displacement, symbols)
     rate, time = None if element.rate is None else dimension_in(element.rate, symbols), symbols["t"]
-    return None if rate is None or time is None else times(rate, time, 1)
+    return None if rate is None or time is None else _times(rate, time, 1)
 
 
-def unit_problems(declaration: Declaration, path: str, error: DeclarationError) -> list[Problem]:
-    """Problems of a text that is no unit, at its place in a declaration.
+def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
+    """Describe a unit that is none, at its place in a declaration.
 
     Args:
         declaration: that was read.
         path: of the unit.
         error: what reading the unit raised.
     """
-    return [replace(problem, place=declaration.place(path), path=path) for problem in error.problems]
+    problem = error.problems[0]
+    return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
 
 
 def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Problem]]:
-    """Dimension of every declared unit by its path, and problems of those that are none."""
+    """Give the dimension of every declared unit by its path, and the units that are none."""
     problems: list[Problem] = []
     units: dict[str, Dimension] = {}
     for section in _SECTIONS:
@@ -134,12 +134,12 @@ def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Pro
             try:
                 units[path] = dimension_of(entry.unit)
             except DeclarationError as error:
-                problems += unit_problems(model, path, error)
+                problems.append(unit_problem(model, path, error))
     return units, problems
 
 
 def _additions(unit: str, scales: Mapping[str, str]) -> dict[str, str]:
-    """Fewest usual scales that make a unit dimensionless together with those that are there."""
+    """Give the fewest usual scales that make a unit dimensionless together with those that are there."""
     usual = {(f"{name}2" if name in scales else name): of for name, of in _USUAL.items()}
     for count in range(len(usual) + 1):
         for names in itertools.combinations(usual, count):
@@ -167,16 +167,17 @@ class _Checker:
         self.symbols["t"] = time
         for name in model.coordinates:
             for order in range(3):
-                self.symbols[name + "'" * order] = times(self.units[f"coordinates.{name}.unit"], time, -order)
+                self.symbols[name + "'" * order] = _times(self.units[f"coordinates.{name}.unit"], time, -order)
         for name in model.states:
             for order in range(2):
-                self.symbols[name + "'" * order] = times(self.units[f"states.{name}.unit"], time, -order)
+                self.symbols[name + "'" * order] = _times(self.units[f"states.{name}.unit"], time, -order)
         for section in ("inputs", "parameters"):
             self.symbols |= {name: self.units[f"{section}.{name}.unit"] for name in getattr(model, section)}
         self.define()
         return time
 
     def check(self) -> list[Problem]:
+        """Walk every expression of the model."""
         model, time = self.model, self.start()
         for left, right in model.equations.items():
             self.same(self.of(left), right, "the left side is {}, the right side {}")
@@ -223,7 +224,7 @@ class _Checker:
     def lagrangian(self, action: Dimension | None, time: Dimension) -> None:
         """Check that forces and dissipation go with the Lagrangian: L/q, and L per time."""
         if self.model.dissipation is not None:
-            power = None if action is None else times(action, time, -1)
+            power = None if action is None else _times(action, time, -1)
             self.same(power, self.model.dissipation, "a dissipation must be {} as the lagrangian says, not {}")
         for name, force in self.model.forces.items():
             self.same(
@@ -235,20 +236,20 @@ class _Checker:
         element, force = self.model.elements[name], self.units[f"elements.{name}.unit"]
         moved = None if element.displacement is None else self.of(element.displacement)
         if element.rate is not None:
-            wanted = None if moved is None else times(moved, time, -1)
+            wanted = None if moved is None else _times(moved, time, -1)
             self.same(wanted, element.rate, "the rate of this displacement is in {}, not in {}")
         if element.force is not None:
             moved = displacement_dimension(element, self.symbols)
-            motion = {"d": moved, "d_rate": None if moved is None else times(moved, time, -1)}
+            motion = {"d": moved, "d_rate": None if moved is None else _times(moved, time, -1)}
             law = replace(self, symbols=self.symbols | motion)
             law.same(force, element.force, "the unit of the element is {}, its force is {}")
         message = f"the force in {element.unit} must be multiplied by {{}} to act here, not by {{}}"
         for coordinate, factor in element.acts.items():
             wanted = self.on(coordinate, action)
-            self.same(None if wanted is None else times(wanted, force, -1), factor, message)
+            self.same(None if wanted is None else _times(wanted, force, -1), factor, message)
 
     def on(self, coordinate: str, action: Dimension | None) -> Dimension | None:
-        """Dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it.
+        """Give the dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it.
 
         That on an internal state is of its rate, and that on an output of the output itself.
         """
@@ -262,15 +263,20 @@ class _Checker:
             left = equation_of(self.model, coordinate)
             return None if left is None else self.of(left)
         moved = self.symbols.get(coordinate)
-        return None if action is None or moved is None else times(action, moved, -1)
+        return None if action is None or moved is None else _times(action, moved, -1)
 
     def define(self) -> None:
-        """Dimensions of definitions, each after those it uses; cycles are reported elsewhere."""
-        declared = self.model.definitions
-        for name in in_order({name: expression.names for name, expression in declared.items()}):
-            self.symbols[name] = self.of(declared[name])
+        """Find the dimensions of definitions, each after those it uses."""
+        waiting = dict(self.model.definitions)
+        while waiting:
+            ready = [name for name, expression in waiting.items() if not expression.names & waiting.keys()]
+            for name in ready:
+                self.symbols[name] = self.of(waiting.pop(name))
+            if not ready:  # a cycle, which is reported elsewhere
+                return
 
     def of(self, expression: Expression) -> Dimension | None:
+        """Give the dimension of an expression, None when it fits any."""
         try:
             return dimension_in(expression, self.symbols)
         except DeclarationError as error:
@@ -278,92 +284,95 @@ class _Checker:
             return None
 
     def same(self, wanted: Dimension | None, expression: Expression, message: str, written: str = "") -> None:
-        own = self.of(expression)
-        if wanted is not None and own is not None and wanted != own:
+        found = self.of(expression)
+        if wanted is not None and found is not None and wanted != found:
             whole = (0, len(expression.text))
             first = describe(wanted) if "unit is {}" in message else _shown(wanted)
-            mend = instead_of(written, own)
-            self.problems.append(expression.problem(whole, message.format(first, _shown(own)), mend))
+            mend = instead_of(written, found)
+            self.problems.append(expression.problem(whole, message.format(first, _shown(found)), mend))
 
 
 def _shown(dimension: Dimension) -> str:
     return "a number without unit" if dimension == NONE else describe(dimension)
 
 
+def _times(a: Dimension, b: Dimension, power: int | Fraction) -> Dimension:
+    return tuple(x + power * y for x, y in zip(a, b, strict=True))
+
+
 @dataclass(frozen=True, slots=True)
-class _Reader:
-    """Reads the dimension of an expression, None where any fits, and the number that it is, None where it is none."""
+class _Dimensions:
+    """Reads an expression: (dimension or None when any fits, number if constant)."""
 
     expression: Expression
     symbols: Mapping[str, Dimension | None]
 
-    def read(self) -> Dimension | None:
-        read: tuple[Dimension | None, float | None] = self.expression.walk(
-            lambda step: (NONE if (value := step.number()) else None, value),
-            lambda step: (self.symbols.get(step.value), None),
-            lambda step, args: (self.dimension(step, args), _constant(step, [number for _, number in args])),
-        )
-        return read[0]
+    def number(self, step: Step) -> tuple[Dimension | None, float | None]:
+        value = math.pi if step.value == "pi" else float(step.value)
+        return (None if value == 0.0 else NONE), value
 
-    def dimension(self, step: Step, args: Sequence[tuple[Dimension | None, float | None]]) -> Dimension | None:
-        dimensions, first = [dimension for dimension, _ in args], args[0][0]
-        match OPERATIONS[step.operation].dimension:
-            case "same" | "chosen" as rule:
-                return self.same(step, dimensions[rule == "chosen" :])
-            case "compared":
-                self.same(step, dimensions)
-            case "product":
-                a, b = dimensions
-                return None if a is None or b is None else times(a, b, 1 if step.operation == "*" else -1)
-            case "power":
-                return self.power(step, *args)
-            case "root":
-                return None if first is None else times(NONE, first, Fraction(1, 2))
-            case "first":
-                self.check_delay(step, dimensions)
-                return first
-            case "pure" if first not in {None, NONE}:
-                message = f"takes {step.operation} of {describe(first or NONE)}"
-                raise self.refusal(step, message, "its argument must be dimensionless")
+    def symbol(self, step: Step) -> tuple[Dimension | None, float | None]:
+        return self.symbols.get(step.value), None
+
+    def apply(
+        self, step: Step, args: Sequence[tuple[Dimension | None, float | None]]
+    ) -> tuple[Dimension | None, float | None]:
+        a, b = args[0], args[-1]
+        if step.operation == "negative":
+            return a[0], None if a[1] is None else -a[1]
+        if step.operation in {"*", "/"}:
+            sign = 1 if step.operation == "*" else -1
+            number = None if a[1] is None or b[1] is None else a[1] * b[1] ** sign
+            return (None if a[0] is None or b[0] is None else _times(a[0], b[0], sign)), number
+        return self._dimension(step, args), None
+
+    def _dimension(self, step: Step, args: Sequence[tuple[Dimension | None, float | None]]) -> Dimension | None:
+        dimensions = [dimension for dimension, _ in args]
+        first, name = dimensions[0], step.operation
+        if name == "**":
+            return self._power(step, first, args[1])
+        if name == "sqrt":
+            return None if first is None else _times(NONE, first, Fraction(1, 2))
+        if name in {"abs", "delay"}:
+            self._check_delay(step, dimensions)
+            return first
+        if name == "where":
+            return self._same(step, dimensions[1:])
+        if name in _SAME:
+            common = self._same(step, dimensions)
+            return NONE if name == "atan2" or name in COMPARISONS else common
+        if name not in {"sign", "heaviside"} and first is not None and first != NONE:
+            message = f"takes {name} of {describe(first)}"
+            raise DeclarationError(self.expression.problem(step, message, "its argument must be dimensionless"))
         return NONE
 
-    def check_delay(self, step: Step, dimensions: Sequence[Dimension | None]) -> None:
+    def _check_delay(self, step: Step, dimensions: Sequence[Dimension | None]) -> None:
         late, time = dimensions[-1], self.symbols.get("t")
         if step.operation == "delay" and late is not None and time is not None and late != time:
             message = f"the delay is {_shown(late)}, and time is {_shown(time)}"
-            raise self.refusal(step, message, "declare the delay as a parameter with a unit")
+            mend = "declare the delay as a parameter with a unit"
+            raise DeclarationError(self.expression.problem(step, message, mend))
 
-    def same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
+    def _same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
         first: Dimension | None = None
         for dimension in dimensions:
             if first is not None and dimension is not None and dimension != first:
                 a, b = _shown(first), _shown(dimension)
                 verb = "adds {} to {}" if step.operation == "+" else "subtracts {} from {}"
-                raise self.refusal(
-                    step, verb.format(b, a) if step.operation in {"+", "-"} else f"compares {a} with {b}"
-                )
+                message = verb.format(b, a) if step.operation in {"+", "-"} else f"compares {a} with {b}"
+                raise DeclarationError(self.expression.problem(step, message))
             first = first if first is not None else dimension
         return first
 
-    def power(
-        self, step: Step, base: tuple[Dimension | None, float | None], exponent: tuple[Dimension | None, float | None]
+    def _power(
+        self, step: Step, base: Dimension | None, exponent: tuple[Dimension | None, float | None]
     ) -> Dimension | None:
         if exponent[0] not in {None, NONE}:
             message = f"the exponent is {describe(exponent[0] or NONE)}"
-            raise self.refusal(step, message, "an exponent must be dimensionless")
-        if base[0] is None or base[0] == NONE:
-            return base[0]
+            raise DeclarationError(self.expression.problem(step, message, "an exponent must be dimensionless"))
+        if base is None or base == NONE:
+            return base
         if exponent[1] is None:
-            message = f"raises {describe(base[0])} to a power that is not a number"
-            raise self.refusal(step, message, "make the base dimensionless")
-        return times(NONE, base[0], Fraction(exponent[1]).limit_denominator(60))
-
-    def refusal(self, step: Step, message: str, mend: str = "") -> DeclarationError:
-        return DeclarationError(self.expression.problem(step, message, mend))
-
-
-def _constant(step: Step, numbers: Sequence[float | None]) -> float | None:
-    """Number that a sign, a product or a quotient of numbers is, which may be an exponent."""
-    if None in numbers or step.operation not in {"negative", "*", "/"}:
-        return None
-    return float(OPERATIONS[step.operation].number(*numbers))
+            message = f"raises {describe(base)} to a power that is not a number"
+            raise DeclarationError(self.expression.problem(step, message, "make the base dimensionless"))
+        return _times(NONE, base, Fraction(exponent[1]).limit_denominator(60))

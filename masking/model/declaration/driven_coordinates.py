@@ -42,6 +42,7 @@ def passive(transform: Transform, rig: Sequence[str], virtual: Sequence[str]) ->
 
 
 def _used(transform: Transform, rig: Sequence[str], virtual: Sequence[str]) -> Collection[str]:
+    """Names of the rig coordinates that a transform depends on."""
     if transform.expressions is not None:
         return {name for entry in transform.expressions.values() for name in entry.names}
     if transform.matrix is not None:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
+from pydantic import BaseModel, ConfigDict
+
 from masking.errors import nearest
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.fields import Block, Formula, TextField
+from masking.model.declaration.fields import Formula, TextField
 
 
-class Event(Block):
+class Event(BaseModel):
     """What happens at each instant at which `when` crosses zero upwards, from below.
 
     `jumps` gives the values after it, of coordinates, velocities and internal states; those on the right are before it.
     """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     when: Formula
     jumps: dict[TextField, Formula]
@@ -31,7 +35,7 @@ class Event(Block):
         return ", ".join(f"{name} -> {value.text}" for name, value in self.jumps.items())
 
     def problems(self, states: Collection[str], moving: Collection[str]) -> Iterator[tuple[str, str, str]]:
-        """Problems beside those of its symbols: part, message, mend.
+        """Yield what is wrong with it, beside its symbols: part, message, mend.
 
         Args:
             states: what may jump.

@@ -1,7 +1,7 @@
 """Safe expressions: text to numbers, to sympy, to dimensions, by a whitelist.
 
-Nothing is ever executed. `syntax` turns the text into a flat program in postfix order; `Expression.walk` folds it with
-the functions of one meaning, whose operations are a column of `OPERATIONS`: here numbers, constant bounds and sympy.
+Nothing is ever executed. `syntax` turns the text into a flat program in postfix order; `Expression.walk` folds it, with
+one algebra for each meaning: numbers, constant bounds, sympy and, in `dimensions`, units.
 
     names  x1  x1' x1''    + - * / **    < <= > >= (in the condition of where)    pi    sin(x) ... where(c, a, b)
 """
@@ -10,17 +10,36 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import lazy_loader as lazy
 
 from masking.errors import DeclarationError, Place, Problem, nearest
-from masking.model.declaration.lazy_sympy import sp
-from masking.model.declaration.operations import LARGEST_EXPONENT, OPERATIONS, Step
+from masking.model.declaration.operations import CONSTANTS, LARGEST_EXPONENT, OPERATIONS, Step
 from masking.model.declaration.syntax import parse
 from masking.model.declaration.tables import TABLES, trouble
 
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
+
 V = TypeVar("V")
+
+
+class Algebra(Protocol[V]):
+    """What a fold over an expression does with numbers, symbols and operations."""
+
+    def number(self, step: Step) -> V:
+        """Give the value of a literal or of a named constant."""
+
+    def symbol(self, step: Step) -> V:
+        """Give the value of a name, primes included."""
+
+    def apply(self, step: Step, args: Sequence[V]) -> V:
+        """Give the value of an operation on the values of its arguments."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +58,7 @@ class Expression:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", parse(self.text, self._refuse))
-        self.walk(lambda step: (step.number(), 1.0), lambda step: (None, 1.0), self._bounded)
+        self.walk(_Bounds(self))
 
     def __str__(self) -> str:
         return self.text
@@ -55,14 +74,14 @@ class Expression:
         return frozenset(symbol.rstrip("'") for symbol in self.symbols)
 
     def locate(self, index: int) -> Place | None:
-        """Place in the file of one character of the text."""
+        """Give the place in the file of one character of the text."""
         for start, place in reversed(self.pieces):
             if start <= index:
                 return Place(place.file, place.line, place.column + index - start)
         return self.place and Place(self.place.file, self.place.line, self.place.column + index)
 
     def problem(self, span: Step | tuple[int, int], message: str, mend: str = "") -> Problem:
-        """Problem of one part of the text, with the source line and a caret below it.
+        """Describe what is wrong with one part of the text, with the source line and a caret below it.
 
         Args:
             span: the step, or first and last index in the text.
@@ -76,33 +95,25 @@ class Expression:
         excerpt = f"    {shown}\n    {' ' * (start - window)}{'^' * width}"
         return Problem(self.locate(start), self.path, message, mend, excerpt)
 
-    def walk(
-        self, number: Callable[[Step], V], symbol: Callable[[Step], V], apply: Callable[[Step, Sequence[V]], V]
-    ) -> V:
-        """Fold of the expression, arguments before operations.
-
-        Args:
-            number: meaning of a literal or of a named constant.
-            symbol: meaning of a name, primes included.
-            apply: meaning of an operation on the meanings of its arguments.
-        """
+    def walk(self, algebra: Algebra[V]) -> V:
+        """Fold the expression, arguments before operations."""
         stack: list[V] = []
         for step in self.steps:
             if step.operation == "number":
-                stack.append(number(step))
+                stack.append(algebra.number(step))
             elif step.operation == "symbol":
-                stack.append(symbol(step))
+                stack.append(algebra.symbol(step))
             else:
                 first = len(stack) - step.arity
-                stack[first:] = [apply(step, stack[first:])]
+                stack[first:] = [algebra.apply(step, stack[first:])]
         return stack[0]
 
     def first(self, symbol: str) -> Step:
-        """First step that is this symbol."""
+        """Give the first step that is this symbol."""
         return next(step for step in self.steps if step.operation == "symbol" and step.value == symbol)
 
     def renamed(self, names: Mapping[str, str]) -> str:
-        """Text with other names for some of its symbols."""
+        """Give the text with other names for some of its symbols."""
         parts, end = [], 0
         symbols = (step for step in self.steps if step.operation == "symbol" and step.value in names)
         for step in sorted(symbols, key=lambda step: step.start):
@@ -111,66 +122,27 @@ class Expression:
         return "".join([*parts, self.text[end:]])
 
     def unknown(self, allowed: Collection[str]) -> list[str]:
-        """Symbols that are not allowed, once each, in the order of the text."""
+        """List every symbol that is not allowed, once each, in the order of the text."""
         return sorted(self.symbols - set(allowed), key=lambda symbol: self.first(symbol).start)
 
     def check_symbols(self, allowed: Collection[str]) -> list[Problem]:
-        """Problem of every symbol that is not allowed, with its place and the nearest allowed one."""
+        """List a problem for every symbol that is not allowed, with its place and the nearest allowed one."""
         return [self._unknown(self.first(symbol), allowed) for symbol in self.unknown(allowed)]
 
     def evaluate(self, values: Mapping[str, float]) -> float:
-        """Value with floats.
-
-        Args:
-            values: by symbol, primes included.
+        """Compute the value with floats; `values` are given by symbol, primes included.
 
         Raises:
             DeclarationError: a symbol has no value, or the result is not finite.
         """
-
-        def symbol(step: Step) -> float | Problem:
-            if step.value not in values:
-                return self._unknown(step, values.keys())
-            value = float(values[step.value])
-            return value if math.isfinite(value) else self.problem(step, f"'{step.value}' is {value}, not finite")
-
-        def apply(step: Step, args: Sequence[float | Problem]) -> float | Problem:
-            if step.operation == "where" and not isinstance(args[0], Problem):
-                return args[1] if args[0] else args[2]  # the problem of the other branch is dropped
-            return next((arg for arg in args if isinstance(arg, Problem)), None) or self._compute(step, args)
-
-        result = self.walk(Step.number, symbol, apply)
+        result = self.walk(_Floats(self, values))
         if isinstance(result, Problem):
             raise DeclarationError(result)
         return float(result)
 
-    def to_sympy(self, symbols: Mapping[str, sp.Symbol] | None = None) -> sp.Expr:
-        """Expression in sympy, in which decimals are exact rationals.
-
-        Args:
-            symbols: by name with primes; by default a real symbol for each name.
-
-        Raises:
-            DeclarationError: a symbol is not known, or the expression simplifies to what is not finite.
-        """
-        known = {name: sp.Symbol(name, real=True) for name in self.symbols} if symbols is None else symbols
-
-        def symbol(step: Step) -> Any:  # noqa: ANN401  (sympy's classes are not known to the type checker)
-            if step.value not in known:
-                raise DeclarationError(self._unknown(step, known.keys()))
-            return known[step.value]
-
-        def apply(step: Step, args: Sequence[Any]) -> Any:  # noqa: ANN401
-            if step.operation == "**" and args[1].is_Rational and abs(args[1]) > LARGEST_EXPONENT:
-                message = f"the exponent simplifies to {args[1]}, larger than {LARGEST_EXPONENT}"
-                raise DeclarationError(self.problem(step, message))
-            symbolic = OPERATIONS[step.operation].symbolic
-            result = getattr(sp, symbolic)(*args) if isinstance(symbolic, str) else symbolic(*args)
-            if step.operation not in {"+", "-", "*", "negative"} and result.has(sp.zoo, sp.nan, sp.oo):
-                raise DeclarationError(self.problem(step, "is not finite"))
-            return result
-
-        return self.walk(lambda step: sp.pi if step.value == "pi" else sp.Rational(step.value), symbol, apply)
+    def to_sympy(self, symbols: Mapping[str, sp.Symbol]) -> sp.Expr:
+        """Translate into sympy; decimals become exact rationals; `symbols` are given by name with primes."""
+        return self.walk(_Symbolic(self, symbols))
 
     def _refuse(self, start: int, end: int, message: str, mend: str) -> DeclarationError:
         return DeclarationError(self.problem((start, end), message, mend))
@@ -178,39 +150,106 @@ class Expression:
     def _unknown(self, step: Step, allowed: Collection[str]) -> Problem:
         return self.problem(step, f"unknown symbol '{step.value}'", nearest(step.value, allowed))
 
-    def _compute(self, step: Step, args: Sequence[Any]) -> float | Problem:
-        """Value of an operation on floats; a problem with its place where that is not finite and real."""
-        try:
-            result: float = OPERATIONS[step.operation].number(*args)
-        except ZeroDivisionError:
-            return self.problem(step, "divides by zero")
-        except OverflowError:
-            return self.problem(step, "is not finite")
-        except ValueError:
-            shown = ", ".join(f"{value:.6g}" for value in args)
-            name = "a power" if step.operation == "**" else step.operation
-            return self.problem(step, f"{name} has no real value at {shown}")
-        return result if math.isfinite(result) else self.problem(step, "is not finite")
 
-    def _bounded(self, step: Step, args: Sequence[tuple[float | None, float]]) -> tuple[float | None, float]:
-        """Value of an operation, None where it is not constant, and the product of nested exponents.
+def _compute(expression: Expression, step: Step, args: Sequence[float]) -> float | Problem:
+    """Apply one operation to floats; what has no finite real value becomes a problem with its place."""
+    try:
+        result: float = OPERATIONS[step.operation].number(*args)
+    except ZeroDivisionError:
+        return expression.problem(step, "divides by zero")
+    except OverflowError:
+        return expression.problem(step, "is not finite")
+    except ValueError:
+        shown = ", ".join(f"{value:.6g}" for value in args)
+        name = "a power" if step.operation == "**" else step.operation
+        return expression.problem(step, f"{name} has no real value at {shown}")
+    return result if math.isfinite(result) else expression.problem(step, "is not finite")
 
-        Raises:
-            DeclarationError: one of them is not finite and small.
-        """
-        constants, degree = [arg[0] for arg in args], max(arg[1] for arg in args)
+
+@dataclass(frozen=True, slots=True)
+class _Floats:
+    """Numbers; a problem travels up and is dropped where `where` does not choose it."""
+
+    expression: Expression
+    values: Mapping[str, float]
+
+    def number(self, step: Step) -> float | Problem:
+        return CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)
+
+    def symbol(self, step: Step) -> float | Problem:
+        if step.value not in self.values:
+            return self.expression._unknown(step, self.values.keys())
+        value = float(self.values[step.value])
+        return (
+            value if math.isfinite(value) else self.expression.problem(step, f"'{step.value}' is {value}, not finite")
+        )
+
+    def apply(self, step: Step, args: Sequence[float | Problem]) -> float | Problem:
+        if step.operation == "where" and not isinstance(args[0], Problem):
+            return args[1] if args[0] else args[2]
+        numbers: list[float] = []
+        for value in args:
+            if isinstance(value, Problem):
+                return value
+            numbers.append(value)
+        return _compute(self.expression, step, numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Constant folding to (value or None, product of nested exponents), refusing what is not finite and small."""
+
+    expression: Expression
+
+    def number(self, step: Step) -> tuple[float | None, float]:
+        return (CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)), 1.0
+
+    def symbol(self, step: Step) -> tuple[float | None, float]:
+        return None, 1.0
+
+    def apply(self, step: Step, args: Sequence[tuple[float | None, float]]) -> tuple[float | None, float]:
+        degree = max(arg[1] for arg in args)
+        constants = [arg[0] for arg in args]
         if step.operation == "/" and constants[1] == 0.0:
-            raise DeclarationError(self.problem(step, "divides by zero"))
+            raise DeclarationError(self.expression.problem(step, "divides by zero"))
         if step.operation == "**" and constants[1] is not None:
             degree = args[0][1] * max(1.0, abs(constants[1]))
             if degree > LARGEST_EXPONENT:
                 message = f"the exponent is larger than {LARGEST_EXPONENT}"
-                raise DeclarationError(self.problem(step, message, "nested powers count as their product"))
+                raise DeclarationError(self.expression.problem(step, message, "nested powers count as their product"))
         if step.operation in TABLES and (wrong := trouble(constants[1:])):
-            raise DeclarationError(self.problem(step, wrong, f"write {step.operation}(x, x1, y1, x2, y2)"))
-        if None in constants:
+            mend = f"write {step.operation}(x, x1, y1, x2, y2)"
+            raise DeclarationError(self.expression.problem(step, wrong, mend))
+        known = [value for value in constants if value is not None]
+        if len(known) < len(constants):
             return None, degree
-        result = self._compute(step, constants)
+        result = _compute(self.expression, step, known)
         if isinstance(result, Problem):
             raise DeclarationError(result)
         return result, degree
+
+
+@dataclass(frozen=True, slots=True)
+class _Symbolic:
+    """sympy expressions."""
+
+    expression: Expression
+    symbols: Mapping[str, Any]
+
+    def number(self, step: Step) -> Any:  # noqa: ANN401  (sympy's classes are not known to the type checker)
+        return sp.pi if step.value == "pi" else sp.Rational(step.value)
+
+    def symbol(self, step: Step) -> Any:  # noqa: ANN401
+        if step.value not in self.symbols:
+            raise DeclarationError(self.expression._unknown(step, self.symbols.keys()))
+        return self.symbols[step.value]
+
+    def apply(self, step: Step, args: Sequence[Any]) -> Any:  # noqa: ANN401
+        if step.operation == "**" and args[1].is_Rational and abs(args[1]) > LARGEST_EXPONENT:
+            message = f"the exponent simplifies to {args[1]}, larger than {LARGEST_EXPONENT}"
+            raise DeclarationError(self.expression.problem(step, message))
+        symbolic = OPERATIONS[step.operation].symbolic
+        result = getattr(sp, symbolic)(*args) if isinstance(symbolic, str) else symbolic(*args)
+        if step.operation not in {"+", "-", "*", "negative"} and result.has(sp.zoo, sp.nan, sp.oo):
+            raise DeclarationError(self.expression.problem(step, "is not finite"))
+        return result

@@ -9,10 +9,10 @@ from __future__ import annotations
 import keyword
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from masking.errors import DeclarationError
@@ -24,12 +24,6 @@ _RATE = re.compile(r"\s*(?P<number>[-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-
 _HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
-
-
-class Block(BaseModel):
-    """A mapping with fixed keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
 class Text(str):
@@ -75,11 +69,12 @@ def _shown(value: object) -> str:
 
 
 def refuse(message: str, mend: str = "") -> PydanticCustomError:
-    """Error that a field's validator raises."""
+    """Make the error that a field's validator raises."""
     return PydanticCustomError("masking", "{message}", {"message": message, "mend": mend})
 
 
 def _read_text(value: object) -> str:
+    """Read a text; a number is taken as written."""
     if isinstance(value, str):
         return str(value)
     if isinstance(value, Real):
@@ -88,27 +83,41 @@ def _read_text(value: object) -> str:
 
 
 def _read_number(value: object) -> float:
+    """Read a finite number."""
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise refuse(f"must be a finite number, not {_shown(value)}")
 
 
-def _read_bounded(words: str, is_allowed: Callable[[float], bool]) -> PlainValidator:
-    """Reader of a number that must be what the words say."""
+def _read_positive(value: object) -> float:
+    """Read a number above zero."""
+    number = _read_number(value)
+    if number > 0.0:
+        return number
+    raise refuse(f"must be greater than 0, not {number:g}")
 
-    def read(value: object) -> float:
-        number = _read_number(value)
-        if is_allowed(number):
-            return number
-        raise refuse(f"must be {words}, not {number:g}")
 
-    return PlainValidator(read)
+def _read_not_negative(value: object) -> float:
+    """Read a number that is not negative."""
+    number = _read_number(value)
+    if number >= 0.0:
+        return number
+    raise refuse(f"must be 0 or more, not {number:g}")
 
 
 def _read_truth(value: object) -> bool:
+    """Read true or false."""
     if isinstance(value, bool):
         return value
     raise refuse(f"must be true or false, not {_shown(value)}")
+
+
+def _read_integer(value: object) -> int:
+    """Read an integer that is not negative."""
+    number = _read_number(value)
+    if number < 0 or number != int(number):
+        raise refuse(f"must be an integer of at least 0, not {number:g}")
+    return int(number)
 
 
 def _read_expression(value: object) -> Expression:
@@ -128,6 +137,7 @@ def _read_expression(value: object) -> Expression:
 
 
 def _read_value(value: object) -> float | Expression:
+    """Read a number or an expression."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return _read_number(value) if is_number else _read_expression(value)
 
@@ -176,21 +186,10 @@ _TEXT_OR_NUMBER = WithJsonSchema({"type": ["string", "number"]})
 
 TextField = Annotated[str, PlainValidator(_read_text), WithJsonSchema({"type": "string"})]
 Number = Annotated[float, PlainValidator(_read_number), WithJsonSchema({"type": "number"})]
-Positive = Annotated[
-    float,
-    _read_bounded("greater than 0", lambda x: x > 0.0),
-    WithJsonSchema({"type": "number", "exclusiveMinimum": 0}),
-]
-NotNegative = Annotated[
-    float, _read_bounded("0 or more", lambda x: x >= 0.0), WithJsonSchema({"type": "number", "minimum": 0})
-]
+Positive = Annotated[float, PlainValidator(_read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+NotNegative = Annotated[float, PlainValidator(_read_not_negative), WithJsonSchema({"type": "number", "minimum": 0})]
 Truth = Annotated[bool, PlainValidator(_read_truth), WithJsonSchema({"type": "boolean"})]
-Natural = Annotated[
-    int,
-    _read_bounded("an integer of at least 0", lambda x: x >= 0.0 and x == int(x)),
-    AfterValidator(int),
-    WithJsonSchema({"type": "integer", "minimum": 0}),
-]
+Natural = Annotated[int, PlainValidator(_read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
 Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
 Formula = Annotated[Expression, PlainValidator(_read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
 Value = Annotated[float | Expression, PlainValidator(_read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, Literal
 
+from pydantic import BaseModel, ConfigDict
+
 from masking.errors import nearest
-from masking.model.declaration.fields import Block, Formula, Name, Number, Positive, TextField
+from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
 
 KINDS: Final = ("expression", "file", "signal", "sensor", "push")
 SIGNALS: Final = ("steps", "ramp", "sawtooth", "linear_chirp", "logarithmic_chirp", "multisine")
@@ -15,7 +17,7 @@ Interpolation = Literal["linear", "previous", "cubic"]
 Several = tuple[Number, ...]
 
 
-class InputSource(Block):
+class InputSource(BaseModel):
     """Where an input of the virtual system comes from: one of these.
 
     `expression` of the time; the `column` of a `file`; a `signal` of `signals` with `arguments`; a `sensor` of
@@ -23,6 +25,8 @@ class InputSource(Block):
     rad/s. `interpolation` says what a file or a signal is between its points. `factor` multiplies what a sensor
     measures, or a push.
     """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     expression: Formula | None = None
     file: TextField | None = None
@@ -37,7 +41,7 @@ class InputSource(Block):
 
     @property
     def kinds(self) -> list[str]:
-        """Kinds of its sources; one, if it is sound."""
+        """Return of which kinds it is."""
         return [kind for kind in KINDS if getattr(self, kind) is not None]
 
     @property
@@ -51,7 +55,7 @@ class InputSource(Block):
         return self.sensor is not None or self.push is not None
 
     def problems(self) -> Iterator[tuple[str, str, str]]:
-        """Problems of its own: part, message, mend."""
+        """Yield what is wrong with it alone: part, message, mend."""
         kinds = self.kinds
         if len(kinds) != 1:
             what = " and ".join(kinds) or "nothing"

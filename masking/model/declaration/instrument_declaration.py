@@ -4,27 +4,33 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from masking.model.declaration.fields import Block, Formula, Name, Number, Positive, TextField
+from pydantic import BaseModel, ConfigDict
+
+from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
 from masking.model.declaration.shorthand import Short
 
 _NUMBER = Short("value", (int, float))
 
 
-class Quantity(Block):
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class Quantity(_Part):
     """A number with its unit."""
 
     value: Number
     unit: TextField = "1"
 
 
-class Limit(Block):
+class Limit(_Part):
     """The largest allowed magnitude."""
 
     max: Positive
     unit: TextField = "1"
 
 
-class Sensor(Block):
+class Sensor(_Part):
     """What a sensor measures, and how many of its own units one unit of that gives.
 
     `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit.
@@ -38,14 +44,14 @@ class Sensor(Block):
     jump: Positive | None = None
 
 
-class Actuator(Block):
+class Actuator(_Part):
     """A channel that a controller writes to."""
 
     meaning: TextField = ""
     unit: TextField = "1"
 
 
-class PowerLimit(Block):
+class PowerLimit(_Part):
     """The largest mean power of an actuator: `heating` is the power per squared command, `time` the mean's, in s."""
 
     value: Positive
@@ -54,7 +60,7 @@ class PowerLimit(Block):
     time: Positive = 10.0
 
 
-class Limits(Block):
+class Limits(_Part):
     """What the rig withstands: actuators, coordinates (or expressions of them), their rates, power of each actuator.
 
     `missed` is the largest share of the samples of a second that a run may miss or answer late.

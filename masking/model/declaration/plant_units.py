@@ -10,11 +10,12 @@ import math
 from collections.abc import Iterator, Mapping
 
 from masking.errors import DeclarationError, Problem
-from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problems
+from masking.model.declaration.checks import problem_at
+from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.instrument_declaration import Actuator, Limit, PowerLimit, Quantity, Sensor
 from masking.model.declaration.schema import ExperimentDeclaration, ModelDeclaration, PlantDeclaration
-from masking.model.declaration.units import Dimension, describe, dimension_of, factor_of, instead_of, times
+from masking.model.declaration.units import Dimension, describe, dimension_of, factor_of, instead_of
 
 _POWER = "W"
 _Entry = Actuator | Limit | PowerLimit | Quantity | Sensor
@@ -22,7 +23,7 @@ _Symbols = Mapping[str, Dimension | None]
 
 
 def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[Problem]:
-    """Problems of a plant's units: those that do not go with its model's, and those that are no units at all."""
+    """List the units of a plant that do not go with those of its model, and those that are no units at all."""
     entries: dict[str, _Entry] = {
         **{f"limits.inputs.{name}": limit for name, limit in plant.limits.inputs.items()},
         **{f"limits.coordinates.{expression.text}": limit for expression, limit in plant.limits.coordinates.items()},
@@ -37,12 +38,12 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
         try:
             dimension_of(entry.unit)
         except DeclarationError as error:
-            problems += unit_problems(plant, f"{path}.unit", error)
+            problems.append(unit_problem(plant, f"{path}.unit", error))
     if problems:
         return problems
     power = plant.limits.power
     if power and _is_written(power) and dimension_of(power.unit) != dimension_of(_POWER):
-        problems.append(plant.problem("limits.power.unit", f"a power is in {_POWER}, the limit in {power.unit}"))
+        problems.append(problem_at(plant, "limits.power.unit", f"a power is in {_POWER}, the limit in {power.unit}"))
     problems += _heating(plant, model)
     symbols = symbol_dimensions(model)
     if symbols is not None and not is_plain(model):
@@ -59,13 +60,13 @@ def _heating(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Probl
     power = plant.limits.power
     if power is None or power.heating is None:
         return
-    heating = dimension_of(power.heating.unit)
+    found = dimension_of(power.heating.unit)
     for name, channel in (plant.actuators or model.inputs).items():
-        power_unit = times(heating, dimension_of(channel.unit), 2)
-        if power_unit != dimension_of(_POWER):
+        made = tuple(a + 2 * b for a, b in zip(found, dimension_of(channel.unit), strict=True))
+        if made != dimension_of(_POWER):
             wanted = _POWER if channel.unit == "1" else f"{_POWER}/({channel.unit})**2"
             message = f"a heating is a power per squared command of {name}: {wanted}, not {power.heating.unit}"
-            yield plant.problem("limits.power.heating", message)
+            yield problem_at(plant, "limits.power.heating", message)
             return
 
 
@@ -79,39 +80,43 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
         if channel and _is_written(limit) and dimension_of(limit.unit) != dimension_of(channel.unit):
             what = "actuator" if plant.actuators else "input"
             message = f"the {what} {name} is in {channel.unit}, the limit in {limit.unit}"
-            yield plant.problem(f"limits.inputs.{name}.unit", message)
+            yield problem_at(plant, f"limits.inputs.{name}.unit", message)
     second = dimension_of("s")
-    for key, order in (("coordinates", 0), ("velocities", 1)):
-        for expression, limit in getattr(plant.limits, key).items():
+    for key, declared, order in (
+        ("coordinates", plant.limits.coordinates, 0),
+        ("velocities", plant.limits.velocities, 1),
+    ):
+        for expression, limit in declared.items():
             try:
-                dimension = dimension_in(expression, symbols)
+                found = dimension_in(expression, symbols)
             except DeclarationError as error:
                 yield from error.problems
                 continue
-            if dimension is None:
+            if found is None:
                 continue
             if not _is_written(limit):
-                unit = _unit_of(expression, dimension, model)
-                yield from _unwritten(plant, f"limits.{key}.{expression.text}", limit, unit)
+                yield from _unwritten(
+                    plant, f"limits.{key}.{expression.text}", limit, _unit_of(expression, found, model)
+                )
                 continue
-            if dimension_of(limit.unit) != times(dimension, second, -order):
-                unit = _unit_of(expression, dimension, model) + order * "/s"
+            if dimension_of(limit.unit) != tuple(a - order * b for a, b in zip(found, second, strict=True)):
+                unit = _unit_of(expression, found, model) + order * "/s"
                 what = f"the rate of {expression.text}" if order else expression.text
                 message = f"{what} is in {unit}, the limit in {limit.unit}"
-                yield plant.problem(f"limits.{key}.{expression.text}.unit", message)
+                yield problem_at(plant, f"limits.{key}.{expression.text}.unit", message)
 
 
 def _unwritten(plant: PlantDeclaration, path: str, limit: Limit, unit: str) -> Iterator[Problem]:
     """Refuse a limit without a unit, which is in SI units, on what is declared in another unit."""
     if not math.isclose(factor_of(unit), 1.0):
         message = f"the limit of {limit.max:g} has no unit, and what it bounds is declared in {unit}"
-        yield plant.problem(path, message, f"write 'unit: {unit}', or the unit that the limit is in")
+        yield problem_at(plant, path, message, f"write 'unit: {unit}', or the unit that the limit is in")
 
 
 def check_experiment_units(
     experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
 ) -> list[Problem]:
-    """Problems of live inputs whose sensors measure in another dimension; those that are multiplied by a factor may.
+    """List live inputs whose sensors measure in another dimension; those that are multiplied by a factor may.
 
     Numbers of a transform have the units that its terms need, so that it is not checked.
     """
@@ -132,7 +137,7 @@ def check_experiment_units(
             what = f"{source.sensor} measures {sensor.measures.text} in {_unit_of(sensor.measures, measured, rig)}"
             mend = "give a factor, which multiplies what the sensor measures, or take another sensor"
             message = f"{what}, and the input {name} of {virtual.name} is in {unit}"
-            problems.append(experiment.key_problem(f"inputs.{name}", message, mend))
+            problems.append(problem_at(experiment, f"inputs.{name}", message, mend, at_key=True))
     return problems
 
 
@@ -147,8 +152,9 @@ def _sensor(
         return
     if measured is None or not _is_written(sensor):
         return
-    product_dimension = times(dimension_of(sensor.gain.unit), measured)
-    if product_dimension == dimension_of(sensor.unit):
+    gain = dimension_of(sensor.gain.unit)
+    made = tuple(a + b for a, b in zip(gain, measured, strict=True))
+    if made == dimension_of(sensor.unit):
         return
     unit = _unit_of(sensor.measures, measured, model)
     product = "*".join(part for part in (sensor.gain.unit, unit) if part != "1") or "1"
@@ -156,16 +162,20 @@ def _sensor(
     message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
     wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
     mend = (
-        instead_of(sensor.unit, product_dimension)
+        instead_of(sensor.unit, made)
         or f"measure another quantity, give the gain in {wanted} with its value in that unit, or mend the unit"
     )
-    yield plant.problem(f"sensors.{name}", message, mend)
+    yield problem_at(plant, f"sensors.{name}", message, mend)
 
 
 def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclaration) -> str:
-    """Unit in which an expression is written: a declared one where it fits, else SI base units."""
-    sections = (model.coordinates, model.states, model.inputs, model.parameters, model.outputs)
-    for unit in sorted(section[name].unit for name in expression.names for section in sections if name in section):
+    """Give the unit in which an expression is written: a declared one where it fits, else SI base units."""
+    declared: list[str] = []
+    for name in expression.names:
+        for section in (model.coordinates, model.states, model.inputs, model.parameters, model.outputs):
+            if name in section:
+                declared.append(section[name].unit)
+    for unit in sorted(declared):
         for candidate in (unit, f"{unit}/s"):
             if dimension_of(candidate) == dimension:
                 return candidate

@@ -24,7 +24,7 @@ _PLAIN = 7  # digits before the point up to which a number is written without a 
 
 
 def number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or one that JSON keeps as text ("inf")
-    """Number with a few digits, very small and large ones with a power of ten: 2500, 3e-7."""
+    """Write a number with a few digits, very small and large ones with a power of ten: 2500, 3e-7."""
     try:
         text = f"{float(value):.{digits}g}"
     except (TypeError, ValueError):
@@ -36,13 +36,13 @@ def number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or 
 
 
 def percent(part: float, digits: int = 2) -> str:
-    """Part in percent with a few digits; none of those before the point is rounded off."""
+    """Write a part in percent with a few digits; none of those before the point is rounded off."""
     value = 100.0 * part
     return f"{value:.0f} %" if abs(value) >= 10.0**digits - 0.5 else f"{float(f'{value:.{digits}g}'):g} %"
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Value with a unit, which gets a prefix if it is one that takes them: 32 kN.
+    """Write a value with a unit, which gets a prefix if it is one that takes them: 32 kN.
 
     Args:
         value: in the unit.
@@ -56,7 +56,7 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def power(value: float, units: Sequence[str]) -> str:
-    """Power in W, or in W/kg of a force per mass; '' where force times rate is neither.
+    """Write a power in W, or in W/kg of a force per mass; '' where force times rate is neither.
 
     Args:
         value: of it, in the units of the force and the rate.
@@ -66,7 +66,7 @@ def power(value: float, units: Sequence[str]) -> str:
 
 
 def work(value: float, units: Sequence[str]) -> str:
-    """Energy in J, or in J/kg of a force per mass; '' where force times rate and seconds is neither.
+    """Write an energy in J, or in J/kg of a force per mass; '' where force times rate and seconds is neither.
 
     Args:
         value: of it, in the units of the force and the rate, times s.
@@ -76,13 +76,13 @@ def work(value: float, units: Sequence[str]) -> str:
 
 
 def _as_one_of(shown: Sequence[str], value: float, unit: str) -> str:
-    """Value in the first of some units that has its dimension; '' where none has."""
-    fitting = next((one for one in shown if dimension_of(unit) == dimension_of(one)), "")
-    return quantity(value * factor_of(unit), fitting) if fitting else ""
+    """Write a value in the first of some units that has its dimension; '' where none has."""
+    found = next((one for one in shown if dimension_of(unit) == dimension_of(one)), "")
+    return quantity(value * factor_of(unit), found) if found else ""
 
 
 def with_deviation(value: float, std: float, unit: str) -> str:
-    """Value and its standard deviation, which has two digits, with a unit: 5.47 ± 0.12 mm/s².
+    """Write a value and its standard deviation, which has two digits, with a unit: 5.47 ± 0.12 mm/s².
 
     Args:
         value: in the unit.
@@ -93,8 +93,8 @@ def with_deviation(value: float, std: float, unit: str) -> str:
         return f"{number(value, 5)} {unit}".rstrip()
     size = max(abs(value), std)
     scale = 0 if 1e-3 <= size < 1e5 else 3 * math.floor(math.log10(size) / 3.0)
-    pair = uncertainties.ufloat(value / 10.0**scale, std / 10.0**scale)
-    text = f"{pair:.2ufP}".replace("±", " ± ")
+    made = uncertainties.ufloat(value / 10.0**scale, std / 10.0**scale)
+    text = f"{made:.2ufP}".replace("±", " ± ")
     if not scale:
         return f"{text} {unit}".rstrip()
     if scale in _PREFIXES and scale < 0 and re.match(r"[mVN](/|$)", unit):

@@ -51,7 +51,7 @@ class Assembly:
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
-    """Model with everything that it extends, merged into one declaration whose places point into the right files.
+    """Load a model with everything it extends, merged into one declaration whose places point into the right files.
 
     Raises:
         DeclarationError: lists every problem with its place.
@@ -89,7 +89,7 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
 
 
 def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> PlantDeclaration:
-    """Plant with the dictionaries that it names; its model is a file of its own."""
+    """Load a plant with the dictionaries that it names; its model is a file of its own."""
     plant = _load(PlantDeclaration, name_or_path, reference)
     for i, name in enumerate(plant.own_effects):
         plant = with_dictionary(plant, name, replace(refer(plant, f"own_effects.{i}"), path="own_effects"))
@@ -97,7 +97,7 @@ def load_plant(name_or_path: str | Path, reference: Reference = NOWHERE) -> Plan
 
 
 def load_dictionary(name_or_path: str | Path, reference: Reference = NOWHERE) -> DictionaryDeclaration:
-    """Dictionary of own effects."""
+    """Load a dictionary of own effects."""
     return _load(DictionaryDeclaration, name_or_path, reference, check_dictionary)
 
 
@@ -118,7 +118,7 @@ def with_dictionary(
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
-    """Plant that fits the model that it names, the units of both included.
+    """Load a plant and check it against the model that it names, the units of both included.
 
     Raises:
         DeclarationError: lists every problem with its place.
@@ -133,17 +133,17 @@ def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
 
 
 def load_experiment(name_or_path: str | Path, reference: Reference = NOWHERE) -> ExperimentDeclaration:
-    """Experiment; its plant and its virtual system are files of their own."""
+    """Load an experiment; its plant and its virtual system are files of their own."""
     return _load(ExperimentDeclaration, name_or_path, reference, _check_plants)
 
 
 def load_batch(name_or_path: str | Path) -> BatchDeclaration:
-    """Batch of runs; its experiment is a file of its own."""
+    """Load a batch of runs; its experiment is a file of its own."""
     return _load(BatchDeclaration, name_or_path, NOWHERE)
 
 
 def _check_plants(experiment: ExperimentDeclaration, is_whole: bool, lost: Collection[str]) -> list[Problem]:
-    """Problems of the plants that an experiment names: it has one, or several together."""
+    """List what is wrong with the plants that an experiment names: it has one, or several together."""
     path, mend = "plants", "name one plant with plant, or several with plants, such as 'plants: {a: cart, b: cart}'"
     place = experiment.key_place(path)
     if experiment.plant is None and not experiment.plants and not {"plant", "plants"} & {*lost} and is_whole:
@@ -170,31 +170,31 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
 def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
     """Content of an experiment's file for a folder, from which it names other files."""
     declared = assembly.experiment
-    content = declared.canonical()
-    content["virtual"] = name_from(assembly.virtual_model, start)
+    made = declared.canonical()
+    made["virtual"] = name_from(assembly.virtual_model, start)
     if declared.plants:
-        content["plants"] = {part.name: name_from(part.plant, start) for part in parts(declared)}
+        made["plants"] = {part.name: name_from(part.plant, start) for part in parts(declared)}
     else:
-        content["plant"] = name_from(assembly.plant, start)
+        made["plant"] = name_from(assembly.plant, start)
     if declared.controller.model is not None:
-        content["controller"]["model"] = name_from(assembly.believed_model, start)
+        made["controller"]["model"] = name_from(assembly.believed_model, start)
     for name, source in declared.inputs.items():
         if source.file is not None:
             folder = refer(declared, f"inputs.{name}").folder
-            content["inputs"][name]["file"] = str(((folder or Path()) / source.file).resolve())
-    return content
+            made["inputs"][name]["file"] = str(((folder or Path()) / source.file).resolve())
+    return made
 
 
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
     """Experiment with some sections of its file replaced, checked as if the file said so."""
     data, places = {**experiment.canonical(), **sections}, experiment._places.without(sections)
-    changed = read(ExperimentDeclaration, data, places, experiment.files, _check_plants)
-    changed._counts = experiment._counts
-    return changed
+    made = read(ExperimentDeclaration, data, places, experiment.files, _check_plants)
+    made._counts = experiment._counts
+    return made
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
-    """Experiment with everything that it refers to, which fits; `plant` replaces the experiment's own.
+    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own.
 
     Raises:
         DeclarationError: lists every problem with its place.
@@ -211,29 +211,29 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
 
 
 def parts(experiment: ExperimentDeclaration) -> list[Part]:
-    """Plants that an experiment runs together, each with its model."""
-    plants = []
+    """Load the plants that an experiment runs together, each with its model."""
+    made = []
     for name, file in experiment.plants.items():
         plant = load_plant(file, refer(experiment, f"plants.{name}"))
-        plants.append(Part(name, plant, load_model(plant.model, refer(plant, "model"))))
-    return plants
+        made.append(Part(name, plant, load_model(plant.model, refer(plant, "model"))))
+    return made
 
 
 def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDeclaration, ModelDeclaration]:
-    """Plant that an experiment drives, and its model; `plant` replaces it."""
+    """Load what an experiment drives, and its model; `plant` replaces it."""
     if plant is None and experiment.plants:
-        plants = parts(experiment)
-        problems = [problem for part in plants for problem in check_plant(part.plant, part.model)]
+        found = parts(experiment)
+        problems = [problem for part in found for problem in check_plant(part.plant, part.model)]
         if problems:
             raise DeclarationError(in_order(problems))
-        return compose(plants)
+        return compose(found)
     reference = Reference(counts=experiment._counts) if plant else refer(experiment, "plant")
     rig = load_plant(plant or experiment.plant or "", reference)
     return rig, load_model(rig.model, refer(rig, "model"))
 
 
 def check_units(assembly: Assembly) -> list[Problem]:
-    """Problems of units of an experiment and its plant that do not go with those of the models; needs pint."""
+    """List the units of an experiment and its plant that do not go with those of the models; needs pint."""
     problems = check_plant_units(assembly.plant, assembly.plant_model)
     experiment = assembly.experiment
     virtual = load_model(experiment.virtual, refer(experiment, "virtual"))  # with its inputs as declared
@@ -241,7 +241,7 @@ def check_units(assembly: Assembly) -> list[Problem]:
 
 
 def refer(declaration: Declaration, path: str) -> Reference:
-    """Reference that stands at a path of a declaration; files are looked up from its folder."""
+    """Give the reference that stands at a path of a declaration; files are looked up from its folder."""
     place = declaration.place(path)
     return Reference(place, path, Path(place.file).parent if place else None, declaration._counts)
 
@@ -257,20 +257,20 @@ def _load(
     node, digest, counts = _read_file(kind.kind_name, path, str(name_or_path), reference, refused)
     places = Places()
     places.add(node)
-    declaration = read(kind, plain_mapping(node), places, {str(path): digest}, check, refused=refused)
-    declaration._counts = {**reference.counts, **counts}
-    return declaration
+    made = read(kind, plain_mapping(node), places, {str(path): digest}, check, refused=refused)
+    made._counts = {**reference.counts, **counts}
+    return made
 
 
 def _read_file(
     kind: str, path: Path, shown: str, reference: Reference, refused: list[Problem]
 ) -> tuple[Node, str, dict[str, int]]:
-    """Content of a file that must be of a kind, its SHA-256, its counts; `refused` takes the scalars that are none."""
+    """Read a file that must be of a kind, with its SHA-256 and counts; `refused` takes the scalars that are none."""
     data = strict_yaml.read_bytes(path)
     node = strict_yaml.decode(data, str(path), refused)
-    other = kind_of_keys(node.value if isinstance(node.value, dict) else ())
-    if other not in {None, kind}:
-        raise DeclarationError(wrong_kind(kind, str(other), shown, reference, node))
+    found = kind_of_keys(node.value if isinstance(node.value, dict) else ())
+    if found not in {None, kind}:
+        raise DeclarationError(wrong_kind(kind, str(found), shown, reference, node))
     node, counts = (node, dict[str, int]()) if kind == "batch" else repeated(node, reference.counts)
     return node, hashlib.sha256(data).hexdigest(), counts
 
@@ -289,7 +289,7 @@ def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any], refused: lis
 
 
 def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
-    """Child over the model it extends: entries replaced field by field, terms added to the right-hand sides."""
+    """Put a child over the model it extends: entries replaced field by field, terms added to the right-hand sides."""
     result = dict(base)
     for key, value in child.items():
         if key == "terms":
@@ -333,7 +333,7 @@ def _add_terms(result: dict[str, Any], terms: dict[Text, Text | Real]) -> None:
 
 
 def _sum(left: Text | Real, right: Text | Real, path: str) -> Text:
-    """Sum of two expressions; each character keeps its place in its own file."""
+    """Write the sum of two expressions; each character keeps its place in its own file."""
     text = f"({left.node.text}) + ({right.node.text})"
     pieces: list[tuple[int, Place]] = []
     for start, node in ((1, left.node), (len(left.node.text) + 6, right.node)):

@@ -66,6 +66,7 @@ class _Repetition:
     integers: dict[tuple[str, Place], Expression] = field(default_factory=dict)
 
     def declare(self, node: Node, given: Mapping[str, int]) -> None:
+        """Read the items of `repeat`."""
         for item in node.value if isinstance(node.value, list) else [node]:
             match = _ITEM.fullmatch(item.text)
             if match is None:
@@ -131,16 +132,16 @@ class _Repetition:
 
     def own_ranges(self, node: Node, known: Mapping[str, int]) -> tuple[str, dict[str, range]]:
         """Key without the ranges in it, such as x[i=2..N], and these ranges."""
-        ranges = dict[str, range]()
+        found = dict[str, range]()
 
         def take(match: re.Match[str]) -> str:
             item = _ITEM.fullmatch(match["inside"])
             if item is None or item[3] is None:
                 return match[0]
-            ranges[item[1]] = self.range_of(item[2], item[3], known, node)
+            found[item[1]] = self.range_of(item[2], item[3], known, node)
             return f"{match['name'] or ''}[{item[1]}]"
 
-        return _BRACKET.sub(take, node.text), ranges
+        return _BRACKET.sub(take, node.text), found
 
     @staticmethod
     def values(ranges: Mapping[str, range]) -> Iterator[dict[str, int]]:
@@ -153,27 +154,27 @@ class _Repetition:
         if isinstance(node.value, list):
             return {k: v for child in node.value for k, v in self.free(child, known).items()}
         if isinstance(node.value, dict):
-            ranges = dict[str, range]()
+            found = dict[str, range]()
             for key, child in node.value.items():
                 text = _OWN_RANGE.sub(r"[\1]", key)
                 bound = {**known, **dict.fromkeys((*self.indices(text, known, child), *_OWN_RANGE.findall(key)), 0)}
-                ranges |= self.free(child, bound)
-            return ranges
+                found |= self.free(child, bound)
+            return found
         return self.indices(node.text, known, node) if isinstance(node.value, str) else {}
 
     def indices(self, text: str, known: Mapping[str, int], node: Node) -> dict[str, range]:
         """Ranges of the indices in a text, outside of sums over them, that have no value yet."""
-        ranges = dict[str, range]()
+        found = dict[str, range]()
         outside, end = list[str](), 0
         for start, stop, index, body in sums(text, node):
             outside.append(text[end:start])
             end = stop
             name = index.partition("=")[0].strip()
-            ranges |= self.indices(body, {**known, name: 0}, node)
+            found |= self.indices(body, {**known, name: 0}, node)
         for match in _BRACKET.finditer("".join([*outside, text[end:]])):
             words = _WORD.findall(match["inside"])
-            ranges |= {word: self.ranges[word] for word in words if word in self.ranges and word not in known}
-        return ranges
+            found |= {word: self.ranges[word] for word in words if word in self.ranges and word not in known}
+        return found
 
     def scalar(self, node: Node, known: Mapping[str, int], path: str) -> Node:
         """Text for known values of indices; one that is arithmetic of numbers then is a number."""
@@ -201,11 +202,11 @@ class _Repetition:
     def text(self, text: str, known: Mapping[str, int], node: Node) -> str:
         """Text with sums written out, and numbers in place of indices."""
         self.count(node, len(text))
-        result, end = "", 0
+        made, end = "", 0
         for start, stop, index, body in sums(text, node):
-            result += self.indexed(text[end:start], known, node) + self.sum(index, body, known, node)
+            made += self.indexed(text[end:start], known, node) + self.sum(index, body, known, node)
             end = stop
-        return result + self.indexed(text[end:], known, node)
+        return made + self.indexed(text[end:], known, node)
 
     def indexed(self, text: str, known: Mapping[str, int], node: Node) -> str:
         """Text without sums, with numbers in place of indices."""
@@ -223,7 +224,7 @@ class _Repetition:
         return f"({' + '.join(terms) or '0'})"
 
     def index(self, match: re.Match[str], known: Mapping[str, int], node: Node) -> str:
-        """Number in place of the brackets of an index; others, such as those of a citation, stay."""
+        """Return what stands for the brackets of an index; others, such as those of a citation, stay."""
         self.count(node)
         before, inside = match["name"] or "", match["inside"]
         words = set(_WORD.findall(inside))
@@ -245,13 +246,13 @@ class _Repetition:
 
 
 def sums(text: str, node: Node) -> Iterator[tuple[int, int, str, str]]:
-    """Outermost sums of a text: where each starts and stops, its index and what is summed."""
+    """Yield the outermost sums of a text: where each starts and stops, its index and what is summed."""
     if len(text) > LONGEST_SUMS and _SUM.search(text):
         message = f"a text with sums in it has {len(text)} characters, more than {LONGEST_SUMS}"
         raise _problem(node, message, "split it into definitions")
     end = 0
-    while match := _SUM.search(text, end):
-        depth, comma, end = 1, -1, match.end()
+    while found := _SUM.search(text, end):
+        depth, comma, end = 1, -1, found.end()
         while depth and end < len(text):
             depth += (text[end] == "(") - (text[end] == ")")
             if depth > DEEPEST_NESTING:
@@ -260,7 +261,7 @@ def sums(text: str, node: Node) -> Iterator[tuple[int, int, str, str]]:
                 comma = end
             end += 1
         if not depth and comma > 0:
-            yield match.start(), end, text[match.end() : comma], text[comma + 1 : end - 1]
+            yield found.start(), end, text[found.end() : comma], text[comma + 1 : end - 1]
 
 
 def _too_many(node: Node) -> DeclarationError:

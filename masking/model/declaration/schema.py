@@ -6,16 +6,15 @@ is brought to its full form on reading, so code meets only one form.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
-from masking.errors import Place, Problem, nearest
+from masking.errors import Place
 from masking.model.declaration.event_declaration import Event
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.fields import (
-    Block,
     ControllerRate,
     Formula,
     Name,
@@ -34,6 +33,13 @@ from masking.model.declaration.instrument_declaration import Actuator, Limits, S
 from masking.model.declaration.shape_declaration import Shape
 from masking.model.declaration.shorthand import Short
 from masking.model.declaration.strict_yaml import Places
+
+
+class Block(BaseModel):
+    """A mapping with fixed keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
 
 _MEANING = Short("meaning", (str,))
 _VALUE = Short("value", (int, float, str))
@@ -215,7 +221,7 @@ class Transform(Block):
 
     @property
     def kind(self) -> Literal["identity", "matrix", "expressions"]:
-        """Form of the transform."""
+        """Say in which way the transform is given."""
         return "matrix" if self.matrix is not None else "expressions" if self.expressions is not None else "identity"
 
 
@@ -326,35 +332,15 @@ class Declaration(Block):
         return dict(self._files)
 
     def place(self, path: str) -> Place | None:
-        """Place of a value such as "parameters.w3.value", or of the nearest value around it."""
+        """Give the place of a value such as "parameters.w3.value", or of the nearest value around it."""
         return self._places.around(path)
 
     def key_place(self, path: str) -> Place | None:
-        """Place of the key of a value, or of the nearest one around it."""
+        """Give the place of the key of a value, or of the nearest one around it."""
         return self._places.keys.get(path) or self.place(path)
 
-    def problem(self, path: str, message: str, mend: str = "") -> Problem:
-        """Problem at the place of a value.
-
-        Args:
-            path: of the value.
-            message: what is wrong.
-            mend: what to do about it.
-        """
-        return Problem(self.place(path), path, message, mend)
-
-    def key_problem(self, path: str, message: str, mend: str = "") -> Problem:
-        """Problem at the place of the key of a value; as `problem`."""
-        return Problem(self.key_place(path), path, message, mend)
-
-    def unknown_keys(self, section: str, keys: Iterable[str], known: Collection[str], what: str) -> Iterator[Problem]:
-        """Problem of each key of a section that is not known; `what` names the known ones, such as "a coordinate"."""
-        for key in keys:
-            if key not in known:
-                yield self.key_problem(f"{section}.{key}", f"'{key}' is not {what}", nearest(key, known))
-
     def canonical(self) -> dict[str, Any]:
-        """Declaration as JSON can hold it, defaults left out; the dict can be validated again."""
+        """Give the declaration as JSON can hold it, defaults left out; the dict can be validated again."""
         return self.model_dump(mode="json", exclude_defaults=True)
 
 
@@ -383,7 +369,7 @@ class ModelDeclaration(Declaration):
     drawing: tuple[Shape, ...] = ()
 
     def state_of(self, left: Expression) -> str | None:
-        """Internal state whose equation has this left-hand side, None for an equation of motion."""
+        """Give the internal state whose equation has this left-hand side, None for an equation of motion."""
         symbol = left.steps[0].value if len(left.steps) == 1 and left.steps[0].operation == "symbol" else ""
         name = symbol.removesuffix("'")
         return name if name in self.states and symbol == f"{name}'" else None
@@ -430,7 +416,7 @@ class PlantDeclaration(Declaration):
         return self._dictionaries
 
     def with_dictionaries(self, *own: DictionaryDeclaration) -> PlantDeclaration:
-        """Plant with more dictionaries than it names."""
+        """Give the plant with more dictionaries than it names."""
         changed = self.model_copy()
         changed._dictionaries = (*self._dictionaries, *own)
         changed._files = {**self._files, **{file: digest for one in own for file, digest in one.files.items()}}
@@ -457,7 +443,7 @@ class ExperimentDeclaration(Declaration):
     record: RecordSettings | None = None
     stop: Annotated[Stop, _WHEN] | None = None
     tolerance: Positive = 1e-10
-    seed: Natural = 0
+    seed: Natural = Field(default=0)
 
 
 class BatchBudget(Block):

@@ -9,13 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar
 
+from pydantic import BaseModel, ConfigDict
+
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.fields import Block, Formula, TextField
+from masking.model.declaration.fields import Formula, TextField
 
 Point = tuple[Formula, Formula]
 
 
-class Body(Block):
+class _Part(BaseModel):
+    """A mapping with fixed keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class Body(_Part):
     """A box: `at` is its middle, `size` its width and height."""
 
     at: Point
@@ -23,13 +31,13 @@ class Body(Block):
     label: TextField = ""
 
 
-class Line(Block):
+class Line(_Part):
     """Something straight between two points: a spring, a rod, or the ground, which is hatched on its right side."""
 
     ends: tuple[Point, Point]
 
 
-class Arm(Block):
+class Arm(_Part):
     """An arm that turns about `pivot`, with a bob of a radius at its end."""
 
     pivot: Point
@@ -39,7 +47,7 @@ class Arm(Block):
     label: TextField = ""
 
 
-class Disc(Block):
+class Disc(_Part):
     """A disc that turns about its middle, with a spoke."""
 
     at: Point
@@ -48,7 +56,7 @@ class Disc(Block):
     label: TextField = ""
 
 
-class Shape(Block):
+class Shape(_Part):
     """One shape: a mapping with the key of its kind."""
 
     body: Body | None = None

@@ -30,5 +30,5 @@ class Short:
         return {"anyOf": [{"type": names}, handler(schema)]}
 
     def widen(self, value: object) -> object:
-        """Full form of a bare scalar, and anything else as it is."""
+        """Give the full form of a bare scalar, and anything else as it is."""
         return {self.key: value} if isinstance(value, self.kinds) and not isinstance(value, bool) else value

@@ -25,14 +25,34 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same events,
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LEADING_ZERO = re.compile(r"[-+]?0\d")
 # y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
-_AMBIGUOUS = (  # what YAML 1.1 makes of it, and what to write instead
-    (r"(?i:on|off|yes|no)", "is true or false in YAML 1.1", "quote it or write true/false"),
-    (r"[-+]?\.?(?i:inf(?:inity)?|nan)", "is not a finite number", "write a finite number"),
-    (r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+", "is an octal number in YAML", "leave the leading zero away"),
-    (r"[-+]?0(?:x[0-9a-fA-F_]+|b[01_]+)", "is a hexadecimal or binary number in YAML 1.1", "write it in decimals"),
-    (r"[-+]?\d[\d_]*(?::[0-5]?\d)+(?:\.\d*)?", "is a number to base 60 in YAML 1.1", "write it in decimals"),
-    (r"\d{4}-\d\d?-\d\d?(?:[Tt ].*)?", "is a date in YAML 1.1", "quote it"),
-    (r"[-+]?\d[\d_]*_[\d_]*(?:\.[\d_]*)?(?:[eE].*)?", "is a number in YAML 1.1", "leave the underscores away"),
+_AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
+    (
+        re.compile(r"on|off|yes|no", re.IGNORECASE),
+        "is true or false in YAML 1.1",
+        "quote it or write true/false",
+    ),
+    (re.compile(r"[-+]?\.?(?:inf(?:inity)?|nan)", re.IGNORECASE), "is not a finite number", "write a finite number"),
+    (
+        re.compile(r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+"),
+        "is an octal number in YAML",
+        "leave the leading zero away",
+    ),
+    (
+        re.compile(r"[-+]?0(?:x[0-9a-fA-F_]+|b[01_]+)"),
+        "is a hexadecimal or binary number in YAML 1.1",
+        "write it in decimals",
+    ),
+    (
+        re.compile(r"[-+]?\d[\d_]*(?::[0-5]?\d)+(?:\.\d*)?"),
+        "is a number to base 60 in YAML 1.1",
+        "write it in decimals",
+    ),
+    (re.compile(r"\d{4}-\d\d?-\d\d?(?:[Tt ].*)?"), "is a date in YAML 1.1", "quote it"),
+    (
+        re.compile(r"[-+]?\d[\d_]*_[\d_]*(?:\.[\d_]*)?(?:[eE].*)?"),
+        "is a number in YAML 1.1",
+        "leave the underscores away",
+    ),
 )
 _NO_SPACE = re.compile(r"[\w)]['\"]*:[^\s:/]")
 _CONTENT = re.compile(r"\s*[^\s#]")
@@ -84,19 +104,19 @@ class Places:
                 self.add(child)
 
     def around(self, path: str) -> Place | None:
-        """Place of a value, or of the nearest value around it."""
+        """Give the place of a value, or of the nearest value around it."""
         while path and path not in self.values:
             path = path.rpartition(".")[0]
         return self.values.get(path)
 
 
 def load(path: str | Path) -> Node:
-    """Content of a YAML file; raises `DeclarationError` with every problem."""
+    """Read a YAML file; raises `DeclarationError` with every problem found."""
     return decode(read_bytes(path), str(path))
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Bytes of a file of bounded size.
+    """Read a file of bounded size.
 
     Raises:
         DeclarationError: it is not there, cannot be read, or is too large.
@@ -115,7 +135,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
-    """Content of the bytes of a YAML file.
+    """Read YAML from the bytes of a file.
 
     Args:
         data: content of the file.
@@ -134,7 +154,7 @@ def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node
 
 
 def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
-    """Content of a text of YAML.
+    """Read YAML from a text.
 
     Args:
         text: YAML.
@@ -163,7 +183,7 @@ def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None)
 
 
 def _position(mark: Any) -> tuple[int, int]:  # noqa: ANN401  (PyYAML has two classes of marks, one in C)
-    """Line and column of a mark, both from 0."""
+    """Give the line and column of a mark, both from 0."""
     return mark.line, mark.column
 
 
@@ -225,7 +245,7 @@ class _Builder:
         return self.root
 
     def not_yaml(self, error: yaml.YAMLError) -> Problem:
-        """Problem at which PyYAML stopped, with the remedy of the mistakes that people make."""
+        """Describe what PyYAML stopped at, with the mend of the mistakes that people make."""
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         line, column = _position(mark) if mark else (0, 0)
         message = getattr(error, "problem", None) or str(error)
@@ -247,7 +267,7 @@ class _Builder:
         return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", mend)
 
     def without_colon(self, line: int, column: int) -> Problem:
-        """Problem of a line that should be 'key: value' and has no colon with a space after it."""
+        """Describe a line that should be 'key: value' and has no colon with a space after it."""
         text = self.lines[line][column:].strip()
         name = re.match(r"[^\s:]*", text)
         key = name[0] if name else ""
@@ -258,6 +278,7 @@ class _Builder:
         return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", mend)
 
     def take(self, event: yaml.Event) -> None:
+        """Add one event to the tree."""
         if isinstance(event, yaml.AliasEvent):
             self.stop(event, "an alias is not allowed", "write the value out")
         if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
@@ -290,11 +311,12 @@ class _Builder:
             self.report(place, f"the key {key or 'null'} is not a text", "quote it or give it a name")
         level.key = key
         if key in level.keys:
-            self.report(place, f"the key '{key}' stands here twice", f"the first is in line {level.keys[key].line}")
+            message = f"the key '{key}' stands here twice"
+            self.report(place, message, f"the first is in line {level.keys[key].line}")
         level.keys.setdefault(key, place)
 
     def scalar(self, event: yaml.ScalarEvent) -> Node:
-        """Node of a scalar; a plain one may be null, true, false or a number, any other is a text."""
+        """Read a scalar; a plain one may be null, true, false or a number, any other is a text."""
         text: str = event.value
         value: str | float | bool | None = text
         if not event.style:
@@ -306,7 +328,7 @@ class _Builder:
                 value = self.number(text, event)
             else:
                 for pattern, meaning, mend in _AMBIGUOUS:
-                    if re.fullmatch(pattern, text):
+                    if pattern.fullmatch(text):
                         self.report(self.place(event), f"'{text}' {meaning}", mend)
                         break
         return Node(value, self.place(event), self.path(), text, pieces=self.pieces(event))
@@ -320,7 +342,7 @@ class _Builder:
         return value
 
     def pieces(self, event: yaml.ScalarEvent) -> tuple[tuple[int, Place], ...]:
-        """Places of the words of a text that is folded over lines or holds doubled quotes."""
+        """Find each word of a text that is folded over lines or holds doubled quotes."""
         line, column, last = *_position(event.start_mark), _position(event.end_mark)[0]
         folded = last > line
         if not folded and not (event.style == "'" and "'" in event.value):
@@ -349,7 +371,7 @@ class _Builder:
         return self.levels[-1].child_path() if self.levels else ""
 
     def place(self, event: yaml.Event) -> Place:
-        """Beginning of the content of an event, inside the quotes of a quoted text."""
+        """Give where the content of an event begins, inside the quotes of a quoted text."""
         quoted = isinstance(event, yaml.ScalarEvent) and event.style in {"'", '"'}
         line, column = _position(event.start_mark)
         return Place(self.file, line + 1, column + 1 + quoted)

@@ -76,7 +76,7 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
 
 
 def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
-    """Postfix program of a text; raises what `refuse` makes of the first thing outside the language.
+    """Read the text into its postfix program; raises what `refuse` makes of the first thing outside the language.
 
     Raises:
         DeclarationError: made by `refuse`.
@@ -99,7 +99,7 @@ def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
 
 
 def _scan(text: str, refuse: Refuse) -> int:
-    """Number of operations and operands of a text; refuses every text that is not made of this language's tokens."""
+    """Refuse every text that is not made of this language's tokens; give how many operations and operands it has."""
     brackets: list[int] = []
     index, before, last = 0, "", ""  # `last` is the token just read, `before` the same if a value ended there
     size = 0
@@ -136,6 +136,7 @@ def _scan(text: str, refuse: Refuse) -> int:
 
 
 def _foreign(text: str, index: int, refuse: Refuse) -> DeclarationError:
+    """Say what a character is that starts no token."""
     for token, message, mend in _FOREIGN:
         if text.startswith(token, index):
             return refuse(index, index + len(token), message, mend)
@@ -149,7 +150,7 @@ def _foreign(text: str, index: int, refuse: Refuse) -> DeclarationError:
 
 
 def _juxtaposed(text: str, start: int, end: int, before: str, refuse: Refuse) -> DeclarationError:
-    """Error of two values side by side, which are no product here."""
+    """Say that two values stand side by side, which is no product here."""
     after = text[start:end]
     if keyword.iskeyword(after):
         return refuse(start, end, f"'{after}' is a Python keyword", "the only choice is where(condition, a, b)")
@@ -160,7 +161,7 @@ def _juxtaposed(text: str, start: int, end: int, before: str, refuse: Refuse) ->
 
 
 def _check_name(text: str, start: int, end: int, refuse: Refuse) -> int:
-    """End of a name with its primes; refuses names that are not free to use."""
+    """Refuse names that are not free to use; give the end of the name with its primes."""
     name, call = text[start:end], _CALL.match(text, end)
     last = call.end("primes") if call else end
     if end - start > LONGEST_NAME:
@@ -231,7 +232,7 @@ class _Walker:
                 raise self.refuse(start, end, "this is not allowed in an expression", "")
 
     def _chain(self, node: ast.BinOp, depth: int) -> Iterator[Step]:
-        """Steps of a chain of operators such as a sum of many terms, which is long but not deep."""
+        """Yield a chain of operators such as a sum of many terms, which is long but not deep."""
         links: list[ast.BinOp] = []
         left: ast.expr = node
         while isinstance(left, ast.BinOp):
@@ -266,9 +267,10 @@ class _Walker:
             case ast.Compare():
                 raise self.refuse(start, end, "a chain of comparisons is not allowed", "put one where inside another")
             case _:
-                raise self.refuse(start, end, "the condition of where is not a comparison", "write where(x > 0, a, b)")
+                mend = "write where(x > 0, a, b)"
+                raise self.refuse(start, end, "the condition of where is not a comparison", mend)
 
     def _span(self, node: ast.expr) -> tuple[int, int]:
-        """First and last index of a node in the text; Python counts bytes of the bracketed source."""
+        """Give the node's first and last index in the text; Python counts bytes of the bracketed source."""
         start, end = (self.indices[offset] - 1 for offset in (node.col_offset, node.end_col_offset or 0))
         return max(start, 0), min(end, len(self.text))  # a tuple would include the brackets around the source

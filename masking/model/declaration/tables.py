@@ -15,8 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from masking.model.declaration.lazy_sympy import sp
+import lazy_loader as lazy
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 FEWEST = 2  # points
 TABLES = ("interpolate", "interpolate_monotone")
@@ -70,7 +76,7 @@ def symbolic_monotone(x: sp.Expr, *points: sp.Expr) -> sp.Expr:
 
 
 def trouble(points: Sequence[float | None]) -> str:
-    """Trouble with the points of a table: abscissa and ordinate of each in turn, None in place of what is no number.
+    """Say what is wrong with the points of a table: abscissa and ordinate of each in turn, None of what is no number.
 
     '' where nothing is.
     """
@@ -105,10 +111,10 @@ def _bends(h: Sequence[float], rise: Sequence[float]) -> list[float]:
             pivot, value = pivot - h[i] ** 2 / diagonal[-1], value - h[i] / diagonal[-1] * right[-1]
         diagonal.append(pivot)
         right.append(value)
-    bends = list[float]()
+    found = list[float]()
     for i in reversed(range(len(diagonal))):
-        bends.insert(0, (right[i] - (h[i + 1] * bends[0] if bends else 0.0)) / diagonal[i])
-    return bends
+        found.insert(0, (right[i] - (h[i + 1] * found[0] if found else 0.0)) / diagonal[i])
+    return found
 
 
 @lru_cache(maxsize=256)
@@ -137,6 +143,7 @@ def _monotone(points: tuple[float, ...]) -> Powers:
 
 
 def _rises(x: Sequence[float], y: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Width of each piece, and the mean slope in it."""
     h = [b - a for a, b in pairwise(x)]
     return h, [(b - a) / width for (a, b), width in zip(pairwise(y), h, strict=True)]
 

@@ -13,6 +13,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,13 +29,25 @@ else:
     pint = lazy.load("pint")
 
 Dimension = tuple[Fraction, ...]
-_Read = tuple[float, dict[str, Fraction], Fraction | None]  # factor, powers, and the number that it is, if it is one
 
 BASES: dict[str, str] = {
-    "mass": "kg", "length": "m", "time": "s", "current": "A", "temperature": "K", "substance": "mol",
+    "mass": "kg",
+    "length": "m",
+    "time": "s",
+    "current": "A",
+    "temperature": "K",
+    "substance": "mol",
     "luminosity": "cd",
-}  # fmt: skip
-ANGLES = dict.fromkeys(("deg", "degree", "degrees", "turn", "rev", "revolution"), "rad") | {"rpm": "rad/s"}
+}
+ANGLES = {
+    "deg": "rad",
+    "degree": "rad",
+    "degrees": "rad",
+    "turn": "rad",
+    "rev": "rad",
+    "revolution": "rad",
+    "rpm": "rad/s",
+}
 GRAM, GRAVITY = "g", "gravity"  # one that is often written for the other
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 # Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.
@@ -57,8 +70,7 @@ USUAL: dict[str, tuple[float, dict[str, int]]] = {
 }
 _PLAIN = ("N", "J", "W", "V", "ohm", "Pa")  # that SI values are given in, rather than in products of base units
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_ZERO = Fraction(0)
-NONE: Dimension = (_ZERO,) * len(BASES)
+NONE: Dimension = (Fraction(0),) * len(BASES)
 TIME: Dimension = tuple(Fraction(int(base == "time")) for base in BASES)
 
 
@@ -75,29 +87,24 @@ class Conversion(NamedTuple):
 
 
 def dimension_of(unit: str) -> Dimension:
-    """Exponents of a unit over `BASES`; raises `DeclarationError` for what is no unit."""
+    """Give the exponents of a unit over `BASES`; raises `DeclarationError` for what is no unit."""
     return _unit(unit)[1]
 
 
-def times(a: Dimension, b: Dimension, power: int | Fraction = 1) -> Dimension:
-    """Dimension of a product with a power."""
-    return tuple(x + power * y for x, y in zip(a, b, strict=True))
-
-
 def instead_of(unit: str, wanted: Dimension) -> str:
-    """Remedy for a unit whose name is that of another dimension than wanted; '' where none is known."""
+    """Say what to write for a unit whose name is that of another dimension than wanted; '' where nothing is known."""
     if unit == GRAM and wanted == dimension_of(GRAVITY):
         return f"{GRAM} is the gram: write {GRAVITY} for {factor_of(GRAVITY):g} m/s**2"
     return ""
 
 
 def factor_of(unit: str) -> float:
-    """Factor of a unit to SI base units."""
+    """Give how many SI base units one of this unit is."""
     return _unit(unit)[0]
 
 
 def coherent(unit: str) -> str:
-    """Coherent SI unit of the dimension of a unit: rad/s for deg/s, N*m for kN*mm."""
+    """Write the unit of the SI values of what is declared in a unit: rad/s for deg/s, N*m for kN*mm."""
     return combined(unit, {name: _coherent(name) for name in _powers(unit)}) if unit else ""
 
 
@@ -110,12 +117,12 @@ def _coherent(name: str) -> str:
 
 
 def describe(dimension: Dimension) -> str:
-    """Dimension in plain SI base units, such as kg*m/s**2."""
+    """Write a dimension in plain SI base units, such as kg*m/s**2."""
     return _product(dict(zip(BASES.values(), dimension, strict=True)))
 
 
 def combined(template: str, known: Mapping[str, str]) -> str:
-    """Unit with units in place of letters; each name stays as it is written.
+    """Put units in place of letters, and keep each name as it is written.
 
     Args:
         template: a unit in which letters may stand for others, such as F/D.
@@ -129,16 +136,17 @@ def combined(template: str, known: Mapping[str, str]) -> str:
 
 
 def pretty(unit: str) -> str:
-    """Unit for people, such as 1/(m² s²) for 1/m**2/s**2; "" for 1.
+    """Write a unit for people, such as 1/(m² s²) for 1/m**2/s**2; "" for 1.
 
     pint's own format writes 1/m²/s² and sorts N m to m·N, which is why it is not used.
     """
-    raised = re.sub(r"\*\*(\d+)", lambda match: match[1].translate(RAISED), _product(_powers(unit)))
+    raised = re.sub(r"\*\*(\d+)", lambda found: found[1].translate(RAISED), _product(_powers(unit)))
     first, *below = raised.replace("*", " ").split("/")
     return "" if raised == "1" else "/".join([first, *([f"({' '.join(below)})"] if len(below) > 1 else below)])
 
 
 def _product(powers: Mapping[str, Fraction]) -> str:
+    """Write powers of names as a product and quotients."""
 
     def factor(name: str, power: Fraction) -> str:
         exponent = str(power) if power.denominator == 1 else f"({power})"
@@ -151,11 +159,12 @@ def _product(powers: Mapping[str, Fraction]) -> str:
 
 def _powers(unit: str) -> dict[str, Fraction]:
     """Names in a unit with their powers, without looking them up."""
-    return _read(unit or "1", lambda name: (1.0, {name: Fraction(1)}))[1]
+    expression = Expression(unit or "1", path="unit")
+    return expression.walk(_Units(expression, lambda name: (1.0, {name: Fraction(1)})))[1]
 
 
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
-    """Conversion of a unit to scales.
+    """Resolve a unit into scales, given as name: unit.
 
     Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0.
     Without any scales only the factor to SI is found.
@@ -211,46 +220,50 @@ def named_by_pint(name: str) -> tuple[float, dict[str, Fraction]]:
 
 @functools.cache
 def _unit(text: str) -> tuple[float, Dimension]:
-    factor, powers = _read(text, _named)
+    expression = Expression(text, path="unit")
+    factor, powers, _ = expression.walk(_Units(expression, _named))
     return factor, tuple(powers.get(base, Fraction(0)) for base in BASES)
 
 
-def _read(text: str, named: Callable[[str], tuple[float, dict[str, Fraction]]]) -> tuple[float, dict[str, Fraction]]:
-    """Factor and powers of a unit, both as `named` gives them for each name in it."""
-    expression = Expression(text, path="unit")
+_Read = tuple[float, dict[str, Fraction], Fraction | None]
 
-    def refusal(step: Step, message: str, mend: str = "") -> DeclarationError:
-        return DeclarationError(expression.problem(step, message, mend))
 
-    def number(step: Step) -> _Read:
+@dataclass(frozen=True, slots=True)
+class _Units:
+    """Reads a unit: (factor, powers, number if it is one), both as `named` gives them for each name in it."""
+
+    expression: Expression
+    named: Callable[[str], tuple[float, dict[str, Fraction]]]
+
+    def number(self, step: Step) -> _Read:
         if step.value == "pi":
-            raise refusal(step, "pi is not a unit")
+            raise DeclarationError(self.expression.problem(step, "pi is not a unit"))
         return float(step.value), {}, Fraction(step.value)
 
-    def symbol(step: Step) -> _Read:
+    def symbol(self, step: Step) -> _Read:
         try:
-            return *named(step.value), None
+            return *self.named(step.value), None
         except LookupError:
-            raise refusal(step, f"'{step.value}' is not a unit", "units are written as in N*s/m**2") from None
+            mend = "units are written as in N*s/m**2"
+            raise DeclarationError(self.expression.problem(step, f"'{step.value}' is not a unit", mend)) from None
 
-    def apply(step: Step, args: Sequence[_Read]) -> _Read:
+    def apply(self, step: Step, args: Sequence[_Read]) -> _Read:
         (factor, powers, number), (other, others, exponent) = args[0], args[-1]
         if step.operation == "negative" and number is not None:
             return -factor, powers, -number
         if step.operation in {"*", "/"}:
             sign = 1 if step.operation == "*" else -1
-            joined = {name: powers.get(name, _ZERO) + sign * others.get(name, _ZERO) for name in {**powers, **others}}
+            joined = dict.fromkeys([*powers, *others], Fraction(0)) | powers
+            joined |= {name: joined[name] + sign * power for name, power in others.items()}
             ratio = None if number is None or exponent is None else number * exponent**sign
             return factor * other**sign, joined, ratio
         if step.operation == "**" and exponent is not None and factor > 0.0:
             return math.pow(factor, other), {name: power * exponent for name, power in powers.items()}, None
-        raise refusal(step, "a unit is a product of powers of units")
-
-    return expression.walk(number, symbol, apply)[:2]
+        raise DeclarationError(self.expression.problem(step, "a unit is a product of powers of units"))
 
 
 def _solve(columns: Sequence[Dimension], wanted: Dimension) -> list[Fraction] | None:
-    """Exponents by elimination; None if there is no solution."""
+    """Solve for the exponents by elimination; None if there is no solution."""
     rows = [[column[i] for column in columns] + [wanted[i]] for i in range(len(wanted))]
     pivots: list[int] = []
     for column in range(len(columns)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
@@ -29,7 +29,7 @@ def read(
     *,
     refused: Sequence[Problem] = (),
 ) -> D:
-    """Declaration of plain data.
+    """Make a declaration of plain data.
 
     Args:
         kind: of the declaration.
@@ -63,7 +63,7 @@ def read(
 
 
 def in_order(problems: Iterable[Problem]) -> list[Problem]:
-    """Problems in the order of file, line and column."""
+    """Sort problems by file, line and column."""
     return sorted(
         problems, key=lambda problem: (problem.place is not None, astuple(problem.place) if problem.place else ())
     )
@@ -92,13 +92,17 @@ def _repaired(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> dict[s
 
 
 def _lost(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> list[str]:
-    unknown = [error["loc"][0] for error in errors if error["type"] == "extra_forbidden" and len(error["loc"]) == 1]
-    sections = [data[str(key)] for key in unknown]
+    """List the names in the sections whose keys are not known."""
+    sections = [data[str(error["loc"][0])] for error in errors if _is_unknown_section(error)]
     return [str(name) for section in sections if isinstance(section, Mapping) for name in section]
 
 
+def _is_unknown_section(error: ErrorDetails) -> bool:
+    return error["type"] == "extra_forbidden" and len(error["loc"]) == 1
+
+
 def plain_mapping(node: Node) -> dict[str, Any]:
-    """Plain data of a whole file, named after the file if it has no name.
+    """Give the plain data of a whole file, named after the file if it has no name.
 
     Raises:
         DeclarationError: the file is no mapping.
@@ -119,7 +123,7 @@ def _translate(kind: type[Declaration], errors: Iterable[ErrorDetails], places: 
         match details["type"]:
             case "expression":
                 problem: Problem = context["problem"]
-                yield problem if problem.place else replace(problem, place=place, path=path)
+                yield problem if problem.place else Problem(place, path, problem.message, problem.mend, problem.excerpt)
             case "masking":
                 yield Problem(place, path, context["message"], context["mend"])
             case "extra_forbidden":
@@ -141,7 +145,7 @@ def _translate(kind: type[Declaration], errors: Iterable[ErrorDetails], places: 
 
 
 def _keys_at(annotation: Any, location: tuple[int | str, ...]) -> set[str]:  # noqa: ANN401
-    """Keys that are allowed in the block at a location, by following the annotations from a block."""
+    """Give the keys that are allowed in the block at a location, by following the annotations from a block."""
     origin = get_origin(annotation)
     if origin is Annotated:
         return _keys_at(get_args(annotation)[0], location)

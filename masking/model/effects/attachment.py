@@ -94,7 +94,7 @@ def parameters(
         for key in given
         if key not in effect.parameters
     ]
-    declared = {f"{label}_on": Parameter(value=1.0, meaning=f"switch of {label}: 1 is on, 0 is off", bounds=(0.0, 1.0))}
+    found = {f"{label}_on": Parameter(value=1.0, meaning=f"switch of {label}: 1 is on, 0 is off", bounds=(0.0, 1.0))}
     missing = []
     for key, entry in effect.parameters.items():
         unit = unit_of(entry.unit, units)
@@ -104,14 +104,14 @@ def parameters(
             missing.append(f"{key} in {unit} ({entry.meaning}{such})")
             continue
         try:
-            declared[f"{label}_{key}"] = _parameter(f"{label}.{key}", entry, unit, setting)
+            found[f"{label}_{key}"] = _parameter(f"{label}.{key}", entry, unit, setting)
         except DeclarationError as error:
             problems += error.problems
     if missing:
         problems.append(Problem(None, label, f"the effect '{effect.name}' needs values", f"give {', '.join(missing)}"))
     if problems:
         raise DeclarationError(problems)
-    return declared
+    return found
 
 
 def attach(
@@ -245,26 +245,26 @@ def _motion(
     Raises:
         DeclarationError: the element does not have one of them; says how to give it.
     """
-    element, motion = declaration.elements[at], dict[str, Expression]()
+    element, found = declaration.elements[at], dict[str, Expression]()
     what = f"the effect '{effect.name}' follows"
     if element.displacement is not None:
-        motion["d"] = Expression(element.displacement.text, path=f"{label}.displacement")
+        found["d"] = Expression(element.displacement.text, path=f"{label}.displacement")
     elif "d" in used:
         raise _refusal(at, f"{what} a displacement, and '{at}' has none", f"give elements.{at}.displacement")
     if element.rate is not None:
-        motion["d_rate"] = Expression(element.rate.text, path=f"{label}.rate")
+        found["d_rate"] = Expression(element.rate.text, path=f"{label}.rate")
     elif element.displacement is not None and has_rate(declaration, element):
-        motion["d_rate"] = Expression(rate_of(element.displacement, declaration.coordinates), path=label)
+        found["d_rate"] = Expression(rate_of(element.displacement, declaration.coordinates), path=label)
     elif used & {"d_rate", "d_acc"}:
         mend = f"give elements.{at}.rate, how fast it is stretched"
         raise _refusal(at, f"{what} a rate, and that of '{at}' is not known from coordinates", mend)
     if effect.is_inertia:
-        if motion["d_rate"].names & {*declaration.states, *declaration.inputs}:
+        if found["d_rate"].names & {*declaration.states, *declaration.inputs}:
             mend = "an inertia needs an element whose displacement is made of coordinates"
             raise _refusal(at, f"{what} an acceleration, and that of '{at}' is not known", mend)
         moving = [*declaration.coordinates, *velocities(declaration.coordinates)]
-        motion["d_acc"] = Expression(rate_of(motion["d_rate"], moving), path=label)
-    return motion
+        found["d_acc"] = Expression(rate_of(found["d_rate"], moving), path=label)
+    return found
 
 
 def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
@@ -311,6 +311,7 @@ def _written(dimension: Dimension | None) -> str:
 
 
 def _parameter(path: str, entry: EffectParameter, unit: str, setting: Setting) -> Parameter:
+    """Return one parameter of an effect as a model declares it."""
     value: object = setting
     if isinstance(setting, Mapping):
         if not {"value"} <= setting.keys() <= {"value", "unit"}:

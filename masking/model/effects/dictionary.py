@@ -12,6 +12,7 @@ from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
 from masking.model.declaration import registry
+from masking.model.declaration.checks import problem_at
 from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.model.effects.directed_effects import DIRECTED
 from masking.model.effects.element_effects import ELEMENTS
@@ -56,38 +57,41 @@ def dictionary(declarations: Iterable[DictionaryDeclaration]) -> Mapping[str, Ef
     Raises:
         DeclarationError: two effects have one name.
     """
-    effects = EFFECTS
+    found = EFFECTS
     for declaration in declarations:
         more = own(declaration)
         problems = [
             _taken(declaration, name, f"the effect '{name}' is in another dictionary, too")
             for name in more
-            if name in effects
+            if name in found
         ]
         if problems:
             raise DeclarationError(problems)
-        effects = {**effects, **more}
-    return effects
+        found = {**found, **more}
+    return found
 
 
 def _problems(declaration: DictionaryDeclaration, name: str) -> Iterator[Problem]:
+    """Give what is wrong with an effect beside those that come with the package."""
     effect, path = declaration.dictionary[name], f"dictionary.{name}"
     if name in EFFECTS:
-        yield _taken(declaration, name, f"the effect '{name}' comes with the package, see 'masking show {name}'")
+        message = f"the effect '{name}' comes with the package, see 'masking show {name}'"
+        yield _taken(declaration, name, message)
     if effect.family not in {"", *FAMILIES}:
         message = f"there is no family '{effect.family}'"
-        yield declaration.problem(f"{path}.family", message, nearest(effect.family, FAMILIES))
+        yield problem_at(declaration, f"{path}.family", message, nearest(effect.family, FAMILIES))
     places: dict[str, str] = {known: entry.where for known, entry in EFFECTS.items()}
     places |= {known: entry.where for known, entry in declaration.dictionary.items()}
     for simpler in effect.nested:
         if simpler not in places:
-            yield declaration.problem(f"{path}.nested", f"there is no effect '{simpler}'", nearest(simpler, places))
+            message = f"there is no effect '{simpler}'"
+            yield problem_at(declaration, f"{path}.nested", message, nearest(simpler, places))
         elif places[simpler] != effect.where or simpler == name:
-            yield declaration.problem(f"{path}.nested", f"'{simpler}' cannot be nested in '{name}'", "remove it")
+            yield problem_at(declaration, f"{path}.nested", f"'{simpler}' cannot be nested in '{name}'", "remove it")
 
 
 def _taken(declaration: DictionaryDeclaration, name: str, message: str) -> Problem:
-    return declaration.key_problem(f"dictionary.{name}", message, "choose another name")
+    return problem_at(declaration, f"dictionary.{name}", message, "choose another name", at_key=True)
 
 
 def _effect(name: str, declared: OwnEffect) -> Effect:

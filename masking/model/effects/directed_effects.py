@@ -7,7 +7,7 @@ multiplied by the command that moves it, or by the load under which it slides.
 from __future__ import annotations
 
 from masking.model.effects import starts
-from masking.model.effects.entry import Effect, EffectParameter, Trial, not_negative, positive
+from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, Trial
 
 _SIDEWAYS = "a force that is not in line with the motion, a part that turns or bends as another moves, a tilted sensor"
 _MODELLED = "align the parts, or let the model hold the coupling"
@@ -65,8 +65,8 @@ DIRECTED: tuple[Effect, ...] = (
         "Dry friction in proportion to a load that changes, such as the force of an actuator across the guide.",
         "mu*tanh(d_rate/vs)",
         {
-            "mu": not_negative("F", "force per load", (0.0, 1.0), 0.1),
-            "vs": positive("D/s", "rate at 76 % of the force", (1e-5, 1e-2), 1e-3, 1e-3),
+            "mu": EffectParameter("F", "force per load", (0.0, 1.0), 0.1, None, NOT_NEGATIVE),
+            "vs": EffectParameter("D/s", "rate at 76 % of the force", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE),
         },
         cause="a guide, gear or wedge that the load presses together, a leaf spring whose leaves rub",
         remedy="take the load off the guide, or use rollers",

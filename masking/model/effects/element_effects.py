@@ -6,22 +6,21 @@ One is a force of the acceleration of the displacement, `d_acc`: an inertia.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from masking.model.effects import starts
-from masking.model.effects.entry import POSITIVE, Effect, EffectParameter, EffectState, Trial, not_negative, positive
+from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Trial
 
-_spring = partial(Effect, family="springs")
-_damping = partial(Effect, family="damping")
-_friction = partial(Effect, family="friction")
-
-_SLIDING = positive("D/s", "rate of displacement at which the force has 76 % of its size", (1e-5, 1e-2), 1e-3, 1e-3)
-_COULOMB = not_negative("F", "force while sliding", (1e-3, 2.0), 0.1)
-_STATIC = not_negative("F", "force that breaks it loose", (1e-3, 3.0), 0.15)
-_STRIBECK = positive("D/s", "rate at which the force has fallen most of the way", (1e-3, 0.1), 1e-2, 1e-2)
-_CONTACT = not_negative("F/D", "stiffness of the contact", (1e3, 1e6), 2e4)
-_REVERSAL = not_negative("F/D", "stiffness at reversals", (0.0, 1e4), 100.0)
+_SLIDING = EffectParameter(
+    "D/s", "rate of displacement at which the force has 76 % of its size", (1e-5, 1e-2), 1e-3, 1e-3, POSITIVE
+)
+_COULOMB = EffectParameter("F", "force while sliding", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE)
+_STATIC = EffectParameter("F", "force that breaks it loose", (1e-3, 3.0), 0.15, None, NOT_NEGATIVE)
+_STRIBECK = EffectParameter(
+    "D/s", "rate at which the force has fallen most of the way", (1e-3, 0.1), 1e-2, 1e-2, POSITIVE
+)
+_CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
+_REVERSAL = EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE)
 _HALF_DECADES = (0.003, 0.01, 0.03, 0.1, 0.3)  # from nearly dry friction to nearly a spring
 _YIELDS = (0.01, 0.03, 0.08, 0.2, 0.4, 0.8)  # beyond 1 it never yields and is a spring
 _SLIPPING = "joints that slip a little, material damping of rubber or bonded springs, magnetic materials"
@@ -37,8 +36,8 @@ _BRISTLES = tuple(Trial(starts.bristles(static), ("fc", "fs", "vst", "s1")) for 
 # While a contact sticks, resistance and memory hold it, as stiff as a step of integration bears; the memory of one that
 # slides leads a little, so that it turns round neither late nor early on average.
 _HELD = {
-    "c": not_negative("F*s/D", "resistance while it sticks; 0 lets it creep", (0.0, 1e6), 1e3, 0.0),
-    "hold": not_negative("1/s", "rate at which its memory follows", (0.0, 1e5), 1e3, 0.0),
+    "c": EffectParameter("F*s/D", "resistance while it sticks; 0 lets it creep", (0.0, 1e6), 1e3, 0.0, NOT_NEGATIVE),
+    "hold": EffectParameter("1/s", "rate at which its memory follows", (0.0, 1e5), 1e3, 0.0, NOT_NEGATIVE),
 }
 _FALLING = "fc + (fs - fc)*exp(-(d_rate/vst)**2)"
 _BEYOND = "(1 + tanh(side*(d - edge)/width))"
@@ -64,7 +63,7 @@ def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
 
 
 ELEMENTS: tuple[Effect, ...] = (
-    _spring(
+    Effect(
         "constant_force",
         "A constant force.",
         "f0",
@@ -72,10 +71,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="weight on a rig that is not level, a spring at rest elsewhere than assumed, an offset of an amplifier",
         remedy="level the rig or move the zero of the sensor; the model needs only its value, which is cancelled",
         source="Rijlaarsdam (2008), (4.14), rho_i0 of Table B.4",
+        family="springs",
         absorbed_by="force at rest",
         is_linear=True,
     ),
-    _spring(
+    Effect(
         "linear_spring",
         "The stiffness is larger than declared, by k.",
         "k*d",
@@ -83,11 +83,12 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a wrong spring constant or mass, a cable that pulls, a leaf spring clamped at another length",
         remedy="correct the eigenfrequency in the model",
         source="Rao (2011), Mechanical Vibrations, section 1.7",
+        family="springs",
         absorbed_by="stiffness",
         is_linear=True,
         joins=True,
     ),
-    _spring(
+    Effect(
         "polynomial_spring",
         "A polynomial of the displacement, in addition to the declared force of the spring.",
         "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
@@ -102,11 +103,12 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="large deflection of leaf springs, a clamp that lets go, asymmetric mounting, forces of magnets",
         remedy="measure the force over the whole stroke and let the controller cancel it",
         source="Rijlaarsdam (2008), (4.14) and Table B.4",
+        family="springs",
         trials=_POWERS,
         nested=("hardening_spring",),
         is_sum=True,
     ),
-    _spring(
+    Effect(
         "hardening_spring",
         "A cubic spring: stiffer the further it is stretched, or softer if k3 is negative.",
         "k3*d**3",
@@ -114,10 +116,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="leaf springs that are stretched when they bend, large rotations",
         remedy="give the ends of the springs room to move, or let the controller cancel the force",
         source="Kovacic and Brennan (2011), The Duffing Equation, (1.1)",
+        family="springs",
         joins=True,
         calibrated=("k3",),
     ),
-    _damping(
+    Effect(
         "viscous_damping",
         "A force in proportion to the rate of displacement, in addition to the declared damping.",
         "c*d_rate",
@@ -125,11 +128,12 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="eddy currents in the voice coil, air, lubricated bearings; a wrong damping ratio",
         remedy="correct the damping ratio in the model",
         source="Rayleigh (1877), The Theory of Sound, volume 1, section 81",
+        family="damping",
         absorbed_by="damping",
         is_linear=True,
         joins=True,
     ),
-    _damping(
+    Effect(
         "asymmetric_damping",
         "The damping is larger, by c, in one direction than in the other.",
         "c*max(d_rate, 0)",
@@ -137,30 +141,35 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a shock absorber with valves for compression and rebound, a check valve, a leaf that opens one way",
         remedy="add it to the model, which then cancels it",
         source="Wallaschek (1990), Int. J. Non-Linear Mech. 25(2-3), 299-308",
+        family="damping",
     ),
-    _damping(
+    Effect(
         "quadratic_damping",
         "A resistance that grows with the square of the rate of displacement.",
         "c*d_rate*abs(d_rate)",
-        {"c": not_negative("F*s**2/D**2", "coefficient", (0.0, 100.0), 1.0)},
+        {"c": EffectParameter("F*s**2/D**2", "coefficient", (0.0, 100.0), 1.0, None, NOT_NEGATIVE)},
         cause="drag of air or of a liquid on plates and arms, flow through an orifice",
         remedy="make the moving surfaces smaller, or add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
+        family="damping",
     ),
-    _damping(
+    Effect(
         "eddy_current_drag",
         "A drag that is proportional to small rates, has its largest value at the rate vc, and falls beyond it.",
         "c*d_rate/(1 + (d_rate/vc)**2)",
         {
-            "c": not_negative("F*s/D", "damping at small rates", (0.0, 10.0), 0.5),
-            "vc": positive("D/s", "rate at which the drag is largest", (1e-2, 10.0), 1.0, tried=(0.3, 0.7, 1.5)),
+            "c": EffectParameter("F*s/D", "damping at small rates", (0.0, 10.0), 0.5, None, NOT_NEGATIVE),
+            "vc": EffectParameter(
+                "D/s", "rate at which the drag is largest", (1e-2, 10.0), 1.0, None, POSITIVE, (0.3, 0.7, 1.5)
+            ),
         },
         cause="a conductor that moves through the field of a magnet, an eddy current brake",
         remedy="remove conductors from the field, or let the controller cancel the force",
         source="Wouterse (1991), IEE Proc. B 138(4), 153-158",
+        family="damping",
         nested=("viscous_damping",),
     ),
-    _damping(
+    Effect(
         "displacement_damping",
         "A damping that grows with the square of the displacement.",
         "c*d**2*d_rate",
@@ -168,13 +177,14 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="squeezed films, joints that are loaded more when they are bent, large rotations",
         remedy="measure the decay at several amplitudes and add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.4",
+        family="damping",
     ),
     Effect(
         "overflow",
         "A flow that begins where a level exceeds an edge.",
         "k*max(d - edge, 0)",
         {
-            "k": not_negative("F/D", "flow per level beyond the edge", (1e-3, 1e3), 1.0),
+            "k": EffectParameter("F/D", "flow per level beyond the edge", (1e-3, 1e3), 1.0, None, NOT_NEGATIVE),
             "edge": EffectParameter("D", "level at which it begins", (0.0, 1.0), 0.5, tried=(0.5, 0.7, 0.85, 0.95)),
         },
         cause="a tank that is full, a relief valve, a bypass",
@@ -191,7 +201,7 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "edge": EffectParameter("D", "the bound", (0.0, 1.0), 0.5),
             "side": _SIDE,
-            "k": positive("F/D", "what holds it, per distance beyond the bound", (1.0, 1e5), 1e3, 1e3),
+            "k": EffectParameter("F/D", "what holds it, per distance beyond the bound", (1.0, 1e5), 1e3, 1e3, POSITIVE),
         },
         cause="a tank that is full, a supply that limits a speed, a ramp that ends",
         remedy="stay within the bound",
@@ -213,7 +223,7 @@ ELEMENTS: tuple[Effect, ...] = (
         absorbed_by="mass",
         is_linear=True,
     ),
-    _friction(
+    Effect(
         "dry_friction",
         "Coulomb friction: a force of constant size against the motion, and up to that size at rest.",
         **_sliding("fc", "fc*tanh(d_rate/vs)", "fc"),
@@ -221,28 +231,30 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="sliding bearings, a coil that touches its magnet, cables that rub",
         remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
+        family="friction",
         trials=(_STUCK, _SMOOTH),
         joins=True,
         calibrated=("fc",),
     ),
-    _friction(
+    Effect(
         "asymmetric_friction",
         "Dry friction of different size in each direction.",
         **_sliding("where(z + c*d_rate > 0, fp, fm)", "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)", "max(fp, fm)"),
         parameters={
-            "fp": not_negative("F", "force while the displacement grows", (1e-3, 2.0), 0.1),
-            "fm": not_negative("F", "force while it shrinks", (1e-3, 2.0), 0.05),
+            "fp": EffectParameter("F", "force while the displacement grows", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
+            "fm": EffectParameter("F", "force while it shrinks", (1e-3, 2.0), 0.05, None, NOT_NEGATIVE),
             "vs": _SLIDING,
             **_HELD,
         },
         cause="a guide that is loaded in one direction, wear, a cable that pulls along",
         remedy="look for what touches in one direction only; a disturbance observer follows it",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
+        family="friction",
         trials=(_STUCK, _SMOOTH),
         nested=("dry_friction", "constant_force"),
         is_sum=True,
     ),
-    _friction(
+    Effect(
         "stribeck_friction",
         "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
         **_sliding(_FALLING, f"({_FALLING})*tanh(d_rate/vs)", "max(fc, fs)"),
@@ -250,13 +262,14 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="lubricated sliding contacts and ball bearings at low speed",
         remedy="a lubricant with friction modifiers, a dither on the input, or a guide without contact",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
+        family="friction",
         label="Stribeck friction",
         trials=(Trial(starts.falls, ("vst",), sticks=True), Trial(starts.falls, ("vst", "vs"))),
         positive="fs - fc",
         nested=("dry_friction",),
         calibrated=("fc",),
     ),
-    _friction(
+    Effect(
         "lugre_friction",
         "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
         "s0*z + s1*(d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))) + s2*d_rate",
@@ -264,9 +277,9 @@ ELEMENTS: tuple[Effect, ...] = (
             "fc": replace(_COULOMB, bounds=POSITIVE),
             "fs": replace(_STATIC, bounds=POSITIVE),
             "vst": _STRIBECK,
-            "s0": not_negative("F/D", "stiffness of the bristles", (1e2, 1e6), 1e4),
-            "s1": not_negative("F*s/D", "damping of the bristles", (0.0, 1e3), 10.0, 0.0),
-            "s2": not_negative("F*s/D", "viscous friction", (0.0, 10.0), 0.1, 0.0),
+            "s0": EffectParameter("F/D", "stiffness of the bristles", (1e2, 1e6), 1e4, None, NOT_NEGATIVE),
+            "s1": EffectParameter("F*s/D", "damping of the bristles", (0.0, 1e3), 10.0, 0.0, NOT_NEGATIVE),
+            "s2": EffectParameter("F*s/D", "viscous friction", (0.0, 10.0), 0.1, 0.0, NOT_NEGATIVE),
         },
         cause="dry contacts that stick between reversals, such as a guide or a rubbing cable",
         remedy="remove the contact; small motions need this model, large ones only dry friction",
@@ -279,23 +292,27 @@ ELEMENTS: tuple[Effect, ...] = (
                 "max(fc, fs)/s0",
             )
         },
+        family="friction",
         label="LuGre friction",
         trials=_BRISTLES,
         nested=("dry_friction", "stribeck_friction"),
         scaled=("fc", "fs", "s0", "s1"),
     ),
-    _friction(
+    Effect(
         "dahl_friction",
         "Dry friction that builds up over a short displacement after each reversal.",
         "fc*z",
         {
             "fc": _COULOMB,
-            "x0": positive("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, tried=_HALF_DECADES),
+            "x0": EffectParameter(
+                "D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE, _HALF_DECADES
+            ),
         },
         cause="rolling bearings, preloaded contacts, cables that bend",
         remedy="a guide without contact; small motions need this model, large ones only dry friction",
         source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
         states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
+        family="friction",
         label="Dahl friction",
     ),
     Effect(
@@ -304,7 +321,9 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*z",
         {
             "k": _REVERSAL,
-            "zmax": positive("D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, tried=_YIELDS),
+            "zmax": EffectParameter(
+                "D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE, _YIELDS
+            ),
             "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
             "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
         },
@@ -329,7 +348,9 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "k": _REVERSAL,
             # bends soon, within the motion, or hardly
-            "x0": positive("D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, tried=(0.15, 0.6, 2.4)),
+            "x0": EffectParameter(
+                "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
+            ),
             # one loop that opens, one that yields
             "delta": EffectParameter(
                 "1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0, tried=(-1.3, 0.0)
@@ -356,9 +377,11 @@ ELEMENTS: tuple[Effect, ...] = (
         "A spring with play: no force within the gap, linear beyond it on both sides.",
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
-            "k": not_negative("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3),
+            "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
             # from a play that hardly shows up to one in which contact is rare
-            "gap": not_negative("D", "width of the play", (0.0, 1e-2), 1e-3, tried=(0.05, 0.15, 0.3, 0.5, 0.8, 1.2)),
+            "gap": EffectParameter(
+                "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
+            ),
         },
         cause="gears, couplings, loose screws, pins in slotted holes",
         remedy="preload the joint or replace it by a flexure",
@@ -372,7 +395,7 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "k": _CONTACT,
             "edge": EffectParameter("D", "displacement at which the contact begins", (-0.02, 0.02), 5e-3),
-            "c": not_negative("s/D", "damping per force and rate", (0.0, 50.0), 1.0, 0.0),
+            "c": EffectParameter("s/D", "damping per force and rate", (0.0, 50.0), 1.0, 0.0, NOT_NEGATIVE),
             "side": _SIDE,
         },
         cause="the end of the stroke: a bumper, the housing of the coil",
@@ -382,14 +405,14 @@ ELEMENTS: tuple[Effect, ...] = (
         trials=(Trial(starts.edges, ("edge",)), Trial(starts.damped_edges, ("edge", "c"))),
         nested=("constant_force", "bilinear_spring"),
     ),
-    _friction(
+    Effect(
         "local_friction",
         "Dry friction in one part of the stroke only, beyond an edge.",
         **_sliding(f"fc*{_BEYOND}/2", f"fc*tanh(d_rate/vs)*{_BEYOND}/2", "fc"),
         parameters={
             "fc": _COULOMB,
             "edge": EffectParameter("D", "displacement at which it begins", (-0.02, 0.02), 5.8e-3),
-            "width": positive("D", "over which it begins", (1e-5, 1e-3), 2e-4, 2e-4),
+            "width": EffectParameter("D", "over which it begins", (1e-5, 1e-3), 2e-4, 2e-4, POSITIVE),
             "vs": _SLIDING,
             "side": _SIDE,
             **_HELD,
@@ -397,24 +420,28 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a coil that touches its magnet in one part of the stroke, a burr, a cable that is caught",
         remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
+        family="friction",
         trials=(
             Trial(starts.local_edges, ("edge", "width"), sticks=True),
             Trial(starts.local_edges, ("edge", "width", "vs")),
         ),
         nested=("dry_friction",),
     ),
-    _spring(
+    Effect(
         "gravity_force",
         "The torque of a weight on an arm, and of anything that repeats once a turn: a sine of the displacement.",
         "a*sin(d/r)",
         {
             "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
             # from several turns within the travel to nearly a cubic spring
-            "r": positive("D", "displacement per radian", (1e-4, 1.0), 1e-2, tried=(0.12, 0.2, 0.35, 0.6, 1.2, 3.0)),
+            "r": EffectParameter(
+                "D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, (0.12, 0.2, 0.35, 0.6, 1.2, 3.0)
+            ),
         },
         cause="a mass off the axis, magnets that cog, a thread that runs out",
         remedy="balance it, or let the controller cancel the force",
         source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
+        family="springs",
         nested=("hardening_spring",),
     ),
     Effect(
@@ -424,7 +451,7 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
             "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),
-            "pitch": positive("D", "displacement after which it repeats", (1e-4, 10.0), 1e-2),
+            "pitch": EffectParameter("D", "displacement after which it repeats", (1e-4, 10.0), 1e-2, None, POSITIVE),
         },
         cause="magnets and iron of a motor, teeth of a gear or a belt, the thread of a screw, a shaft that is bent",
         remedy="let the controller cancel it, which needs its phase; a motor without iron has none",
@@ -441,7 +468,7 @@ ELEMENTS: tuple[Effect, ...] = (
         {
             "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
             "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),
-            "nu": positive("1/s", "frequency", (1e-2, 400.0), 1.0),
+            "nu": EffectParameter("1/s", "frequency", (1e-2, 400.0), 1.0, None, POSITIVE),
         },
         cause="a machine, a pump or a fan nearby, the mains in an amplifier",
         remedy="switch it off or isolate the rig from it; a disturbance observer follows slow ones",
@@ -450,7 +477,7 @@ ELEMENTS: tuple[Effect, ...] = (
         trials=(Trial(starts.tones, ("nu",), ("a", "b")),),
         is_sum=True,
     ),
-    _spring(
+    Effect(
         "stiffness_drift",
         "The stiffness changes steadily with time.",
         "k*d*t",
@@ -458,5 +485,6 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a spring that warms up or creeps, a magnet that weakens, a clamp that settles",
         remedy="let the rig warm up before it is used, calibrate again",
         source="Ljung (1999), System Identification, section 11.1",
+        family="springs",
     ),
 )

@@ -17,7 +17,6 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final, Literal
 
 from masking.model.declaration.expression import Expression
@@ -28,6 +27,7 @@ Where = Literal["element", "sensor", "actuator", "loop"]
 Bounds = tuple[float | None, float | None]
 
 POSITIVE: Final[Bounds] = (1e-12, None)
+NOT_NEGATIVE: Final[Bounds] = (0.0, None)
 
 # Effects of one family share a row of the error budget, in this order.
 SATURATION: Final = "saturation"
@@ -97,10 +97,6 @@ class EffectParameter:
         low, high = self.bounds
         least, most = -math.inf if low is None else low, math.inf if high is None else high
         return [min(max(part * size, least), most) for part in self.tried]
-
-
-positive = partial(EffectParameter, bounds=POSITIVE)
-not_negative = partial(EffectParameter, bounds=(0.0, None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +261,7 @@ class Effect:
         return self
 
     def _combinations(self, span: Span) -> list[Start]:
+        """All combinations of the values that are tried."""
         tried = {name: parameter.starts(span) for name, parameter in self.parameters.items() if parameter.tried}
         return [dict(zip(tried, values, strict=True)) for values in itertools.product(*tried.values())]
 

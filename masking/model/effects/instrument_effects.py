@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from masking.model.effects import starts
-from masking.model.effects.entry import SATURATION, Effect, EffectParameter, EffectState, Trial, not_negative, positive
+from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, SATURATION, Effect, EffectParameter, EffectState, Trial
 
 _sensor = partial(Effect, where="sensor", family="sensor errors")
 _actuator = partial(Effect, where="actuator")
-_gain = partial(_actuator, family="actuator gains")
-_dynamics = partial(_actuator, family="actuator dynamics")
 _DOEBELIN = "Doebelin (2003), Measurement Systems, section 3.2"
 _TAO = "Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1"
 _PADE = "Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3"
@@ -48,7 +46,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_saturation",
         "The reading is clipped at a limit.",
         "min(max(s, -limit), limit)",
-        {"limit": not_negative("S", "largest magnitude", (0.1, 20.0), 10.0, tried=_CLIPPED)},
+        {"limit": EffectParameter("S", "largest magnitude", (0.1, 20.0), 10.0, None, NOT_NEGATIVE, _CLIPPED)},
         cause="the end of the range of a sensor, amplifier or converter",
         remedy="lower the gain or stay within the range; beyond it the state cannot be known",
         source=_TAO,
@@ -57,7 +55,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_lag",
         "The reading follows through a first-order lag.",
         "m",
-        {"tau": positive("s", "time constant", (1e-5, 0.1), 1e-3, tried=_LAGS[:2])},
+        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS[:2])},
         cause="a filter in the amplifier, a slow sensor",
         remedy="raise the cut-off of the filter, or put it into the observer's model",
         source="Doebelin (2003), Measurement Systems, section 3.3",
@@ -100,7 +98,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_delay",
         "The reading comes late by a dead time, in the first-order approximation of Pade.",
         "2*m - s",
-        {"tau": positive("s", "dead time", (1e-4, 0.1), 2e-3, tried=(0.04, 0.2))},
+        {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE, (0.04, 0.2))},
         cause="a sensor that computes, a bus or a network, averaging in a converter",
         remedy="read it earlier, or put the dead time into the observer's model",
         source=_PADE,
@@ -112,7 +110,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "quantisation",
         "The reading is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "where(step > 0, step*floor(s/step + 1/2), s)",
-        {"step": not_negative("S", "step", (0.0, 0.1), 3e-4)},
+        {"step": EffectParameter("S", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
         cause="a converter of finite resolution, an encoder",
         remedy=_SAMPLED,
         source=_WIDROW,
@@ -125,7 +123,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "noise",
         "White noise on the readings, independent from sample to sample.",
         "s + sigma*xi",
-        {"sigma": not_negative("S", "standard deviation of a sample", (0.0, 0.1), 1e-3)},
+        {"sigma": EffectParameter("S", "standard deviation of a sample", (0.0, 0.1), 1e-3, None, NOT_NEGATIVE)},
         cause="thermal noise of the electronics, stray fields, vibration of the sensor's mount",
         remedy="shield and shorten cables, filter before sampling; the observer trades it against speed",
         source="Astrom (1970), Introduction to Stochastic Control Theory, ch. 2",
@@ -133,7 +131,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         is_searched=False,
         deviation="sigma",
     ),
-    _gain(
+    _actuator(
         "actuator_offset",
         "The actuator acts at a command of zero.",
         "u + u0",
@@ -141,8 +139,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="an amplifier or converter whose zero was not adjusted",
         remedy="adjust the zero, or add its negative to the input",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 10",
+        family="actuator gains",
     ),
-    _gain(
+    _actuator(
         "actuator_gain",
         "The actuator's gain differs from the declared one.",
         "(1 + e)*u",
@@ -150,10 +149,11 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a wrong motor constant, a weaker magnet, a coil outside its homogeneous field",
         remedy="identify the gain anew with the rig as it is",
         source="Rijlaarsdam (2008), Table 4.2, c_i",
+        family="actuator gains",
         absorbed_by="gain",
         is_linear=True,
     ),
-    _gain(
+    _actuator(
         "actuator_asymmetry",
         "The actuator's gain differs between the two signs.",
         "u + r*abs(u)",
@@ -161,27 +161,33 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the two halves of an amplifier or bridge, a motor with worn brushes, one side of a valve",
         remedy="undo the difference in the command, or repair the weaker half",
         source=_TAO,
+        family="actuator gains",
     ),
     _actuator(
         "saturation",
         "The command is clipped at a limit.",
         "min(max(u, -limit), limit)",
-        {"limit": not_negative("U", "largest magnitude", (0.01, 50.0), 0.42, tried=_LIMITS)},
+        {"limit": EffectParameter("U", "largest magnitude", (0.01, 50.0), 0.42, None, NOT_NEGATIVE, _LIMITS)},
         cause="the supply of the amplifier, a fuse, a limit in software",
         remedy="ask for less: smaller amplitude, slower time scale, a virtual system nearer to the rig",
         source=_TAO,
         family=SATURATION,
     ),
-    _dynamics(
+    _actuator(
         "dead_zone",
         "The actuator does nothing for small values.",
         "u - min(max(u, -width), width)",
-        {"width": not_negative("U", "largest value without an answer", (0.0, 1.0), 0.01, tried=_ZONES)},
+        {
+            "width": EffectParameter(
+                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, _ZONES
+            )
+        },
         cause="the crossover of an amplifier, a valve that overlaps",
         remedy="a bias current, or add the width in the direction of the command",
         source=_TAO,
+        family="actuator dynamics",
     ),
-    _gain(
+    _actuator(
         "actuator_cubic",
         "The actuator's gain changes towards the ends of its range.",
         "u + c*u**3",
@@ -189,39 +195,43 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a voice coil that leaves its field, an amplifier near its supply",
         remedy="ask for less, or undo the curve",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
+        family="actuator gains",
     ),
-    _dynamics(
+    _actuator(
         "dac_quantisation",
         "The command is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "where(step > 0, step*floor(u/step + 1/2), u)",
-        {"step": not_negative("U", "step", (0.0, 0.1), 3e-4)},
+        {"step": EffectParameter("U", "step", (0.0, 0.1), 3e-4, None, NOT_NEGATIVE)},
         cause="a converter of finite resolution",
         remedy=_SAMPLED,
         source=_WIDROW,
+        family="actuator dynamics",
         label="DAC quantisation",
         trials=(Trial(starts.levels, ("step",)),),
         quantum="step",
     ),
-    _dynamics(
+    _actuator(
         "actuator_lag",
         "The actuator follows through a first-order lag.",
         "a",
-        {"tau": positive("s", "time constant", (1e-5, 0.1), 1e-3, tried=_LAGS)},
+        {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS)},
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
         states={"a": EffectState("(u - a)/tau", "U", "value that acts", _ANY)},
+        family="actuator dynamics",
         is_linear=True,
         grows_with="tau",
     ),
-    _dynamics(
+    _actuator(
         "actuator_delay",
         "The actuator acts late by a dead time.",
         "",
-        {"tau": not_negative("s", "dead time", (1e-4, 0.1), 2e-3)},
+        {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, NOT_NEGATIVE)},
         cause="the driver of one actuator has a buffer, a bus or a network of its own",
         remedy="lead the command by the dead time, or use drivers of one kind",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.2",
+        family="actuator dynamics",
         is_searched=False,
         is_linear=True,
         grows_with="tau",
@@ -231,9 +241,9 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "The coil warms up, and its driver limits the mean power.",
         "where(P < limit, u, min(max(u, -sqrt(limit/r)), sqrt(limit/r)))",
         {
-            "r": not_negative("W/U**2", "power per squared value", (1e-3, 1e3), 10.0),
-            "tau": positive("s", "thermal time constant", (1.0, 1e3), 10.0, 10.0),
-            "limit": not_negative("W", "largest mean power", (0.1, 100.0), 8.0, 8.0),
+            "r": EffectParameter("W/U**2", "power per squared value", (1e-3, 1e3), 10.0, None, NOT_NEGATIVE),
+            "tau": EffectParameter("s", "thermal time constant", (1.0, 1e3), 10.0, 10.0, POSITIVE),
+            "limit": EffectParameter("W", "largest mean power", (0.1, 100.0), 8.0, 8.0, NOT_NEGATIVE),
         },
         cause="the resistance of the coil turns current into heat faster than it is carried away",
         remedy="run for shorter or at smaller amplitude, cool the coil",
@@ -248,7 +258,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "delay",
         "Commands act some samples late.",
         "",
-        {"samples": not_negative("1", "whole samples", (0.0, 20.0), 1.0, tried=(1.0,))},
+        {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0,))},
         cause="the time of computing, buffers of converters and drivers, a network",
         remedy="predict the state by the delay before computing the command, or raise the rate",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",

@@ -6,10 +6,12 @@ element's force follows what remains.
 
 from __future__ import annotations
 
-from masking.model.effects.entry import Effect, EffectParameter, EffectState, Span, Start, Trial, not_negative, positive
+from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Span, Start, Trial
 
 # From a play that hardly shows up to one in which contact is rare.
-_GAP = not_negative("D", "width of the play", (0.0, 1e-2), 1e-3, tried=(0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2))
+_GAP = EffectParameter(
+    "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
+)
 SOFT = 0.02  # of the largest displacement
 _TIMES = (0.06, 0.2, 0.6, 2.0, 6.0, 20.0)  # of the time of the motion, half-decades
 _REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"  # how far a pin is beyond the gap of its slider
@@ -37,10 +39,10 @@ SERIES: tuple[Effect, ...] = (
         "A slider under dry friction, dragged along with play: free after each reversal until the gap is crossed.",
         f"fc*min(max({_REACH}/x0, -1), 1)",
         {
-            "fc": not_negative("F", "force while it is dragged", (1e-3, 2.0), 0.1),
+            "fc": EffectParameter("F", "force while it is dragged", (1e-3, 2.0), 0.1, None, NOT_NEGATIVE),
             "gap": _GAP,
-            "x0": positive("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4),
-            "hold": positive("1/s", "rate at which the slider follows", (1.0, 1e6), 1e3, 1e3),
+            "x0": EffectParameter("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE),
+            "hold": EffectParameter("1/s", "rate at which the slider follows", (1.0, 1e6), 1e3, 1e3, POSITIVE),
         },
         cause="a brush, seal or cable that is taken along by a worn pin, a carriage on a loose spindle nut",
         remedy="take up the play, or remove what rubs",
@@ -58,8 +60,8 @@ SERIES: tuple[Effect, ...] = (
         "A spring behind a dashpot in the place of the element: what it holds at rest, it loses with time.",
         "k*z",
         {
-            "k": positive("F/D", "stiffness of the spring", (1.0, 1e6), 1e3),
-            "tau": positive("s", "time in which the force relaxes", (1e-3, 100.0), 0.1),
+            "k": EffectParameter("F/D", "stiffness of the spring", (1.0, 1e6), 1e3, None, POSITIVE),
+            "tau": EffectParameter("s", "time in which the force relaxes", (1e-3, 100.0), 0.1, None, POSITIVE),
         },
         cause="a damper whose rod or mount yields, a viscous coupling, a polymer above its glass transition",
         remedy="stiffen the mount, or let the model hold its state",
@@ -76,8 +78,8 @@ SERIES: tuple[Effect, ...] = (
         "A spring behind a dashpot beside the element: stiffer when it moves fast than when it rests.",
         "k*z",
         {
-            "k": not_negative("F/D", "stiffness that relaxes", (0.0, 1e6), 100.0),
-            "tau": positive("s", "time in which it relaxes", (1e-3, 100.0), 0.1, tried=_TIMES),
+            "k": EffectParameter("F/D", "stiffness that relaxes", (0.0, 1e6), 100.0, None, NOT_NEGATIVE),
+            "tau": EffectParameter("s", "time in which it relaxes", (1e-3, 100.0), 0.1, None, POSITIVE, _TIMES),
         },
         cause="rubber and other polymers, a damper whose rod yields, air in a closed volume",
         remedy="avoid rubber in what must be exact; the force can be cancelled once the model holds its state",

@@ -49,18 +49,18 @@ def bristles(static: float) -> Starts:
     """Starts of bristles whose breaking force is `static` times the sliding one; one factor scales both."""
 
     def starts(span: Span) -> list[Start]:
-        starting: list[Start] = []
+        found: list[Start] = []
         for part in BRISTLES:
             stiffness = 1.0 / (part * span.size)
             rates = {"vst": STRIBECK_RATE * span.rate, "s1": BRISTLE_DAMPING * stiffness}
-            starting.append({"fc": 1.0, "fs": static, "s0": stiffness, **rates})
-        return starting
+            found.append({"fc": 1.0, "fs": static, "s0": stiffness, **rates})
+        return found
 
     return starts
 
 
 def turn(span: Span) -> list[Start]:
-    """A single width of a sign."""
+    """Return one width of a sign."""
     return [{"vs": TURN * span.rate}]
 
 
@@ -86,9 +86,9 @@ def pitch(number: int) -> Starts:
 
 def levels(span: Span) -> list[Start]:
     """Steps of a quantiser, near enough to each other: its effect has no slope that a fit could follow."""
-    steps: list[Start] = []
+    found: list[Start] = []
     number = FEWEST_LEVELS
     while number < MOST_LEVELS:
-        steps.append({"step": span.size / number})
+        found.append({"step": span.size / number})
         number += max(LEVELS_APART, LEVELS_APART_RELATIVE * number)
-    return steps
+    return found

@@ -61,7 +61,7 @@ def simulate(
 
 
 def refused(model: Simulated, ensemble: Mapping[str, Array]) -> Iterator[tuple[int, DeclarationError]]:
-    """Runs of an ensemble that cannot be made, by their number, and why: a parameter is out of its bounds.
+    """Give the runs of an ensemble that cannot be made, by their number, and why: a parameter is out of its bounds.
 
     Args:
         model: the model.
@@ -106,13 +106,14 @@ def _is_separable(model: Simulated, varied: Mapping[str, Array]) -> bool:
 
 
 def _parameters(model: Simulated, varied: Mapping[str, Array], runs: int) -> Array:
-    rows = np.tile(model.values(), (runs, 1))
+    """Parameter arrays (runs, parameters)."""
+    found = np.tile(model.values(), (runs, 1))
     scales = model.units.scale_values(model.overrides) if model.is_dimensionless else {}
     for name, values in varied.items():
         unit = model.units.conversions[model.declaration.parameters[name].unit]
         column = values * unit.factor
-        rows[:, model.parameters.index(name)] = column / unit.scale(scales) if model.is_dimensionless else column
-    return rows
+        found[:, model.parameters.index(name)] = column / unit.scale(scales) if model.is_dimensionless else column
+    return found
 
 
 def _one_by_one(
@@ -129,9 +130,9 @@ def _one_by_one(
     for i in range(runs):
         changed = model.with_parameters(**{name: float(values[i]) for name, values in parameters.items()})
         try:
-            trajectory = run(changed, {name: float(values[i]) for name, values in states.items()})
+            found = run(changed, {name: float(values[i]) for name, values in states.items()})
         except (IntegrationError, SingularityError) as error:
             errors[i] = str(error)
         else:
-            out[i], steps = trajectory.states, steps + trajectory.steps
+            out[i], steps = found.states, steps + found.steps
     return Trajectory(times, out, tuple(meta["coordinates"]), steps, tuple(meta["states"]), errors=errors)

@@ -6,21 +6,26 @@ dissipation and generalised forces.
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
+
+import lazy_loader as lazy
 
 from masking.compile.codegen.linear_systems import solve
 from masking.errors import ModelError
 from masking.model.declaration import schema
 from masking.model.declaration.checks import equation_of
 from masking.model.declaration.couplings import driven_outputs, motion_rate
-from masking.model.declaration.definitions import in_order
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.lazy_sympy import sp
 from masking.model.declaration.operations import delay_function
 from masking.model.modelling.gradient import gradient, jacobian, rate
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 
 @dataclass(frozen=True)
@@ -109,11 +114,14 @@ class Equations:
     @cached_property
     def definitions(self) -> dict[str, sp.Expr]:
         """Named sub-expressions, each in symbols of the model."""
-        expressions: dict[str, sp.Expr] = {}
-        declared = self.declaration.definitions
-        for name in in_order({name: expression.names for name, expression in declared.items()}):
-            expressions[name] = self._without_delays(declared[name].to_sympy(self.symbols.by_name | expressions))
-        return expressions
+        found: dict[str, sp.Expr] = {}
+        pending = dict(self.declaration.definitions)
+        while pending:  # the declaration has been checked for cycles
+            for name, expression in list(pending.items()):
+                if not expression.names & pending.keys():
+                    found[name] = self._without_delays(expression.to_sympy(self.symbols.by_name | found))
+                    del pending[name]
+        return found
 
     def symbolic(self, expression: Expression) -> sp.Expr:
         """Declared expression in symbols of the model."""
@@ -157,28 +165,29 @@ class Equations:
     @cached_property
     def laws(self) -> dict[str, sp.Expr]:
         """Force that each element with a law of its own makes, in symbols of the model."""
-        forces, names = {}, self.symbols.by_name | self.definitions
+        found, names = {}, self.symbols.by_name | self.definitions
         for name, element in self.declaration.elements.items():
             if element.force is not None:
                 moved = {"d": element.displacement, "d_rate": motion_rate(self.declaration, element)}
                 motion = {key: self.symbolic(x) for key, x in moved.items() if x is not None}
-                forces[name] = self._without_delays(element.force.to_sympy(names | motion))
-        return forces
+                found[name] = self._without_delays(element.force.to_sympy(names | motion))
+        return found
 
     def acting(self, name: str) -> sp.Expr:
-        """Sum of the laws of elements in the equation of a coordinate or state, or in an output."""
+        """Return what elements by their own laws add to the equation of a coordinate or state, or to an output."""
         elements = self.declaration.elements
         acts = [(law, elements[e].acts[name]) for e, law in self.laws.items() if name in elements[e].acts]
         return sum((law * self.symbolic(factor) for law, factor in acts), start=sp.Integer(0))
 
     def output(self, name: str) -> sp.Expr:
         """Output in symbols of the model, with the elements that act on it."""
-        return self.symbolic(self.declaration.outputs[name].expression) + (
-            self.acting(name) if name in driven_outputs(self.declaration) else 0
-        )
+        return self.symbolic(self.declaration.outputs[name].expression) + self._on_output(name)
+
+    def _on_output(self, name: str) -> sp.Expr:
+        return self.acting(name) if name in driven_outputs(self.declaration) else sp.Integer(0)
 
     def measured(self, expression: Expression) -> sp.Expr:
-        """Measured quantity in symbols of the model; outputs may stand in it by their names."""
+        """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
         named = self.symbols.by_name | self.definitions
         outputs = {
             name: self.output(name)
@@ -278,6 +287,7 @@ class Equations:
         return sp.ImmutableMatrix(mass), sp.ImmutableMatrix(len(force), 1, force)
 
     def _check_linear(self, mass: sp.Matrix) -> None:
+        """Refuse equations that are not linear in the accelerations."""
         if mass.free_symbols & set(self.symbols.a):
             names = ", ".join(sorted(s.name for s in mass.free_symbols & set(self.symbols.a)))
             raise ModelError(
@@ -318,8 +328,6 @@ class Equations:
 class _Symbolic:
     """Sympy expressions as an algebra for solving linear systems."""
 
-    add, sub, mul, div = map(staticmethod, (operator.add, operator.sub, operator.mul, operator.truediv))
-
     def __init__(self, varying: frozenset[sp.Symbol]) -> None:
         self.varying = varying
 
@@ -331,3 +339,15 @@ class _Symbolic:
 
     def varies(self, x: sp.Expr) -> bool:
         return bool(x.free_symbols & self.varying)
+
+    def add(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a + b
+
+    def sub(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a - b
+
+    def mul(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a * b
+
+    def div(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
+        return a / b

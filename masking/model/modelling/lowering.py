@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -90,31 +90,43 @@ class LoweredEquations:
         """Node of an expression in symbols of the model, accelerations included."""
         return self.graph.lower(expression, self.symbols)
 
-    def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0, *, first: int = 0) -> dict[str, str]:
-        """Text of each symbol in a function that reads it from its arguments.
+    def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """How each symbol is read.
 
         Args:
             q: text of a coordinate, with `{i}` for its index.
-            v: text of a velocity, likewise; internal states and what is delayed follow them.
+            v: text of a velocity, likewise.
             u: name of the inputs.
             p: name of the parameters.
             offset: of the first parameter.
-            first: index of the first velocity.
         """
         s = self.equations.symbols
-        behind = (*s.v, *s.s, *(lag.symbol for lag in self.equations.lags))
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, q, 0), (s.v, v, 0), (behind, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
+        """How each symbol is read where `y` names the whole state vector [q, v, s], and what is delayed.
+
+        Args:
+            y: name of the state vector.
+            u: name of the inputs.
+            p: name of the parameters.
+            offset: of the first parameter.
+        """
+        s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
+        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, y, 0), (s.v, y, n), (behind, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
+        return self._read(parts)
+
+    def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
         texts = {}
-        parts = ((s.q, q, 0), (behind, v, first), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
-        for symbols, pattern, start in parts:
-            for i, symbol in enumerate(symbols, start):
+        for symbols, pattern, first in parts:
+            for i, symbol in enumerate(symbols, first):
                 operation = self.graph.operations[self.symbols[symbol]]
                 if operation[0] == "symbol":
                     texts[str(operation[1])] = pattern.format(i=i)
         return texts
-
-    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """Text of each symbol where `y` names the whole state vector [q, v, s], and what is delayed; as `loads`."""
-        return self.loads(y + "[{i}]", y + "[{i}]", u, p, offset, first=len(self.equations.symbols.q))
 
 
 def module(equations: Equations) -> Module:

@@ -143,14 +143,14 @@ class Model:
         Raises:
             ModelError: one is not positive.
         """
-        delays = np.zeros(self.kernels.meta["lags"])
-        if len(delays):
-            self.kernels.delays(self.values(), delays)
-            if not delays.min() > 0.0:
+        found = np.zeros(self.kernels.meta["lags"])
+        if len(found):
+            self.kernels.delays(self.values(), found)
+            if not found.min() > 0.0:
                 raise ModelError(
-                    f"{self.name}: a delay is {delays.min():g}; give its parameters values that make it positive"
+                    f"{self.name}: a delay is {found.min():g}; give its parameters values that make it positive"
                 )
-        return delays
+        return found
 
     def check_ordinary(self, what: str) -> None:
         """Refuse a model with delays or events for what knows none.
@@ -247,7 +247,7 @@ class Model:
         return self.units.exact_values(self.overrides, dimensionless=self.is_dimensionless)
 
     def value(self, parameter: str) -> float:
-        """Value of a parameter, in SI units or in the declared scales; raises `DeclarationError` if there is none."""
+        """Return one parameter, in SI units or in the declared scales; a `DeclarationError` says that there is none."""
         self.units.check_names([parameter])
         return self._values[parameter]
 
@@ -445,8 +445,11 @@ class Model:
             return np.array(values, dtype=float).reshape(len(expressions), len(symbols))
 
         matrices = [number(m, w) for m in (rates, sp.Matrix(seen)) for w in (states, s.u)]
-        seen_as = [*(self.outputs or self.coordinates)]
-        names = {"states": self.state_names, "inputs": [*self.inputs], "outputs": seen_as}
+        names = {
+            "states": self.state_names,
+            "inputs": [*self.inputs],
+            "outputs": [*(self.outputs or self.coordinates)],
+        }
         return control.ss(*matrices, **names, remove_useless_states=False)
 
     def to_control(self) -> control.NonlinearIOSystem:
@@ -469,11 +472,11 @@ class Model:
         def output(t: float, x: np.ndarray, u: np.ndarray, params: Mapping[str, float]) -> np.ndarray:
             if not self.outputs:
                 return np.array(x[:n], float)
-            out = np.empty(len(outputs))
+            found = np.empty(len(outputs))
             kernels.outputs(
-                float(t), np.array(x[:n], float), np.array(x[n:], float), np.array(u, float), array(params), out
+                float(t), np.array(x[:n], float), np.array(x[n:], float), np.array(u, float), array(params), found
             )
-            return out
+            return found
 
         names = {"states": self.state_names, "inputs": [*self.inputs], "outputs": outputs, "name": self.name}
         return control.nlsys(update, output, params=values, **names)

@@ -12,15 +12,20 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader as lazy
 
 from masking.errors import DeclarationError, ModelError, Problem, nearest
 from masking.model.declaration import schema
 from masking.model.declaration.checks import bounded
-from masking.model.declaration.definitions import in_order
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.lazy_sympy import sp
 from masking.model.declaration.units import Conversion, conversion
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+    sp = lazy.load("sympy")
 
 PLAIN = "1"
 SECOND = "s"
@@ -40,22 +45,22 @@ class Units:
 
     @classmethod
     def of(cls, declaration: schema.ModelDeclaration) -> Units:
-        """Conversions of all units of a model.
+        """Derive the conversions of all units of a model.
 
         Raises:
             ModelError: the declared scales cannot express a unit that the model uses.
         """
         scales = {name: scale.unit for name, scale in declaration.scales.items()}
-        conversions = {PLAIN: Conversion(1.0, {}, PLAIN)}
+        found = {PLAIN: Conversion(1.0, {}, PLAIN)}
         with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
-            conversions[SECOND] = conversion(SECOND, scales)
+            found[SECOND] = conversion(SECOND, scales)
         for what, unit in _units(declaration).items():
-            if unit not in conversions:
+            if unit not in found:
                 try:
-                    conversions[unit] = conversion(unit, scales)
+                    found[unit] = conversion(unit, scales)
                 except DeclarationError as error:
                     raise ModelError(f"{declaration.name}: {what} [{unit}]: {error}") from None
-        return cls(declaration, conversions)
+        return cls(declaration, found)
 
     @classmethod
     def from_meta(cls, declaration: schema.ModelDeclaration, meta: Mapping[str, Any]) -> Units:
@@ -98,18 +103,16 @@ class Units:
             overrides: values that replace the declared ones, in the declared units.
             dimensionless: whether to divide by the scales.
         """
-        parameters, values = self.declaration.parameters, dict[str, sp.Expr]()
+        parameters, found = self.declaration.parameters, dict[str, sp.Expr]()
         for name in self._si_values(overrides):
             parameter = parameters[name]
-            values[name] = self._exact(overrides.get(name, parameter.value), parameter.unit, values)
+            found[name] = self._exact(overrides.get(name, parameter.value), parameter.unit, found)
         if dimensionless:
-            scales = {n: self._exact(s.value, s.unit, values) for n, s in self.declaration.scales.items()}
+            scales = {n: self._exact(s.value, s.unit, found) for n, s in self.declaration.scales.items()}
             for name, parameter in parameters.items():
                 powers = self.conversions[parameter.unit].exponents
-                values[name] /= math.prod(
-                    scales[n] ** sp.Rational(Fraction(power).limit_denominator(60)) for n, power in powers.items()
-                )
-        return {name: values[name] for name in parameters}
+                found[name] /= math.prod(scales[n] ** _rational(power) for n, power in powers.items())
+        return {name: found[name] for name in parameters}
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Declared scales in SI units; all must be positive.
@@ -118,14 +121,14 @@ class Units:
             DeclarationError: one is not.
         """
         values = self._si_values(overrides)
-        scales = {}
+        found = {}
         for name, scale in self.declaration.scales.items():
             si = self._si(scale.value, scale.unit, values)
             if not si > 0.0:
                 message = f"the scale is {si:g} {scale.unit}; a scale must be positive"
                 raise DeclarationError(Problem(self.declaration.place(f"scales.{name}"), f"scales.{name}", message))
-            scales[name] = si
-        return scales
+            found[name] = si
+        return found
 
     def check_names(self, names: Iterable[str]) -> None:
         """Refuse names that are not parameters.
@@ -139,7 +142,7 @@ class Units:
                 raise DeclarationError(Problem(None, name, message, nearest(name, self.declaration.parameters)))
 
     def size(self, unit: str, overrides: Mapping[str, float]) -> float:
-        """Scale of a unit's dimension, in SI units; 1 where the model has none for it."""
+        """Return what the scales make of a unit's dimension, in SI units; 1 where there are no scales for it."""
         known = self.conversions.get(unit)
         return known.scale(self.scale_values(overrides)) if known is not None else 1.0
 
@@ -147,17 +150,21 @@ class Units:
         """Every parameter in SI units, each after those that its expression holds."""
         parameters = self.declaration.parameters
         self.check_names(overrides)
-        values = {name: overrides.get(name, parameter.value) for name, parameter in parameters.items()}
-        computed: dict[str, float] = {}
-        for name in in_order({n: x.names if isinstance(x, Expression) else () for n, x in values.items()}):
-            parameter = parameters[name]
-            computed[name] = self._si(values[name], parameter.unit, computed)
-            value = computed[name] / self.conversions[parameter.unit].factor
-            unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
-            shown = f"{name} = {value:g}{unit}"
-            if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
-                raise DeclarationError(problems)
-        return computed
+        found: dict[str, float] = {}
+        pending = dict(parameters)
+        while pending:  # the declaration has been checked for cycles
+            for name, parameter in list(pending.items()):
+                value = overrides.get(name, parameter.value)
+                if isinstance(value, Expression) and value.names & pending.keys():
+                    continue
+                found[name] = self._si(value, parameter.unit, found)
+                del pending[name]
+                value = found[name] / self.conversions[parameter.unit].factor
+                unit = "" if parameter.unit == PLAIN else f" {parameter.unit}"
+                shown = f"{name} = {value:g}{unit}"
+                if problems := [*bounded(self.declaration, f"parameters.{name}", shown, value, parameter.bounds)]:
+                    raise DeclarationError(problems)
+        return found
 
     def _exact(self, value: float | Expression, unit: str, values: Mapping[str, sp.Expr]) -> sp.Expr:
         """Declared value in SI units, exactly."""
@@ -174,7 +181,16 @@ class Units:
         return value * self.conversions[unit].factor
 
 
+def _rational(power: float) -> sp.Rational:
+    return sp.Rational(Fraction(power).limit_denominator(60))
+
+
 def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:
     """Unit text of every quantity of a model, by its path in the declaration."""
-    sections = ("coordinates", "states", "inputs", "parameters", "scales")
-    return {f"{section}.{name}": x.unit for section in sections for name, x in getattr(declaration, section).items()}
+    return {
+        **{f"coordinates.{n}": c.unit for n, c in declaration.coordinates.items()},
+        **{f"states.{n}": s.unit for n, s in declaration.states.items()},
+        **{f"inputs.{n}": i.unit for n, i in declaration.inputs.items()},
+        **{f"parameters.{n}": p.unit for n, p in declaration.parameters.items()},
+        **{f"scales.{n}": s.unit for n, s in declaration.scales.items()},
+    }

@@ -38,7 +38,7 @@ def equations(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> Markup:
 
 
 def side(expression: sp.Expr) -> Markup:
-    """Side of an equation; an ellipsis in place of a very long one."""
+    """Return one side of an equation; an ellipsis stands for what is very long."""
     if sp.count_ops(expression) > LONGEST:
         return Markup("<mo>\N{HORIZONTAL ELLIPSIS}</mo>")
     return Markup(_Printer()._print(expression).toxml())  # noqa: S704  # made of a checked expression
@@ -58,12 +58,12 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy has no
         return self._node("msub", base, self._leaf("mn", index)) if index else base
 
     def _leaf(self, tag: str, text: str) -> Any:  # noqa: ANN401
-        element = self.dom.createElement(tag)
-        element.appendChild(self.dom.createTextNode(text))
-        return element
+        made = self.dom.createElement(tag)
+        made.appendChild(self.dom.createTextNode(text))
+        return made
 
     def _node(self, tag: str, *parts: Any) -> Any:  # noqa: ANN401
-        element = self.dom.createElement(tag)
+        made = self.dom.createElement(tag)
         for part in parts:
-            element.appendChild(part)
-        return element
+            made.appendChild(part)
+        return made

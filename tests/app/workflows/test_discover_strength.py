@@ -260,7 +260,7 @@ def test_cogging_is_named_over_many_turns(tmp_path):
     assert found.verdict == "named"
     assert [(cause.name, cause.on) for cause in found.effects] == [("cogging", "shaft")]
     assert re.fullmatch(
-        r"Probabilities: cogging in shaft \d+ % and none of these \d+ %", discovery_text.sureness(found)
+        r"Probabilities: cogging in shaft \d+ % and none of these \d+ %", discovery_text.probability_sentence(found)
     )
     values = {name: value for name, (value, _) in found.effects[0].parameters.items()}
     assert values["pitch"] == pytest.approx(2.0 * np.pi / 7.0, rel=1e-3)

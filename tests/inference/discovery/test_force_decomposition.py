@@ -360,10 +360,10 @@ def test_what_is_left_is_closed_where_it_is_white_on_both_records(discoveries, r
     assert found.is_at_noise_floor
     assert not found.closed
     assert found.as_dict()["closed"] is False
-    assert discovery_text.beside(found).startswith(
+    assert discovery_text.unexplained(found).startswith(
         "This does not explain all, or the noise is not white: the residual is near"
     )
-    assert discovery_text.beside(replace(found, verdict="unknown")) == ""
+    assert discovery_text.unexplained(replace(found, verdict="unknown")) == ""
     many = replace(known, start=np.zeros((len(known.residuals) // 100, 6)))  # windows of a tenth of a second
     assert replace(found, explanation=replace(chosen, hypothesis=many)).closed
 
@@ -392,12 +392,12 @@ def test_friction_is_where_it_is(discoveries):
 
 def test_what_is_said_of_friction(discoveries):
     found = discoveries("friction")
-    (told,) = discovery_text.whereabouts(found)
+    (told,) = discovery_text.location(found)
     assert told.startswith("All of the model error is at spring1: 9")
     assert "of its energy follows the rate, equal and opposite in both directions; it takes " in told
     assert told.endswith("µW/kg out of the motion")
     lost = replace(found, verdict="unknown")
-    assert discovery_text.whereabouts(lost) == []
+    assert discovery_text.location(lost) == []
 
 
 def test_a_quadratic_spring_is_even(discoveries):
@@ -413,8 +413,8 @@ def test_a_gap_on_the_side_of_actuators_follows_a_command(discoveries):
     found = discoveries("limit")
     latent = found.localisation.latent
     assert latent.actuators["V3"] > 0.9 > 2.0 * latent.best.explained
-    assert "follows the command of V3" in discovery_text.whereabouts(found)[0]
-    assert "follows the command of V3" in discovery_text.look(replace(found, verdict="unknown", effects=()))
+    assert "follows the command of V3" in discovery_text.location(found)[0]
+    assert "follows the command of V3" in discovery_text.resemblance(replace(found, verdict="unknown", effects=()))
 
 
 def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
@@ -422,7 +422,7 @@ def test_a_gap_on_the_side_of_sensors_follows_a_reading(discoveries):
     latent = found.localisation.latent
     assert latent.sensors["s1"] > 0.95
     assert max(latent.sensors["s2"], latent.sensors["s3"]) < 0.1
-    assert discovery_text.whereabouts(found)[0].endswith("of the model error in s1 follows its reading")
+    assert discovery_text.location(found)[0].endswith("of the model error in s1 follows its reading")
 
 
 def test_it_goes_into_json(discoveries):

@@ -1,0 +1,348 @@
+"""Panels: figures declared as lines, bands and limits on axes, and drawn by one function in one style.
+
+    drawn(CaptionedFigure("motion", "Motion", "How it moved."), [[Panel([Line(t, x, COLOURS[0], key="x")], y="x (m)")]])
+
+Heights, rooms, legends and labels follow from what the panels hold: what has a `key` stands in the legend.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from numpy.typing import NDArray
+
+from masking.compile.numerics.arrays import Array
+from masking.display.thinning import BINS, thin
+from masking.reports import style
+from masking.reports.figure_parts import spectral_density
+from masking.reports.style import BAND, DASHED, INK, LIMIT, MUTED, RIGHT, SIZE, WIDTH, CaptionedFigure
+
+Range = tuple[float, float]
+Values = NDArray[Any] | Sequence[float]
+
+_ROUND: Final = [1, 2, 2.5, 5, 10]  # steps of an axis
+_LETTERS, _BETWEEN = 130, 6  # of the keys that fit into a line of a legend, and the room of one's line
+_KEY_LINE: Final = 0.2  # inches, of a further line of a legend
+_TITLES: Final = 0.22  # inches above axes, for a line of words
+_KEY_SIZE: Final = 6.0  # points, of a marker in a legend at most
+_KEY: Final = 1.8  # least width in points of a full line in a legend, and 1 of a dashed line
+
+
+class Part(ABC):
+    """Mark on axes; one with a `key` stands in the legend."""
+
+    colour: str
+    key: str
+    opacity: float
+
+    @abstractmethod
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+
+    def handle(self) -> Line2D | Patch:
+        """Entry of the legend."""
+        return Patch(color=self.colour, alpha=max(self.opacity, BAND), lw=0, label=self.key)
+
+
+@dataclass(frozen=True)
+class Line(Part):
+    """Line over x or points, each (m,); without numbers, only an entry of the legend.
+
+    A width of 0 leaves points alone. Long lines are thinned to so many `bins`, 0 for all samples.
+    """
+
+    x: Values
+    y: Values
+    colour: str
+    width: float = 1.4
+    key: str = ""
+    is_dashed: bool = False
+    marker: str = ""
+    size: float = 4.0
+    edge: str = ""
+    opacity: float = 1.0
+    bins: int = BINS
+    order: float = 2.0
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+        x, y = np.asarray(self.x, dtype=float), np.asarray(self.y, dtype=float)
+        axes.plot(*(thin(x, y, self.bins) if self.width and self.bins else (x, y)), **self._style(self.width))
+
+    def handle(self) -> Line2D:
+        """Entry of the legend."""
+        width = max(self.width, 1.0 if self.is_dashed else _KEY) if self.width else 0.0
+        shown = replace(self, size=min(self.size, _KEY_SIZE) if self.marker in "os" else self.size)
+        return Line2D([], [], label=self.key, **shown._style(width))
+
+    def _style(self, width: float) -> dict[str, Any]:
+        line = (DASHED if self.is_dashed else "-") if width else ""
+        edge = {"mec": self.edge, "mew": 1.0} if self.edge else {"mew": 0 if self.marker in "os^." else 1.4}
+        points = {"marker": self.marker or None, "ms": self.size, **edge}
+        return {"color": self.colour, "lw": width, "ls": line, "alpha": self.opacity, "zorder": self.order, **points}
+
+
+@dataclass(frozen=True)
+class Band(Part):
+    """Filled space between two lines over x, each (m,)."""
+
+    x: Values
+    low: Values
+    high: Values
+    colour: str
+    opacity: float = BAND
+    key: str = ""
+    order: float = 1.0
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+        fill = axes.fill_between(self.x, self.low, self.high, color=self.colour, alpha=self.opacity, lw=0)
+        fill.set_zorder(self.order)
+
+
+@dataclass(frozen=True)
+class Span(Part):
+    """Filled range of an axis, 'x' or 'y'."""
+
+    low: float
+    high: float
+    colour: str
+    key: str = ""
+    axis: str = "x"
+    opacity: float = 0.45
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+        fill = axes.axvspan if self.axis == "x" else axes.axhspan
+        fill(self.low, self.high, color=self.colour, alpha=self.opacity, lw=0, zorder=0)
+
+
+@dataclass(frozen=True)
+class Level(Part):
+    """Line across axes at a value of 'y' or 'x': a limit, a noise level, zero."""
+
+    at: float
+    colour: str = INK
+    width: float = 0.9
+    key: str = ""
+    axis: str = "y"
+    is_dashed: bool = True
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+        across = axes.axhline if self.axis == "y" else axes.axvline
+        pattern = (0, (6, 2)) if self.colour == LIMIT else DASHED
+        across(self.at, color=self.colour, lw=self.width, ls=pattern if self.is_dashed else "-", zorder=4)
+
+    def handle(self) -> Line2D:
+        """Entry of the legend."""
+        return Line([], [], self.colour, self.width, self.key, is_dashed=self.is_dashed).handle()
+
+
+def either_side(level: float, **style: Any) -> list[Level]:  # noqa: ANN401  # fields of a level
+    """Lines between which noise or an input stays."""
+    return [Level(-level, **style), Level(level, **style)]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes: their marks, labels with units, and ranges.
+
+    Of panels above each other with one range of x, only the last shows it. `ticks` are numbers on the axis of y, 0 for
+    a few that are symmetric about zero; `title` stands above at the left, `note` at the right; `finish` is called with
+    the axes at the end.
+    """
+
+    parts: Sequence[Part] = ()
+    y: str = ""
+    x: str = ""
+    xlim: Range | None = None
+    ylim: Range | None = None
+    log: str = ""
+    ticks: int = 0
+    note: str = ""
+    title: str = ""
+    note_colour: str = MUTED
+    finish: Callable[[Axes], None] | None = None
+
+    def draw(self, axes: Axes) -> None:
+        """Draw it on axes."""
+        if self.ticks:  # first, since the range of an axis follows its numbers
+            axes.yaxis.set_major_locator(MaxNLocator(self.ticks, steps=_ROUND))
+        for part in self.parts:
+            part.draw(axes)
+        logarithmic(axes, self.log)
+        axes.set(xlabel=self.x, ylabel=self.y)
+        if self.xlim is not None:
+            axes.set_xlim(*self.xlim)
+        if self.ylim is not None:
+            axes.set_ylim(*self.ylim)
+        axes.set_title(self.note, loc="right", fontsize=SIZE - 1, color=self.note_colour, pad=3)
+        axes.set_title(self.title, loc="left", fontsize=SIZE - 1, color=MUTED, pad=3)
+        if self.finish is not None:
+            self.finish(axes)
+
+
+def drawn(
+    words: CaptionedFigure,
+    rows: Sequence[Sequence[Panel]],
+    heights: float | Sequence[float] = 1.35,
+    *,
+    widths: Sequence[float] = (),
+    heading: str = "",
+    keys: Sequence[Part] = (),
+    left: float = style.LEFT,
+    right: float = RIGHT,
+) -> CaptionedFigure:
+    """Figure of rows of panels with a legend of all their keys.
+
+    Panels above each other that have one range of x have one axis of it.
+
+    Args:
+        words: name, title and caption.
+        rows: of panels.
+        heights: of the rows in inches, or of each.
+        widths: of the columns relative to each other; all the same by default.
+        heading: the finding, written on top.
+        keys: entries of the legend before those of the panels.
+        left: inches beside the axes, for labels.
+        right: inches beside the axes, for words.
+    """
+    every = [panel for row in rows for panel in row]
+    parts: dict[str, Part] = {}
+    for part in (*keys, *(part for panel in every for part in panel.parts)):
+        parts.setdefault(part.key, part)
+    parts.pop("", None)
+    handles = [part.handle() for part in parts.values()]
+    length = sum(len(key) + _BETWEEN for key in parts)
+    columns = len(parts) if length <= _LETTERS else max(1, _LETTERS // (max(map(len, parts)) + _BETWEEN))
+    lines = -(-len(parts) // max(1, columns))
+    columns = -(-len(parts) // max(1, lines))
+    has_words = [any(panel.note or panel.title for panel in row) for row in rows]
+    above = _TITLES * has_words[0]
+    if heading:
+        top = (style.BELOW if handles else 0.06) + above
+    else:
+        top = style.LEGEND if handles else style.NOTE if above else style.BARE
+    top += _KEY_LINE * max(0, lines - 1)
+    joined = [_shares_range(upper, lower) for upper, lower in itertools.pairwise(rows)]
+    gaps = [style.GAP if one else 0.62 + 0.1 * words for one, words in zip(joined, has_words[1:], strict=True)]
+    each = [heights] * len(rows) if isinstance(heights, int | float) else [*heights]
+    across = [_widths(row, widths, left, right) for row in rows]
+    figure, grid = style.grid(each, across, gaps, top, heading=heading, left=left, right=right)
+    for row, all_axes, is_joined in zip(rows, grid, [*joined, False], strict=True):
+        for panel, axes in zip(row, all_axes, strict=True):
+            panel.draw(axes)
+            if is_joined:
+                axes.tick_params(labelbottom=False)
+                axes.set_xlabel("")
+        for (a, b), axes in zip(itertools.pairwise(row), all_axes[1:], strict=True):
+            if _shares_y(a, b):
+                axes.tick_params(labelleft=False)
+                axes.yaxis.get_offset_text().set_visible(False)
+    for column in zip(*(row for row in grid if len(row) == len(grid[0])), strict=True):
+        figure.align_ylabels(column)
+    _legend(figure, grid[0][-1] if heading else None, handles, 0.04 + above, columns)
+    return replace(words, figure=figure)
+
+
+def _shares_range(upper: Sequence[Panel], lower: Sequence[Panel]) -> bool:
+    same = len(upper) == len(lower)
+    return same and all(a.xlim == b.xlim and a.x == b.x and a.x for a, b in zip(upper, lower, strict=True))
+
+
+def _shares_y(left: Panel, right: Panel) -> bool:
+    return not right.y and right.ylim is not None and left.ylim == right.ylim
+
+
+def _widths(row: Sequence[Panel], shares: Sequence[float], left: float, right: float) -> list[float]:
+    """Widths of the panels of a row in inches, with room for the labels of each but the first."""
+    shares = shares if len(shares) == len(row) else [1.0] * len(row)
+    between = [
+        (0.95 if "y" in b.log else 0.78) if b.y else 0.2 if _shares_y(a, b) else 0.55
+        for a, b in itertools.pairwise(row)
+    ]
+    whole = WIDTH - left - right - sum(between)
+    return [whole * share / sum(shares) for share in shares]
+
+
+def _legend(figure: Figure, below: Axes | None, handles: Sequence[Any], above: float, columns: int) -> None:
+    """Put a legend at the right: some inches above axes, or at the top of the figure."""
+    if not handles:
+        return
+    height, x = figure.get_size_inches()[1], 1.0 - RIGHT / WIDTH
+    place: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (x, 1.0 - 0.09 / height)}
+    if below is not None:
+        place = {"loc": "lower right", "bbox_to_anchor": (x, below.get_position().y1 + above / height)}
+    figure.legend(
+        handles=list(handles), ncols=columns, frameon=False, fontsize=SIZE - 0.5, labelcolor=INK,
+        borderaxespad=0, handlelength=1.8, columnspacing=1.4, **place,
+    )  # fmt: skip
+
+
+def spectrum(
+    signals: Iterable[tuple[Array, str, float]], rate: float, noise: float | None, unit: str, key: str = ""
+) -> Panel:
+    """Amplitude densities over frequency, and that of white noise as a dashed line.
+
+    Args:
+        signals: values (m,), colour and width in points of each.
+        rate: of sampling, Hz.
+        noise: standard deviation of the noise, None for no line.
+        unit: of the values, as it is shown.
+        key: entry of the noise in the legend.
+    """
+    lines = []
+    for values, colour, width in signals:
+        f, density = spectral_density(values, rate)
+        lines.append(Line(f, density, colour, width))
+    levels = [] if noise is None else [Level(noise_density(noise, rate), key=key)]
+    ends = float(f[0]), float(f[-1])
+    return Panel([*lines, *levels], f"{unit or '1'}/√Hz", "frequency (Hz)", ends, log="xy")
+
+
+def noise_density(deviation: float, rate: float) -> float:
+    """Amplitude density of white noise of a standard deviation, sampled at a rate in Hz."""
+    return float(deviation * np.sqrt(2.0 / rate))
+
+
+def logarithmic(axes: Axes, which: str, count: int = 6) -> None:
+    """Make axes, 'x', 'y' or both, logarithmic, with a number of labels at most."""
+    for name in which:
+        axes.set(**{f"{name}scale": "log"})
+        axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
+        axis.set_major_locator(LogLocator(numticks=count))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
+    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`.
+
+    Args:
+        axis: to change.
+        unit: written behind each number.
+        few: ratio of the ends below which there are numbers between the powers of ten.
+    """
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < few * low else (1.0,)))
+    axis.set_major_formatter(StrMethodFormatter(f"{{x:g}}{unit}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def bars(axes: Axes, names: Sequence[str]) -> None:
+    """Name horizontal bars, the first on top."""
+    axes.set(ylim=(len(names) - 0.4, -0.6))
+    axes.set_yticks(range(len(names)), labels=names)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
