@@ -1,4 +1,4 @@
-"""Numbers of figures: units of small values, spectra, and remarks on what is left out."""
+"""Numbers of figures: units of small values, spectra, and remarks on omissions."""
 
 from __future__ import annotations
 

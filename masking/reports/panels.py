@@ -59,7 +59,7 @@ class Part(ABC):
 class Line(Part):
     """Line over x or points, each (m,); without numbers, only an entry of the legend.
 
-    A width of 0 leaves points alone. Long lines are thinned to so many `bins`, 0 for all samples.
+    A width of 0 leaves points alone. Long lines are thinned to `bins` samples, or not at all for 0.
     """
 
     x: Values

@@ -269,7 +269,7 @@ def trace(
     cycles = _cycles(study)
     if cycles <= _ENVELOPE_PERIODS:
         marker = "o" if len(series) <= _FEW and not thin_line else ""
-        shown = [Line(study.tau, series, colour, 0.9 if thin_line else 1.6, marker=marker)]
+        shown: list[Part] = [Line(study.tau, series, colour, 0.9 if thin_line else 1.6, marker=marker)]
         return shown + ([] if ideal is None else [Line(study.tau, ideal, INK, 0.9, is_dashed=True)])
     bins = int(min(style.BINS / 2, cycles / 1.5))
     tau, low, high = style.envelope(study.tau, series, bins)
