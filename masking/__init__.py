@@ -8,7 +8,7 @@ Four objects carry the package:
 * `Recording`: the series of one run and the manifest that says what they are, in one folder on disk.
 
 Each verb of the command line is a function here: `catalogue` (its `list`), `show`, `check`, `run`, `report`,
-`recover`, `animate`, `compare`, `sweep`, `merge_sweeps`, `load_sweep`, `simulate`, `identify`, `measure`,
+`recover`, `animate`, `compare`, `sweep`, `load_sweep`, `simulate`, `identify`, `measure`,
 `calibrate`, `discover`, `refine`, `stability`, `export`.
 
     >>> import masking

@@ -14,7 +14,6 @@ from .app.workflows.show import show as show
 from .app.workflows.simulate import simulate as simulate
 from .app.workflows.stability import stability as stability
 from .app.workflows.sweep import load_sweep as load_sweep
-from .app.workflows.sweep import merge_sweeps as merge_sweeps
 from .app.workflows.sweep import sweep as sweep
 from .control.closed_loop import ClosedLoop as ClosedLoop
 from .control.law import Controller as Controller

@@ -60,7 +60,7 @@ def test_commands_are_accepted_by_the_parser(page, capsys):
     for command in commands(page):
         try:
             words = shlex.split(command.replace("PROCEDURE", "springs"))[1:]
-            parser._parser(words[0]).parse_args(words)
+            parser._parser().parse_args(words)
         except SystemExit:
             pytest.fail(f"{command}: {capsys.readouterr().err}")
 

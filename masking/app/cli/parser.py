@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -10,54 +9,39 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.app.cli import (
-    declaration_verbs,
-    discovery_verbs,
-    export_verb,
-    identification_verbs,
-    rig_verbs,
-    run_verbs,
-    stability_verb,
-    sweep_verb,
-)
-from masking.app.cli.options import add_verb
+from masking.app.cli import declaration_verbs, identification_verbs, rig_verbs, run_verbs
 from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
+from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
 
-VERBS = tuple(
-    one
-    for module in (
-        declaration_verbs,
-        run_verbs,
-        sweep_verb,
-        identification_verbs,
-        discovery_verbs,
-        stability_verb,
-        export_verb,
-        rig_verbs,
-    )
-    for one in module.VERBS
+VERBS: tuple[Verb, ...] = (
+    *declaration_verbs.VERBS,
+    *run_verbs.VERBS,
+    *identification_verbs.VERBS,
+    *rig_verbs.VERBS,
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
     given = sys.argv[1:] if arguments is None else [*arguments]
-    parser = _parser(given[0] if given else "")
-    chosen, unknown = parser.parse_known_args(given)
-    if unknown:
-        renamed = [_renamed(text) for text in unknown if _renamed(text)]
-        parser.error(", ".join(renamed) or f"unrecognized arguments: {' '.join(unknown)}")
-    if arguments is None:  # in a process of its own, which an interrupt may end in the midst of compiled code
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parser = _parser()
+    call: Call | None = None
     try:
-        status: int = chosen.verb(chosen)
+        chosen, unknown = parser.parse_known_args(given)
+        if unknown:
+            renamed = [_renamed(text) for text in unknown if _renamed(text)]
+            parser.error(", ".join(renamed) or f"unrecognized arguments: {' '.join(unknown)}")
+        if arguments is None:  # in a process of its own, which an interrupt may end in the midst of compiled code
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+        call = Call(chosen.verb, vars(chosen))
+        status: int = call.verb.act(call)
         sys.stdout.flush()
     except MaskingError as error:
-        _report(error, as_json=chosen.json)
+        _report(error, as_json=any(text.partition("=")[0] == "--json" for text in given))
         return error.exit_status
     except KeyboardInterrupt:
-        print(NOTHING_SAVED, file=sys.stderr)
+        print(call.verb.interrupted.format(out=call.out) if call else NOTHING_SAVED, file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -73,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _renamed(argument: str) -> str:
-    """Return what an option is called that has another name now; nothing for any other argument."""
+    """Message of an option that has another name now; empty for any other argument."""
     option = argument.partition("=")[0]
     name = RENAMED.get(option.removeprefix("--").replace("-", "_"), "") if option.startswith("--") else ""
     return f"{option} is called --{name.replace('_', '-')} now" if name else ""
@@ -86,12 +70,7 @@ def _report(error: MaskingError, *, as_json: bool) -> None:
     print(error if problems else f"masking: {error}", file=sys.stderr)
 
 
-def _parser(verb: str) -> argparse.ArgumentParser:
-    """Parser of all verbs; only that of the one that is asked for has options, since these load packages."""
-    parser = argparse.ArgumentParser(
-        prog="masking", description="Make an actuated rig move as if it were another machine."
-    )
-    found = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
-    for one in VERBS:
-        add_verb(found, one, is_asked_for=one.name == verb)
+def _parser() -> VerbParser:
+    parser = VerbParser(prog="masking", description="Make an actuated rig move as if it were another machine.")
+    add_verbs(parser, "verb", VERBS)
     return parser

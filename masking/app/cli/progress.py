@@ -9,16 +9,8 @@ import sys
 import threading
 import time
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING
-
-import lazy_loader as lazy
 
 from masking.lab.plants.operating_system import signal_main_thread
-
-if TYPE_CHECKING:
-    import tqdm
-else:
-    tqdm = lazy.load("tqdm")
 
 APART = 10.0  # s between lines of progress in a file or a pipe
 INTERRUPTED = 130  # exit status
@@ -34,6 +26,8 @@ class Bar:
     """
 
     def __init__(self, text: str) -> None:
+        import tqdm
+
         self._written, self._most = time.monotonic(), 0.0
         self._bar = tqdm.tqdm(total=1.0, desc=text, delay=1.0, leave=False, disable=None, bar_format=_FORM)
 
@@ -71,6 +65,11 @@ class Bar:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
+
+
+def say_compiling() -> None:
+    """Print why nothing happens for a while."""
+    print("compiling; this takes some ten seconds, once for each system", file=sys.stderr)
 
 
 def end_at_interrupts() -> None:

@@ -12,13 +12,17 @@ from pathlib import Path
 from masking.app.workflows import calibration_records
 from masking.app.workflows.calibration_records import Progress, Say
 from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
 from masking.errors import ModelError
 from masking.inference.discovery import prior
 from masking.inference.estimation.fit import fit, independent
 from masking.inference.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
+from masking.lab.plants import adapters
+from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Plant
+from masking.lab.plants.simulated import SimulatedPlant
 from masking.reports import calibration_page, fit_files
 
 __all__ = ["Calibration", "Stage", "calibrate"]
@@ -100,8 +104,57 @@ def calibrate(
     return calibration
 
 
+@dataclass(frozen=True, kw_only=True)
+class RigCalibration:
+    """How a rig at an address is calibrated.
+
+    Args:
+        at: address of the rig, such as udp://127.0.0.1:5005 or serial:///dev/ttyACM0; by default the plant's twin.
+        key: file of mode 0600 with a key that the server has, too.
+        model: a model of the rig to fit beside that of the plant file.
+        seconds: length of each record.
+        lockstep: each side waits for the other; no clock.
+        out: folder of the records and of the result; records that are there are not made again.
+        overwrite: whether an earlier result in that folder may be replaced; its records are kept.
+        say: called with the step under way.
+        progress: called with the fraction done.
+    """
+
+    at: str | None = None
+    key: str | None = None
+    model: str | None = None
+    seconds: float = 2.0 * PERIOD
+    lockstep: bool = False
+    out: str | Path
+    overwrite: bool = False
+    say: Say | None = None
+    progress: Progress | None = None
+
+
+@with_fields_of(RigCalibration)
+def calibrate_at(plant: str, settings: RigCalibration) -> Calibration:
+    """Calibrate a rig at an address, or the twin of its plant file.
+
+    Args:
+        plant: the rig's plant file, or a packaged plant.
+        settings: the fields of `RigCalibration`.
+    """
+    twin, key = Twin.load(plant), None if settings.key is None else Key.read(settings.key)
+    return calibrate(
+        twin,
+        adapters.connect(settings.at, key) if settings.at else SimulatedPlant(twin),
+        settings.out,
+        model=settings.model,
+        seconds=settings.seconds,
+        overwrite=settings.overwrite,
+        lockstep=settings.lockstep or not settings.at,
+        say=settings.say,
+        progress=settings.progress,
+    )
+
+
 def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
-    """Give a function that reports the fraction done of each of several steps."""
+    """Callbacks of several steps, each with the fraction done of its own step."""
 
     def part(before: float, cost: float) -> Progress:
         return lambda done: progress((before + cost * done) / sum(costs))
@@ -113,7 +166,7 @@ def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
 
 
 def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
-    """Give the models to fit, from the simplest to all that the plant file declares, with their parameters."""
+    """Models to fit, from the simplest to the whole plant file, with their parameters."""
     base = twin.as_model()
     yield _Candidate("the model alone", base, prior.uncertain(base))
     if model is not None:

@@ -103,7 +103,7 @@ def make(
 
 
 def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: float, twin: Twin) -> dict[str, Any]:
-    """Return what a record depends on, as JSON can hold it; of a rig that is simulated, also what simulates it."""
+    """Settings of a record, as JSON can hold them; of a simulated rig with a digest of its twin."""
     found = {
         "seconds": seconds,
         "seed": seed,
@@ -178,7 +178,7 @@ def _record(
     lockstep: bool,
     progress: Progress,
 ) -> Recording:
-    """Return what a plant reads under commands (samples, actuators); readings that were missed are interpolated."""
+    """Recording of a plant under commands (samples, actuators); missed readings are interpolated."""
     first: list[int] = []
 
     def step(tick: int, readings: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
@@ -33,6 +34,21 @@ class Checked:
     problems: tuple[Problem, ...]
     feasibility: Feasibility | None = None
     unknown: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """File and what is wrong with it, as JSON can hold it."""
+        return {
+            "file": self.file,
+            "kind": self.kind,
+            "problems": [problem.as_dict() for problem in self.problems],
+            "feasibility": None if self.feasibility is None else self.feasibility.as_dict(),
+            "unknown": self.unknown,
+        }
+
+    def __str__(self) -> str:
+        lines = [*map(str, self.problems)] or [f"{self.file}: a sound {self.kind}"]
+        lines += [str(self.feasibility)] if self.feasibility is not None else []
+        return "\n".join([*lines, f"  whether it fits is unknown: {self.unknown}"] if self.unknown else lines)
 
     @property
     def exit_status(self) -> int:
@@ -85,7 +101,7 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
 
 
 def _fit(file: str, wanted: Experiment, compiling: Callable[[], None] | None) -> Checked:
-    """Find out whether a sound experiment fits its rig, if the plant file has the limits of its actuators."""
+    """Result for a sound experiment: its fit to the limits of the actuators, where the plant file has these."""
     try:
         wanted.instruments.limits()
     except ModelError as error:

@@ -32,6 +32,6 @@ def compare(
 
 
 def names(first: str | Path, second: str | Path) -> tuple[str, str]:
-    """Return what two recordings are called: the names of their folders, or their paths where those are equal."""
+    """Names of two recordings: those of their folders, or their paths where these are equal."""
     a, b = (beside(path).resolve().name for path in (first, second))
     return (a, b) if a != b else (str(first), str(second))

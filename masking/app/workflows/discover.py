@@ -38,7 +38,7 @@ class Discover(DiscoverySettings):
 
 @with_fields_of(Discover)
 def discover(record: str | Path, settings: Discover) -> Discovery:
-    """Find out which physical effect the model of a rig lacks, and write the model with it.
+    """Find the physical effect that the model of a rig lacks, and write the model with it.
 
     Args:
         record: folder of a recording, or a parquet, csv, mat, h5, npz or json file, with the channels of the plant;

@@ -100,7 +100,7 @@ def _check_unseen(train: Data, held_out: Data, origin: Origin) -> None:
 
 
 def _between(start: float, end: float) -> str:
-    """Say from when until when, in s; nothing of a side that is infinite."""
+    """Interval in s, in words; nothing of a side that is infinite."""
     if np.isinf(start):
         return "" if np.isinf(end) else f" up to {end:.9g} s"
     return f" from {start:.9g} s {'on' if np.isinf(end) else f'to {end:.9g} s'}"

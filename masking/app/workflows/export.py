@@ -5,26 +5,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
-from masking.app.workflows.choices import EXPORTED, REALS, TARGETS
 from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.exports import unit_files
 from masking.control.exports.controllers import law_unit, sampled_unit
 from masking.control.exports.plants import model_unit, twin_unit
 from masking.control.exports.unit import Unit
 from masking.control.rig.twin import Twin
+from masking.display.json_text import Result
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue
 from masking.model.modelling.model import load_model
 
+Target = Literal["c", "fmu"]
+Kind = Literal["experiment", "plant", "model"]  # in the order of preference
+Real = Literal["double", "float"]
 WATCHDOG = 0.02
 RATE = 1000.0
 
 
 @dataclass(frozen=True)
-class Exported:
-    """What was exported: its title, the files, and what to know of its use."""
+class Exported(Result):
+    """Title and files of an export, and what to know of its use."""
 
     title: str
     kind: str
@@ -34,33 +39,12 @@ class Exported:
     def __str__(self) -> str:
         return "\n".join([f"{self.title}", *self.notes, *(f"written: {file}" for file in self.files)])
 
-    def as_dict(self) -> dict[str, object]:
-        """All as JSON can hold it."""
-        return {
-            "title": self.title,
-            "kind": self.kind,
-            "files": [str(file) for file in self.files],
-            "notes": list(self.notes),
-        }
 
-
-def export(
-    name_or_path: str | Path,
-    *,
-    to: str,
-    kind: str | None = None,
-    changes: Mapping[str, float] | None = None,
-    plant: str | None = None,
-    real: str = "double",
-    rate: float | None = None,
-    watchdog: float = WATCHDOG,
-    out: str | Path | None = None,
-    overwrite: bool = False,
-) -> Exported:
-    """Write a controller, a rig or a model as source that runs without this package.
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings:
+    """Settings of an export.
 
     Args:
-        name_or_path: an experiment, whose controller is exported; a plant, as a simulated rig; or a model.
         to: 'c' or 'fmu'.
         kind: 'experiment', 'plant' or 'model', where a name stands for several; by default the first of these.
         changes: parameters that replace the declared ones: of an experiment's virtual system, or of a model.
@@ -71,48 +55,61 @@ def export(
         watchdog: seconds without a step after which a sampled controller's commands are zero.
         out: folder to write into; `exported/NAME` by default.
         overwrite: whether an earlier export of the same kind is replaced in that folder.
+    """
+
+    to: Target
+    kind: Kind | None = None
+    changes: Mapping[str, float] | None = None
+    plant: str | None = None
+    real: Real = "double"
+    rate: float | None = None
+    watchdog: float = WATCHDOG
+    out: str | Path | None = None
+    overwrite: bool = False
+
+
+@with_fields_of(ExportSettings)
+def export(name_or_path: str | Path, settings: ExportSettings) -> Exported:
+    """Write a controller, a rig or a model as source that runs without this package.
+
+    Args:
+        name_or_path: an experiment, whose controller is exported; a plant, as a simulated rig; or a model.
+        settings: the fields of `ExportSettings`.
 
     Raises:
         DeclarationError: a declaration or a setting is wrong.
         ModelError: the controller cannot be made, or a constant is too large for `real`.
         RecordError: the folder cannot be written, or holds such an export.
     """
-    _check("--to", to, TARGETS)
-    _check("--real", real, REALS)
+    to, real = settings.to, settings.real
+    _check("--to", to, get_args(Target))
+    _check("--real", real, get_args(Real))
     if real == "float" and to != "c":
         raise DeclarationError(Problem(None, "--real", f"float is for C; {to} has double", "leave --real out"))
-    for option, value in (("--rate", rate), ("--watchdog", watchdog)):
+    for option, value in (("--rate", settings.rate), ("--watchdog", settings.watchdog)):
         if value is not None and not 0.0 < value < float("inf"):
             raise DeclarationError(Problem(None, option, f"{value:g} is no positive number", "give one, such as 1000"))
-    folder = Path(out) if out is not None else Path("exported") / Path(name_or_path).stem
-    unit = _unit(name_or_path, kind=kind, changes=changes, plant=plant, rate=rate, watchdog=watchdog)
-    check_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=overwrite)
+    folder = Path("exported") / Path(name_or_path).stem if settings.out is None else Path(settings.out)
+    unit = _unit(name_or_path, settings)
+    check_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=settings.overwrite)
     return Exported(unit.title, unit.kind, unit_files.write(unit, folder, to, real), unit.notes)
 
 
-def _unit(
-    name_or_path: str | Path,
-    *,
-    kind: str | None,
-    changes: Mapping[str, float] | None,
-    plant: str | None,
-    rate: float | None,
-    watchdog: float,
-) -> Unit:
-    kind = kind or _kind_of(name_or_path)
-    _check("--kind", kind, EXPORTED)
-    stem = Path(name_or_path).stem
+def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
+    kind = settings.kind or _kind_of(name_or_path)
+    _check("--kind", kind, get_args(Kind))
+    stem, rate, changes = Path(name_or_path).stem, settings.rate, settings.changes
     if kind == "experiment":
         if rate is not None:
             mend = "change controller.rate in the experiment file"
             raise DeclarationError(Problem(None, "--rate", "a controller has the rate that is declared", mend))
-        made = Experiment.load(name_or_path, plant=plant, changes=changes)
+        made = Experiment.load(name_or_path, plant=settings.plant, changes=changes)
         made.validate()
         _check_inputs(made)
         if made.has_observer:
-            return sampled_unit(made.sampled, stem, watchdog)
+            return sampled_unit(made.sampled, stem, settings.watchdog)
         return law_unit(made.loop, stem, made.declaration.controller.rate)
-    if plant is not None:
+    if settings.plant is not None:
         raise DeclarationError(Problem(None, "--plant", f"a {kind} runs on no plant", "name an experiment"))
     if kind == "plant":
         if changes:
@@ -136,8 +133,8 @@ def _check_inputs(experiment: Experiment) -> None:
 
 
 def _kind_of(name_or_path: str | Path) -> str:
-    """Return what a name stands for; an experiment, or a plant, before a model."""
-    named = (kind for kind in EXPORTED if str(name_or_path) in catalogue.names(kind))
+    """Kind of declaration of a name; an experiment, or a plant, before a model."""
+    named = (kind for kind in get_args(Kind) if str(name_or_path) in catalogue.names(kind))
     return next(named, None) or catalogue.kind_of(name_or_path)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, get_args
 
-from masking.app.workflows.choices import METHODS
 from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.settings_keywords import showing
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
@@ -17,29 +19,15 @@ from masking.inference.estimation.innovations import KalmanFit
 from masking.lab.records.input_hold import InputHold, Names
 from masking.reports import fit_figures, fit_files, identification_page
 
+Method = Literal["least-squares", "kalman"]
+METHODS = get_args(Method)
 
-def identify(
-    *records: str | Path,
-    plant: str | Path,
-    model: str | Path | None = None,
-    parameters: Sequence[str] = (),
-    validation: Sequence[str | Path] = (),
-    shooting_interval: float | None = None,
-    method: str = METHODS[0],
-    square_root: bool = False,
-    iterated: int = 1,
-    hold: InputHold | None = None,
-    columns: Names | None = None,
-    dt: float | None = None,
-    out: str | Path | None = None,
-    overwrite: bool = False,
-    progress: Callable[[float], None] | None = None,
-) -> fits.Fit | KalmanFit:
-    """Fit parameters of a plant to recordings of it.
+
+@dataclass(frozen=True, kw_only=True)
+class Identify:
+    """Settings of an identification.
 
     Args:
-        records: folders of recordings, or parquet, csv, mat, h5, npz or json files, with `input.*` and `sensor.*` of
-            the plant; `FILE@10:20` is its part from 10 s to 20 s. One for a filter.
         plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted.
         model: a model that replaces the plant's own and the effects in its elements.
         parameters: parameters to fit, of the model, and of effects as `<effect>_<parameter>`; by default all that the
@@ -57,44 +45,74 @@ def identify(
             `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
         progress: called with the fraction done.
+    """
+
+    plant: str | Path
+    model: str | Path | None = None
+    parameters: Sequence[str] = ()
+    validation: Sequence[str | Path] = ()
+    shooting_interval: float | None = None
+    method: Method = "least-squares"
+    square_root: bool = False
+    iterated: int = 1
+    hold: InputHold | None = None
+    columns: Names | None = None
+    dt: float | None = None
+    out: str | Path | None = None
+    overwrite: bool = False
+    progress: Callable[[float], None] | None = None
+
+
+@showing(Identify)
+def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # noqa: ANN401  # fields of `Identify`
+    """Fit parameters of a plant to recordings of it.
+
+    Args:
+        records: folders of recordings, or parquet, csv, mat, h5, npz or json files, with `input.*` and `sensor.*` of
+            the plant; `FILE@10:20` is its part from 10 s to 20 s. One for a filter.
+        settings: the fields of `Identify`.
 
     Raises:
         MaskingError: a declaration, a name, a setting or a recording is wrong; the message says what to do about it.
     """
-    _check_method(method, records, shooting_interval, other=square_root or iterated != 1)
-    check_folder(out, "fit.json", "model.yaml", "plant.yaml", overwrite=overwrite)
-    twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
+    given = Identify(**settings)
+    _check_method(given, len(records))
+    check_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite)
+    twin = Twin.load(given.plant) if given.model is None else Twin.load(given.plant).as_model(given.model)
     twin.validate()
-    names = parameters or prior.uncertain(twin)
-    train, held_out = ([Data.read(path, twin, hold, columns, dt) for path in paths] for paths in (records, validation))
+    names = given.parameters or prior.uncertain(twin)
+    train, held_out = (
+        [Data.read(path, twin, given.hold, given.columns, given.dt) for path in paths]
+        for paths in (records, given.validation)
+    )
+    more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
     found: fits.Fit | KalmanFit
-    if method == "kalman":
-        form = extended_kalman.FilterSettings(square_root=square_root, iterated=iterated)
-        found = extended_kalman.extended_kalman(twin, train[0], names, form, validation=held_out, progress=progress)
+    if given.method == "kalman":
+        form = extended_kalman.FilterSettings(square_root=given.square_root, iterated=given.iterated)
+        found = extended_kalman.extended_kalman(twin, train[0], names, form, **more)
     else:
-        found = fits.fit(
-            twin, train, names, validation=held_out, shooting_interval=shooting_interval, progress=progress
-        )
-    if out is not None:
+        found = fits.fit(twin, train, names, shooting_interval=given.shooting_interval, **more)
+    if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)
-        fit_files.save(found, out)
-        identification_page.save_fit(found, figures, sentence, out)
+        fit_files.save(found, given.out)
+        identification_page.save_fit(found, figures, sentence, given.out)
     return found
 
 
-def _check_method(method: str, records: Sequence[str | Path], shooting_interval: float | None, *, other: bool) -> None:
+def _check_method(given: Identify, records: int) -> None:
     """Refuse an unknown method, and settings of the other one."""
-    if method not in METHODS:
-        raise DeclarationError(Problem(None, "method", f"there is no method '{method}'", nearest(method, METHODS)))
+    if given.method not in METHODS:
+        message = f"there is no method '{given.method}'"
+        raise DeclarationError(Problem(None, "method", message, nearest(given.method, METHODS)))
     if not records:
         raise RecordError("give at least one recording to fit")
-    if method == "kalman" and len(records) > 1:
+    if given.method == "kalman" and records > 1:
         raise RecordError(
-            f"the filter takes one record, {len(records)} are given; filter one after the other, or fit them together "
-            "by least squares"
+            f"the filter takes one record, {records} are given; filter one after the other, or fit them together by "
+            "least squares"
         )
-    if method == "kalman" and shooting_interval is not None:
+    if given.method == "kalman" and given.shooting_interval is not None:
         raise DeclarationError(Problem(None, "shooting_interval", "a filter has none", "leave it out"))
-    if method != "kalman" and other:
+    if given.method != "kalman" and (given.square_root or given.iterated != 1):
         message = "square roots and iterations are settings of the filter"
         raise DeclarationError(Problem(None, "method", message, "give the method kalman"))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.settings_keywords import Parameter, parameters, show
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.procedures import measured_response, measurement
@@ -22,31 +23,30 @@ PROCEDURES: Final[dict[str, Callable[..., Measurement[Any]]]] = {
     "friction": measurement.friction,
     "response": measured_response.response,
 }
-# Parameters of `measure` that are no settings.
-_ALWAYS = frozenset({"procedure", "records", "plant", "out", "overwrite"})
 
 
+def _shown(verb: Callable[..., Measurement[Any]]) -> Callable[..., Measurement[Any]]:
+    """The verb, whose signature and docstring have the settings of all procedures, each with those that take it."""
+    settings: dict[str, Parameter] = {}
+    takers: dict[str, list[str]] = {}
+    for procedure, function in PROCEDURES.items():
+        for name, setting in parameters(function).items():
+            if setting.kind is inspect.Parameter.KEYWORD_ONLY:
+                settings.setdefault(name, setting)
+                takers.setdefault(name, []).append(procedure)
+    lines = "".join(f"        {name}: {', '.join(takers[name])}: {s.text}\n" for name, s in settings.items())
+    show(verb, settings, lines)
+    return verb
+
+
+@_shown
 def measure(
     procedure: str,
     *records: str | Path,
     plant: str | Path | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
-    input: str | None = None,
-    sensor: str | None = None,
-    order: int | None = None,
-    settle: float | None = None,
-    scale: float | None = None,
-    force_scale: float | None = None,
-    first: str | None = None,
-    second: str | None = None,
-    frequency: float | None = None,
-    span: float | None = None,
-    bins: int | None = None,
-    inputs: Sequence[str] | None = None,
-    sensors: Sequence[str] | None = None,
-    period: float | None = None,
-    discard: int | None = None,
+    **settings: Any,  # noqa: ANN401  # of the procedure
 ) -> Measurement[Any]:
     """Do one procedure of the identification on recordings made for it.
 
@@ -57,36 +57,22 @@ def measure(
             displacement in m; by default results are in the units of the readings.
         out: folder to save `<procedure>.html`, `<procedure>.json` and PNG files in; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
-        input: springs, friction: the input that pushes; by default the only one that moves.
-        sensor: springs, actuators, friction: the sensor of the displacement; by default the only one.
-        order: springs: order of the polynomial, 5 by default.
-        settle: springs: time left out at the start in s, 2 by default.
-        scale: springs: unit of displacement of the coefficients; by default the length of the plant's model, or 1.
-        force_scale: springs: unit of force of the coefficients; by default that of the plant's model, or 1.
-        first: actuators: the input with the sine of constant amplitude.
-        second: actuators: the input with the swept gain.
-        frequency: actuators: frequency of the sines in Hz; by default that of the first input.
-        span: actuators: range of gains around the balance that is used, 0.3 by default.
-        bins: friction: number of bins over the travel, 100 by default.
-        inputs: response: the inputs; by default all that move.
-        sensors: response: the sensors; by default all.
-        period: response: period of the excitation in s; by default as the record states, or as it repeats.
-        discard: response: number of periods left out at the start, 1 by default.
+        settings: of the procedure.
 
     Raises:
         DeclarationError: there is no such procedure, or a setting is one of another.
         RecordError: a column or a recording is wrong, or there are too many.
         ModelError: a setting makes no sense.
     """
-    settings = {name: value for name, value in locals().items() if name not in _ALWAYS and value is not None}
     if procedure not in PROCEDURES:
         message = f"there is no procedure '{procedure}'"
         raise DeclarationError(Problem(None, "", message, nearest(procedure, [*PROCEDURES])))
-    parameters = inspect.signature(PROCEDURES[procedure]).parameters.values()
-    known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
+    declared = inspect.signature(PROCEDURES[procedure]).parameters.values()
+    known = [p.name for p in declared if p.kind is p.KEYWORD_ONLY]
+    settings = {name: value for name, value in settings.items() if value is not None}
     for name in settings.keys() - set(known):
         raise DeclarationError(Problem(None, name, f"{procedure} has no such setting", nearest(name, known)))
-    takes_one = not any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    takes_one = not any(p.kind is p.VAR_POSITIONAL for p in declared)
     if not records or (takes_one and len(records) > 1):
         raise RecordError(f"{procedure} takes {'one record' if takes_one else 'records'}; {len(records)} are given")
     check_folder(out, f"{procedure}.json", overwrite=overwrite)

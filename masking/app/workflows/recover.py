@@ -32,7 +32,7 @@ TICKS: Final = "ticks"
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was recovered.
+    """Recording of a run that was killed.
 
     Args:
         folder: of the recordings.
@@ -113,7 +113,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
 
 
 def _end(found: Stream) -> str:
-    """Say how the stream ends."""
+    """Reason for the end of the stream, as a sentence."""
     if found.end is None:
         return "it is cut off: the machine stopped, or the recorder was killed too; what followed may be missing"
     if found.end["why"] == CLOSED:

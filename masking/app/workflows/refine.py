@@ -86,7 +86,7 @@ class Refinement:
 
     @property
     def sentence(self) -> str:
-        """Say by how much the masking error fell."""
+        """Change of the masking error, in a sentence."""
         found = self.discovery
         causes = [text for name, text in discovery_files.written(found) if _is_of_model(found, name)]
         sentence = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
@@ -104,7 +104,7 @@ class Refinement:
 
     @property
     def uncompensated(self) -> tuple[str, ...]:
-        """Say of each finding in sensors, actuators and the loop that the control law does not make up for it."""
+        """Sentence for each cause in sensors, actuators and the loop, which the control law does not compensate."""
         sentences = []
         for name, text in discovery_files.written(self.discovery):
             if _is_of_model(self.discovery, name):
@@ -164,7 +164,7 @@ class Refine(DiscoverySettings):
 
 @with_fields_of(Refine)
 def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
-    """Find out what the controller's model of an experiment lacks, from a record, and run it without and with that.
+    """Find what the controller's model of an experiment lacks, from a record, and run it without and with that.
 
     Args:
         name_or_path: an experiment file, or the name of a packaged experiment.

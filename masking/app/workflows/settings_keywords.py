@@ -1,24 +1,74 @@
-"""Verbs that take the fields of a settings object as keywords, so that a list of arguments stands in one place."""
+"""Parameters of a verb: from its signature and docstring, or from those of the settings that it takes as keywords.
+
+A list of arguments stands in one place: `help`, type checkers and the command line read it there.
+"""
 
 from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
-from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 P = ParamSpec("P")
+N = TypeVar("N")
 S = TypeVar("S")
 R = TypeVar("R")
+V = TypeVar("V", bound=Callable[..., Any])
 
 _ARGS, _SETTINGS = "    Args:\n", "        settings: "
+_ENTRY = re.compile(r"^ {8}(\w+(?:, \w+)*): (.*(?:\n {12,}.*)*)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a verb.
+
+    Args:
+        name: of the parameter.
+        kind: as `inspect.Parameter` has it.
+        type: of its values.
+        default: `inspect.Parameter.empty` where there is none.
+        text: of the docstring.
+    """
+
+    name: str
+    kind: Any
+    type: Any
+    default: object
+    text: str
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether it takes any number of arguments."""
+        return bool(self.kind is inspect.Parameter.VAR_POSITIONAL)
+
+    @property
+    def is_positional(self) -> bool:
+        """Whether arguments need no keyword."""
+        return bool(self.kind is not inspect.Parameter.KEYWORD_ONLY)
+
+    @property
+    def is_required(self) -> bool:
+        """Whether it has no default."""
+        return self.default is inspect.Parameter.empty
+
+
+def parameters(function: Callable[..., Any]) -> dict[str, Parameter]:
+    """Parameters of a function, or of a class with fields, by name."""
+    hints, texts = get_type_hints(function), _texts(_arguments(function))
+    return {
+        name: Parameter(name, known.kind, hints.get(name, known.annotation), known.default, texts.get(name, ""))
+        for name, known in inspect.signature(function).parameters.items()
+    }
 
 
 def with_fields_of(
     settings: Callable[P, S],
-) -> Callable[[Callable[[str | Path, S], R]], Callable[Concatenate[str | Path, P], R]]:
-    """Decorator: a verb of a name and a settings object takes the fields of the settings as keywords.
+) -> Callable[[Callable[[N, S], R]], Callable[Concatenate[N, P], R]]:
+    """Decorator: a verb of one object and its settings takes the fields of the settings as keywords.
 
     `help` and type checkers see the fields; in the docstring, their lines take the place of that of the settings.
 
@@ -26,24 +76,65 @@ def with_fields_of(
         settings: a frozen dataclass whose fields have defaults or are given by keyword.
     """
 
-    def decorated(verb: Callable[[str | Path, S], R]) -> Callable[Concatenate[str | Path, P], R]:
-        @functools.wraps(verb)
-        def called(name: str | Path, /, *args: P.args, **fields: P.kwargs) -> R:
+    def decorated(verb: Callable[[N, S], R]) -> Callable[Concatenate[N, P], R]:
+        first = next(iter(inspect.signature(verb).parameters))
+
+        def take(name: N, /, *args: P.args, **fields: P.kwargs) -> R:
             return verb(name, settings(*args, **fields))
 
-        signature = inspect.signature(verb)
-        first, _ = signature.parameters.values()
-        shown = [first, *inspect.signature(settings).parameters.values()]
-        called.__signature__ = signature.replace(parameters=shown)  # type: ignore[attr-defined]  # inspect reads it
-        before, _, after = (verb.__doc__ or "").partition(_SETTINGS)
-        called.__doc__ = f"{before}{_arguments(settings)}{after[after.find(chr(10)) + 1 :]}"
-        return called
+        take.__qualname__ = verb.__name__  # for the message of a TypeError
+
+        @functools.wraps(verb)
+        def called(*args: Any, **keywords: Any) -> R:  # noqa: ANN401  # as `take`, whose first argument has a name
+            if first in keywords:
+                args = (keywords.pop(first), *args)
+            return take(*args, **keywords)
+
+        return showing(settings)(called)
 
     return decorated
 
 
-def _arguments(settings: object) -> str:
-    """Lines under Args of a class and of those that it derives from."""
-    docs = [str(kind.__doc__) for kind in inspect.getmro(settings) if kind is not object]  # type: ignore[arg-type]
-    blocks = [doc.partition(_ARGS)[2].partition("\n\n")[0].rstrip() for doc in reversed(docs)]
+def showing(settings: Callable[..., Any]) -> Callable[[V], V]:
+    """Decorator: the signature and the docstring of a verb have the fields of its settings in place of them.
+
+    Args:
+        settings: a frozen dataclass, which the verb makes of its keywords.
+    """
+
+    def decorated(verb: V) -> V:
+        show(verb, parameters(settings), _arguments(settings))
+        return verb
+
+    return decorated
+
+
+def show(verb: Callable[..., Any], fields: Mapping[str, Parameter], lines: str) -> None:
+    """Let the signature and the docstring of a verb have fields in place of its last parameter, `settings`.
+
+    Args:
+        verb: whose signature and docstring are replaced.
+        fields: by name.
+        lines: that explain them.
+    """
+    signature = inspect.signature(verb)
+    *first, _ = signature.parameters.values()
+    shown = [
+        inspect.Parameter(field.name, field.kind, default=field.default, annotation=field.type)
+        for field in fields.values()
+    ]
+    verb.__signature__ = signature.replace(parameters=[*first, *shown])  # type: ignore[attr-defined]  # for inspect
+    before, _, after = (verb.__doc__ or "").partition(_SETTINGS)
+    verb.__doc__ = f"{before}{lines}{after[after.find(chr(10)) + 1 :]}"
+
+
+def _arguments(function: Callable[..., Any]) -> str:
+    """Lines under Args of a function, or of a class and those that it derives from."""
+    sources = inspect.getmro(function)[:-1] if inspect.isclass(function) else (function,)
+    blocks = [str(source.__doc__).partition(_ARGS)[2].partition("\n\n")[0].rstrip() for source in reversed(sources)]
     return "".join(f"{block}\n" for block in blocks if block)
+
+
+def _texts(lines: str) -> dict[str, str]:
+    """Texts of lines under Args by parameter."""
+    return {name: " ".join(text.split()) for names, text in _ENTRY.findall(lines) for name in names.split(", ")}

@@ -6,9 +6,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
+import sympy as sp
 
 from masking.lab.runs import batch_plan
 from masking.lab.runs.experiment import Experiment
@@ -16,12 +16,6 @@ from masking.model.declaration import catalogue, registry, schema
 from masking.model.effects import EFFECTS, Effect, EffectParameter, own
 from masking.model.modelling.model import Model, load_model
 from masking.reports.text import aligned
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
-
 
 # Operations in the longest expression that is simplified; simplifying takes a second for some hundreds.
 LONGEST_SIMPLIFIED = 120
@@ -43,26 +37,26 @@ class Description:
         return json.dumps(self.content, indent=2, ensure_ascii=False)
 
 
-def show(name_or_path: str | Path, kind: str | None = None) -> Description:
+def show(name_or_path: str | Path, kind: catalogue.Kind | None = None) -> Description:
     """Describe a model, a plant or an experiment: equations, parameters, blocks; or physical effects.
 
     Args:
         name_or_path: a packaged name, a file, or the name of an effect that comes with the package.
-        kind: one of `catalogue.KINDS`, if a name stands for more than one; by default the first of these.
+        kind: of the declaration, where a name stands for several; by default the first that has it.
 
     Raises:
         DeclarationError: there is no such declaration, or it is wrong.
     """
     if kind is None and name_or_path in EFFECTS:
         return effect(EFFECTS[str(name_or_path)])
-    kind = kind or catalogue.kind_of(name_or_path)
-    if kind == "model":
+    known = kind or catalogue.kind_of(name_or_path)
+    if known == "model":
         return model(load_model(name_or_path))
-    if kind == "plant":
+    if known == "plant":
         return plant(registry.load_plant(name_or_path))
-    if kind == "dictionary":
+    if known == "dictionary":
         return dictionary(registry.load_dictionary(name_or_path))
-    if kind == "batch":
+    if known == "batch":
         return batch_of(name_or_path)
     return experiment(Experiment.load(name_or_path))
 
@@ -146,7 +140,7 @@ def _range(parameter: EffectParameter) -> str:
 
 
 def _tried(subject: Effect, name: str) -> str:
-    """Say what a discovery makes of a parameter of an own effect."""
+    """Role of a parameter of an own effect in a discovery."""
     tried = ", ".join(f"{part:g}" for part in subject.parameters[name].tried)
     return "a factor" if name in subject.factors else f"tried: {tried}" if tried else ""
 

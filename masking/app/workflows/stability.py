@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from masking.analysis.stability.lyapunov import largest_exponent
 from masking.analysis.stability.study import LoopModes, Stability, loop_modes, study
-from masking.app.workflows.choices import STUDIED
 from masking.app.workflows.output_folders import check_folder
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
@@ -23,7 +23,7 @@ from masking.reports import stability_page
 def stability(
     name_or_path: str | Path,
     *,
-    kind: str | None = None,
+    kind: Literal["model", "experiment"] | None = None,
     changes: Mapping[str, float] | None = None,
     box: Mapping[str, tuple[float, float]] | None = None,
     exponent: float | None = None,
@@ -51,11 +51,11 @@ def stability(
         ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
     """
     check_folder(out, "stability.json", overwrite=overwrite)
-    kind = kind or catalogue.kind_of(name_or_path)
-    if kind not in STUDIED:
-        message = f"{name_or_path} is a {kind}, which has no stability of its own"
+    known = kind or catalogue.kind_of(name_or_path)
+    if known not in {"model", "experiment"}:
+        message = f"{name_or_path} is a {known}, which has no stability of its own"
         raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
-    experiment = None if kind == "model" else Experiment.load(name_or_path, changes=changes)
+    experiment = None if known == "model" else Experiment.load(name_or_path, changes=changes)
     if experiment is None:
         model = load_model(name_or_path).with_parameters(**(changes or {}))
         model = model.dimensionless() if model.declaration.scales else model

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.settings_keywords import with_fields_of
 from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
 from masking.app.workflows.sweep_work import work
 from masking.display.json_text import json_text
@@ -73,35 +74,11 @@ class Sweep:
         return self.sentence
 
 
-def sweep(
-    experiment: str | Path | Experiment,
-    *,
-    over: Mapping[str, Values] | None = None,
-    runs: int | None = None,
-    seed: int = 0,
-    measure: Sequence[Measure] = (),
-    sampling: Sampling = "random",
-    virtual: bool = False,
-    continuation: bool = False,
-    trajectories: bool = False,
-    changes: Mapping[str, float] | None = None,
-    duration: float | None = None,
-    part: tuple[int, int] = (1, 1),
-    workers: int | None = None,
-    dask: str | None = None,
-    out: str | Path | None = None,
-    overwrite: bool = False,
-    tell: Tell | None = None,
-) -> Sweep:
-    """Run an experiment many times, with other values each time, and measure each run.
-
-        masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
-
-    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. In a script, call
-    it under `if __name__ == "__main__":`, since the processes that make the runs import the script.
+@dataclass(frozen=True, kw_only=True)
+class SweepSettings:
+    """Settings of a sweep: variations, measures and runs.
 
     Args:
-        experiment: an experiment file, the name of a packaged one, or an `Experiment`.
         over: what varies, by parameter, coordinate or velocity of the virtual system (`z3`, `x1'`), `EFFECT.PARAMETER`
             of the plant, `plant.PARAMETER` of its model, or a number of the experiment (`duration`), several with
             commas between them: values, a frozen distribution of scipy.stats, or a text such as '0.1:0.4:50',
@@ -118,12 +95,42 @@ def sweep(
         trajectories: keep the virtual motion of each run.
         changes: parameters of the virtual system that all runs have, in the declared units.
         duration: of each run, in units of virtual time; by default as declared.
-        part: k and n: make the k-th of n parts, which `merge_sweeps` puts together.
+        part: k and n: make the k-th of n parts; copy the `rows` of all into one folder, and sweep there without part.
         workers: processes; by default as many as there are cores.
-        dask: address of a scheduler of dask, whose workers make the runs.
         out: folder of the results; by default results/EXPERIMENT_sweep.
         overwrite: whether another sweep in that folder may be replaced.
         tell: called with what is done and how long the rest takes, and the fraction done.
+    """
+
+    over: Mapping[str, Values] | None = None
+    runs: int | None = None
+    seed: int = 0
+    measure: Sequence[Measure] = ()
+    sampling: Sampling = "random"
+    virtual: bool = False
+    continuation: bool = False
+    trajectories: bool = False
+    changes: Mapping[str, float] | None = None
+    duration: float | None = None
+    part: tuple[int, int] = (1, 1)
+    workers: int | None = None
+    out: str | Path | None = None
+    overwrite: bool = False
+    tell: Tell | None = None
+
+
+@with_fields_of(SweepSettings)
+def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep:
+    """Run an experiment many times, with other values each time, and measure each run.
+
+        masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
+
+    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. In a script, call
+    it under `if __name__ == "__main__":`, since the processes that make the runs import the script.
+
+    Args:
+        experiment: an experiment file, the name of a packaged one, or an `Experiment`.
+        settings: the fields of `SweepSettings`.
 
     Raises:
         DeclarationError: a declaration, a name, values or a measure is wrong.
@@ -131,22 +138,27 @@ def sweep(
         MaskingError: a process of the sweep ended: finished runs are kept.
     """
     whole = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
-    usual = run_measures.defaults(whole.virtual.declaration.oscillators or (), has_rig=not virtual)
-    sections: dict[str, Any] = {"parameters": {**whole.declaration.parameters, **changes}} if changes else {}
-    sections |= {"duration": duration} if duration is not None else {}
+    given, tell = settings, settings.tell
+    usual = run_measures.defaults(whole.virtual.declaration.oscillators or (), has_rig=not given.virtual)
+    sections: dict[str, Any] = {}
+    if given.changes:
+        sections["parameters"] = {**whole.declaration.parameters, **given.changes}
+    if given.duration is not None:
+        sections["duration"] = given.duration
     whole = whole.changed(**sections) if sections else whole
-    design = Design.of(over or {}, runs, seed, sampling)
-    plan = Plan(whole, design, tuple(measure) or usual, virtual, continuation, trajectories)
+    design = Design.of(given.over or {}, given.runs, given.seed, given.sampling)
+    kind = (given.virtual, given.continuation, given.trajectories)
+    plan = Plan(whole, design, tuple(given.measure) or usual, *kind)
     plan.check()
-    first, last = _range(plan, part)
-    folder = Path(out or f"results/{whole.stem}_sweep")
+    first, last = _range(plan, given.part)
+    folder = Path(given.out or f"results/{whole.stem}_sweep")
     facts = _facts(plan)
     check_folder(folder)
-    _begin(folder, facts, overwrite=overwrite)
+    _begin(folder, facts, overwrite=given.overwrite)
     missing = table_chunks.missing(table_chunks.done(folder / ROWS), first, last)
-    count = min(workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
+    count = min(given.workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
     begun, before, done, todo = 0.0, 0, 0, sum(b - a for a, b in missing)
-    for a, b, columns, _ in work(plan, missing, workers=count, dask=dask):
+    for a, b, columns, _ in work(plan, missing, workers=count):
         table_chunks.write(folder / ROWS, a, b, columns)
         done += b - a
         begun, before = (begun, before) if begun else (time.monotonic(), done)  # the first chunk waits for compilers
@@ -155,36 +167,9 @@ def sweep(
             finished = last - first - todo + done
             more = f", {_clock(left)} left" if done > before else ""
             tell(f"{finished} of {last - first} runs{more}", finished / (last - first))
-    return _result(folder, facts)
-
-
-def merge_sweeps(*folders: str | Path, out: str | Path, overwrite: bool = False) -> Sweep:
-    """Put the parts of a sweep together.
-
-    Args:
-        folders: of the parts, such as those that machines without a common disk made.
-        out: folder of the whole.
-        overwrite: whether another sweep in that folder may be replaced.
-
-    Raises:
-        RecordError: a folder holds no sweep, or another one than the first.
-    """
-    if not folders:
-        raise RecordError("name the folders of the parts of a sweep")
-    first, *others = [(Path(folder), _read(Path(folder))) for folder in folders]
-    for folder, facts in others:
-        if facts["identity"] != first[1]["identity"]:
-            raise RecordError(f"{folder} holds another sweep than {first[0]}; merge parts of one sweep")
-    target = Path(out)
-    check_folder(target)
-    _begin(target, first[1], overwrite=overwrite)
-    (target / ROWS).mkdir(parents=True, exist_ok=True)
-    for folder, _ in (first, *others):
-        for a, b in table_chunks.done(folder / ROWS):
-            if table_chunks.missing(table_chunks.done(target / ROWS), a, b):
-                with replacing(table_chunks.path(target / ROWS, a, b)) as stream:
-                    stream.write(table_chunks.path(folder / ROWS, a, b).read_bytes())
-    return _result(target, first[1])
+    found = load_sweep(folder)
+    sweep_page.save(facts, found.columns, found.sentence, folder)
+    return found
 
 
 def load_sweep(folder: str | Path) -> Sweep:
@@ -202,12 +187,6 @@ def load_sweep(folder: str | Path) -> Sweep:
     return Sweep(path, facts["name"], columns, facts["rows"], sweep_page.sentence(facts, columns), facts)
 
 
-def _result(folder: Path, facts: Mapping[str, Any]) -> Sweep:
-    found = load_sweep(folder)
-    sweep_page.save(facts, found.columns, found.sentence, folder)
-    return found
-
-
 def _range(plan: Plan, part: tuple[int, int]) -> tuple[int, int]:
     """Rows of a part: first, and one more than the last."""
     k, n = part
@@ -218,7 +197,7 @@ def _range(plan: Plan, part: tuple[int, int]) -> tuple[int, int]:
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """Return what a sweep is, as JSON, with a hash of all that its rows depend on."""
+    """Description of a sweep as JSON, with a hash of all that its rows depend on."""
     experiment, design = plan.experiment, plan.design
     declared = manifest.content(experiment.assembly, experiment.virtual, {})["declarations"]
     names = [one if isinstance(one, str) else one.__name__ for one in plan.measures]

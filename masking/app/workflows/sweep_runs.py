@@ -54,7 +54,7 @@ class Plan:
     trajectories: bool = False
 
     def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
-        """Return what another process makes the plan of, without what has been compiled in this one."""
+        """Pickled form: without compiled code, which each process has of its own."""
         others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories)
         return Plan, (Experiment(self.experiment.assembly), *others)
 

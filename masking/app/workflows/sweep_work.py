@@ -1,8 +1,7 @@
-"""Work of a sweep: rows made by this process, by others on this machine, or by a cluster of dask."""
+"""Work of a sweep: rows made by this process, or by others on this machine."""
 
 from __future__ import annotations
 
-import importlib
 import multiprocessing
 import os
 import pickle
@@ -16,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from threadpoolctl import threadpool_limits
 
@@ -60,23 +59,22 @@ def _made_here(first: int, last: int) -> Made:
     return made(_plans[0], first, last)
 
 
-def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int, dask: str | None) -> Iterator[Made]:
+def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int) -> Iterator[Made]:
     """Make rows, as chunks that take a second or two each.
 
     Args:
         plan: of the sweep.
         missing: ranges of rows, each of whole chains.
         workers: processes; this one alone for 1.
-        dask: address of a scheduler of dask, whose workers take the place of processes.
 
     Raises:
-        MaskingError: a process ended, or dask is not there.
+        MaskingError: a process ended.
     """
-    if workers == 1 and dask is None:
+    if workers == 1:
         yield from _one_after_the_other(plan, missing)
         return
-    with _cluster(plan, dask) if dask else _processes(plan, workers) as (submit, count):
-        yield from _together(plan, missing, submit, _AHEAD * count)
+    with _processes(plan, workers) as submit:
+        yield from _together(plan, missing, submit, _AHEAD * workers)
 
 
 class _Sizes:
@@ -126,30 +124,13 @@ def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ah
 
 
 @contextmanager
-def _processes(plan: Plan, workers: int) -> Iterator[tuple[Submit, int]]:
+def _processes(plan: Plan, workers: int) -> Iterator[Submit]:
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory(prefix="masking-") as folder:  # measured: through a pipe, each waits for the last
         path = Path(folder) / "plan"
         path.write_bytes(pickle.dumps(plan))
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
         try:
-            yield lambda first, last: pool.submit(_made_here, first, last), workers
+            yield lambda first, last: pool.submit(_made_here, first, last)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def _cluster(plan: Plan, address: str) -> Iterator[tuple[Submit, int]]:
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ModuleNotFoundError:
-        raise MaskingError("dask is not installed: pip install 'masking[dask]'") from None
-    try:
-        client = distributed.Client(address, timeout=10)
-    except OSError as error:
-        raise MaskingError(f"no dask scheduler answers at {address} ({error}); start one, or correct --dask") from None
-    with client:
-        shared = client.scatter(plan, broadcast=True)
-        count = max(1, len(client.scheduler_info()["workers"]))
-        executor = client.get_executor(pure=False)
-        yield lambda first, last: executor.submit(made, shared, first, last), count

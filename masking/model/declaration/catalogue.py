@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 
 from masking.errors import DeclarationError, Place, Problem, nearest
 from masking.model.declaration import strict_yaml
@@ -21,7 +22,8 @@ _FOLDERS: dict[str, tuple[str, ...]] = {
     "dictionary": ("dictionaries",),
     "batch": ("examples/batches",),
 }
-KINDS = tuple(_FOLDERS)
+Kind = Literal["model", "plant", "experiment", "dictionary", "batch"]
+KINDS = get_args(Kind)
 _ENDINGS = (".yaml", ".yml")
 _ARTICLE = {
     "model": "a model",

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from masking.errors import DeclarationError, Problem, nearest
+from masking.model.declaration.catalogue import Kind
 from masking.model.declaration.schema import KINDS
 
 # It is read before the rest (`masking.model.declaration.repetition`).
 REPEAT = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
-def json_schema(kind: str) -> dict[str, Any]:
+def json_schema(kind: Kind) -> dict[str, Any]:
     """JSON Schema of a kind of declaration, for editors.
 
     Args:

@@ -58,7 +58,7 @@ def test_an_interrupt_while_packages_load_is_told_in_one_line(tmp_path):
         "import signal, sys; from masking.app.cli import main\n"
         "class Pressed:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'masking.app.cli.rig_verbs': signal.raise_signal(signal.SIGINT)\n"
+        "        if name == 'masking.app.workflows.discover': signal.raise_signal(signal.SIGINT)\n"
         f"sys.meta_path.insert(0, Pressed()); sys.argv = {['masking', 'discover', 'r.csv', '--model', 'setup']!r}\n"
         "sys.exit(main())"
     )

@@ -26,7 +26,7 @@ VERBS = (
         "refine",
         "report",
     ),
-    *("run", "show", "simulate", "stability", "sweep", "merge_sweeps", "load_sweep"),
+    *("run", "show", "simulate", "stability", "sweep", "load_sweep"),
 )
 
 
