@@ -160,8 +160,7 @@ class _Looked:
         for thread in self._threads:
             thread.join()  # it sends a signal to the process, which must still be this one
         for one in self._attendants:
-            one.process.kill()
-            one.process.wait()
+            one.process.end(0.0)
         self._operator.__exit__()
 
     def run(self, bench: Bench, number: signal.Signals | None = None, **more: Any) -> Ended:

@@ -275,7 +275,7 @@ def test_the_page_shows_the_numbers_of_the_ring_and_stops_the_loop(tab):
         assert "release it once the rig is safe" in tab.value("document.getElementById('trip').innerText")
         assert tab.value("document.getElementById('stop').disabled")
         assert json.loads(process.communicate(timeout=20)[0])["stopped"] is not None
-        assert attendant.process.poll() is None  # until it is acknowledged
+        assert attendant.process.is_alive  # until it is acknowledged
         assert complaints(tab) == []
         tab.value("document.getElementById('acknowledge').click()")
         attendant.process.wait(10)

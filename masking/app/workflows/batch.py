@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +18,7 @@ from masking.app.workflows.batch_run import facts
 from masking.app.workflows.recover import TICKS, recover
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import stream
+from masking.lab.records.child_process import Child
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan
@@ -41,7 +39,7 @@ _ENDS: Final = 20.0  # s at most until a run that is asked to stop has
 
 @dataclass(frozen=True)
 class Batch:
-    """What became of a batch.
+    """Outcome of a batch.
 
     Args:
         folder: of its results.
@@ -66,7 +64,7 @@ class Batch:
 
     @property
     def sentence(self) -> str:
-        """Say how many runs ended as planned, and why others did not."""
+        """Number of runs that ended as planned, and why others did not."""
         more = sum(one.tries > 1 for one in self.runs)
         said = f"{self.name}: {self.done} of {len(self.runs)} runs ended as planned, {more} after more than one try"
         failed = len(self.runs) - self.done - sum(bool(one.left_out) for one in self.runs)
@@ -181,7 +179,7 @@ class _Worker:
         return ""
 
     def _over(self) -> str:
-        """Say why no other run may begin; empty where it may."""
+        """Reason why no other run may begin; empty where one may."""
         spent, budget = batch_plan.used(self.found), self.declared.budget
         for name, unit in (("time", " s"), ("trips", ""), ("energy", " J")):
             most = getattr(budget, name)
@@ -192,7 +190,7 @@ class _Worker:
         return ""
 
     def _stopped(self) -> str:
-        """Say that somebody stopped the rig, which nobody but a person may arm again; empty where nobody did."""
+        """Stop by a person, after which only a person may arm the rig again; empty where nobody stopped it."""
         cause = self.outcome.get("cause", "")
         if cause not in batch_plan.PEOPLE:
             return ""
@@ -212,31 +210,18 @@ class _Worker:
         self.journal.add(**begin, **{"try": one.tries}, settings=dict(one.run.settings))
         one.open, self.has_run = one.tries, True
         zeros = [end["zero"] for other in self.found for end in other.ends if end.get("zero")]
-        command = [
-            sys.executable,
-            "-m",
-            "masking.app.workflows.batch_run",
-            str(self.plan),
-            str(one.run.number),
-            str(place),
-        ]
-        command += [*self.options, "--zero", json.dumps(zeros[0] if zeros else {})]
+        arguments = [str(self.plan), str(one.run.number), str(place), *self.options]
+        arguments += ["--zero", json.dumps(zeros[0] if zeros else {})]
         begun = time.monotonic()
         # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
-        with subprocess.Popen(  # noqa: S603  # this package's own module
-            command, stdout=subprocess.PIPE, text=True, pass_fds=[self.journal.handle]
-        ) as process:
-            try:
-                said = process.communicate()[0]
-            except BaseException:
-                process.send_signal(signal.SIGTERM)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.communicate(timeout=_ENDS)
-                process.kill()
-                self._end(one, self._left(place, {"end": INTERRUPTED}))
-                raise
+        child = Child("masking.app.workflows.batch_run", arguments, is_apart=False, handles=[self.journal.handle])
+        try:
+            said = child.output(_ENDS)
+        except BaseException:
+            self._end(one, self._left(place, {"end": INTERRUPTED}))
+            raise
         lines = [line for line in said.splitlines() if line.startswith("{")]
-        outcome: dict[str, Any] = {"end": FAILED, "why": f"its process ended with status {process.returncode}"}
+        outcome: dict[str, Any] = {"end": FAILED, "why": f"its process ended with status {child.wait()}"}
         outcome = json.loads(lines[-1]) if lines else {**outcome, "seconds": time.monotonic() - begun}
         if not lines or stream.is_in(place):
             outcome = self._left(place, outcome)
@@ -247,7 +232,7 @@ class _Worker:
             time.sleep(_AGAIN)
 
     def _left(self, place: Path, end: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return what is known of a try by what it left, which is recovered.
+        """Outcome of a try from its folder, with what its stream holds.
 
         Args:
             place: its folder.
@@ -257,7 +242,7 @@ class _Worker:
         return found if end is None or found["end"] in batch_plan.PLANNED else {**found, **end}
 
     def _kept(self, place: Path) -> dict[str, Any]:
-        """Return what the folder of a try holds: the recording that it saved, or what is recovered of its stream."""
+        """Outcome of the recording that a try saved, or that is recovered from its stream."""
         why, until = "nothing of it was recorded", time.monotonic() + _WRITTEN
         while stream.is_in(place):
             try:

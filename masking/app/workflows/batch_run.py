@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import json
-import os
-import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -30,6 +27,7 @@ from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Cause
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import stream, stream_content
+from masking.lab.records.child_process import end_with_parent
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan, hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
@@ -39,7 +37,6 @@ from masking.lab.runs.self_test import part_moved
 from masking.lab.runs.stopping import FAILED, INTERRUPTED, TRIPPED
 
 _LOST: Final = (Cause.PLANT_LOST, Cause.COMM_LOST)
-_DIES_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
 _LOOKED: Final = 0.25  # s that sensors are looked at
 _STILL: Final = 0.01  # of a limit, within which a rig that is at rest may move
 _OFF: Final = 8.0  # standard deviations of noise that no motion is
@@ -55,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--key")
     parser.add_argument("--zero", type=json.loads, default={})
     chosen = parser.parse_args(arguments)
-    _end_with_parent()
+    end_with_parent()
     began = time.monotonic()
     try:
         outcome = _outcome(chosen)
@@ -68,15 +65,6 @@ def main(arguments: list[str] | None = None) -> int:
         outcome = {"end": FAILED, "why": str(error)}
     print(json.dumps(outcome | {"seconds": round(time.monotonic() - began, 3)}), flush=True)
     return 0
-
-
-def _end_with_parent() -> None:
-    """Be asked to stop once the process that started this one has ended."""
-    if sys.platform == "linux":
-        parent = os.getppid()
-        ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
-        if os.getppid() != parent:
-            os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:

@@ -12,15 +12,14 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from masking.errors import MaskingError, OperatorError
+from masking.lab.records.child_process import Child
 from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import Switch, is_running
@@ -40,7 +39,7 @@ class Attendant:
     """
 
     page: str
-    process: subprocess.Popen[Any]
+    process: Child
 
     def wait(self) -> None:
         """Wait until a trip is acknowledged on the page, or nobody looks at it any more."""
@@ -59,16 +58,10 @@ def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None
     Raises:
         OperatorError: the port is taken, or the address is none.
     """
-    command = [sys.executable, "-m", "masking.app.workflows.operator_process", str(ring), str(switch)]
-    command += [] if page is None else ["--page", str(page)]
-    command += [] if stream is None else ["--stream", stream]
-    # In a session of its own: an interrupt from the keyboard is for the loop.
-    process = subprocess.Popen(  # noqa: S603  # our own module
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    with process.stdout or contextlib.nullcontext() as answer:
-        line = answer.readline() if answer is not None else b""
-    told = json.loads(line or b'{"error": "the process of the operator page did not start"}')
+    options = [] if page is None else ["--page", str(page)]
+    options += [] if stream is None else ["--stream", stream]
+    process = Child("masking.app.workflows.operator_process", [str(ring), str(switch), *options], is_quiet=True)
+    told = json.loads(process.line() or '{"error": "the process of the operator page did not start"}')
     if "error" in told:
         process.wait()
         raise OperatorError(told["error"])

@@ -55,9 +55,9 @@ class Child:
         assert self._process.stdout is not None  # noqa: S101  # a pipe
         return self._process.stdout.readline().rstrip("\n")
 
-    def wait(self) -> int:
-        """Exit status, once it has ended; its output is closed."""
-        status = self._process.wait()
+    def wait(self, limit: float | None = None) -> int:
+        """Exit status, once it has ended, which may take `limit` s; its output is closed."""
+        status = self._process.wait(limit)
         if self._process.stdout is not None:
             self._process.stdout.close()
         return status

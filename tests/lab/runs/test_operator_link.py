@@ -174,8 +174,7 @@ def test_a_page_that_is_gone_stops_attended_runs_alone(cart, number, attended):
         for thread in threads:
             thread.join()
         for one in attendants:
-            one.process.kill()
-            one.process.wait()
+            one.process.end(0.0)
     assert gone
     if not attended:
         assert ran.wall[-1] - ran.wall[gone[0]] > ABSENCE
