@@ -52,7 +52,7 @@ class ServeSettings:
             plant, and none for an address.
         watchdog: the longest that a controller may ask for, s.
         rates: the lowest and the highest that it may ask for, Hz.
-        key: file of mode 0600 with a key that controllers must have, too; needed where other machines reach the address.
+        key: file of mode 0600 with a key that controllers must have; needed where other machines reach the address.
     """
 
     plant: str
