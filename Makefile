@@ -40,7 +40,7 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest $(BY_FILE) -m "not search and not realtime"
-	$(BIN)/pytest -m realtime
+	$(BIN)/pytest -m "realtime and not search"
 
 searches: $(READY)
 	$(BIN)/pytest $(BY_FILE) -m search

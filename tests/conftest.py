@@ -37,7 +37,7 @@ def pytest_configure(config):
         os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
     config.pluginmanager.register(ProcessorTime(config))
-    if config.getoption("markexpr") == "realtime":
+    if config.getoption("markexpr").startswith("realtime"):
         put_first(config)
 
 

@@ -130,7 +130,7 @@ def _prioritised(*, wanted: bool) -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def asked_to_stop() -> Iterator[Stop]:
-    """Whether a signal of `STOPPING` came; they do nothing else while inside.
+    """Function that says whether a signal of `STOPPING` came; they do nothing else while inside.
 
     A signal that is ignored, as under nohup, stays so. Outside the main thread no signal is looked at.
     """

@@ -252,7 +252,7 @@ def installed(tmp_path, monkeypatch):
         info.mkdir()
         metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\nProvides-Extra: lacking\n"
         (info / "METADATA").write_text(metadata, encoding="utf-8")
-        entries = "\n".join(["[masking.lab.plants]", *lines]) + "\n"
+        entries = "\n".join(["[masking.plants]", *lines]) + "\n"
         (info / "entry_points.txt").write_text(entries, encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
         monkeypatch.delitem(sys.modules, name, raising=False)
