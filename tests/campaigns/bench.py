@@ -18,7 +18,7 @@ from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.recording import Recording
-from masking.lab.runs.realtime import Hooks, RigRun, Step, run_rig
+from masking.lab.runs.realtime import UNKNOWN, Hooks, Known, RigRun, Step, run_rig
 from tests.campaigns import children
 from tests.campaigns.twins import PLANT, RATE, WATCHDOG, rules, small
 
@@ -170,6 +170,7 @@ class Bench:
         plant: str = PLANT,
         made: Callable[[str], Plant] | None = None,
         damage: Mapping[str, Any] | None = None,
+        known: Known = UNKNOWN,
         **more: Any,
     ) -> Ended:
         """Run a controller in this process on a served twin.
@@ -182,6 +183,7 @@ class Bench:
             plant: a packaged plant.
             made: makes the plant of the address; by default an undamaged line.
             damage: of the plant, as `tests.campaigns.damage.Damaged` takes it.
+            known: state of the controller that the run looks at.
             more: other hooks of `run_rig`.
         """
         served = self.served(lockstep=lockstep, plant=plant)
@@ -196,6 +198,7 @@ class Bench:
                 samples=samples,
                 limits=held or rules(plant),
                 hooks=Hooks(**more, on_end=ended.append),
+                known=known,
             )
         except Exception as raised:  # whatever the fault is, its record is evaluated
             error = raised

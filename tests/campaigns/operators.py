@@ -179,9 +179,7 @@ class _Looked:
             lambda tick, readings: self._step(tick - before, readings),
             held=held,
             look=self._watch,
-            estimate=controller.estimate,
             known=known(controller, np.zeros((1, 0))),
-            before=before,
             on_row=[self.waits.watched(operator.put)] if operator.put is not None else [],
             **more,
         )
