@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from masking.display.palette import COLOURS
+from masking.display.palette import COLOURS, RULE
 from masking.display.thinning import Series, envelope
 
 _CARD: Final = Markup(
@@ -49,7 +49,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequen
     """
     rows = [*rows]
     sides = ["right" if i in numbers else "left" for i in range(len(head))]
-    body = [Markup().join(_CELL.format(side, cell) for side, cell in zip(sides, row, strict=True)) for row in rows]
+    body = [
+        Markup().join(_CELL.format(side, RULE, cell) for side, cell in zip(sides, row, strict=True)) for row in rows
+    ]
     titles = Markup().join(_HEAD.format(side, text) for side, text in zip(sides, head, strict=True))
     return _TABLE.format(titles, Markup().join(Markup("<tr>{}</tr>").format(row) for row in body)) if rows else Markup()
 
