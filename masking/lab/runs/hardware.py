@@ -68,11 +68,7 @@ def serve(
     """
     twin = None if scheme_of(str(plant)) else Twin.load(plant)
     limited = twin if limits is None else Twin.load(limits)
-    guard: PlantLimits | None = None
-    if limited is not None:
-        rules = partial(safety_limits.limits, Instruments.of(limited))
-        Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
-        guard = PlantLimits(rules)
+    guard = _guard(limited) if limited is not None else None
     if twin is None:
         served = adapters.connect(str(plant))
     else:
@@ -83,6 +79,13 @@ def serve(
             guard.begin(served, settings)
         served.deactivate()
     return serve_plant(served, address, replace(serving, guard=guard), ready=ready, stop=stop)
+
+
+def _guard(twin: Twin) -> PlantLimits:
+    """What keeps a served plant within the limits of a plant file, as far as its sensors show them."""
+    rules = partial(safety_limits.limits, Instruments.of(twin))
+    Chain(rules(1000.0))  # loads what a controller would not wait for; any rate does
+    return PlantLimits(rules)
 
 
 @dataclass(frozen=True, eq=False)
