@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
 from masking.errors import ActuationError, ModelError, SingularityError
+from masking.lab.runs import offline
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import continuous_chunks, joined, rig_state, sampled_chunks
 from masking.model.declaration import catalogue, registry
@@ -214,7 +215,7 @@ def test_sampled_chi_falls_with_the_rate_at_first_order():
     assert found[-1] < 0.01
 
 
-def test_sampled_run_equals_one_written_out_in_numpy():
+def test_sampled_run_equals_one_written_out_in_numpy(monkeypatch):
     """(4.4)-(4.6), (6.1)-(6.3) and (7.5)-(7.7) in SI units by hand, integrated by scipy between the samples."""
     rate, steps = 200.0, 100
     w, z = np.array([12.5521, 14.0337, 9.7369]), np.array([0.3362, 0.4296, 0.0409])
@@ -241,17 +242,19 @@ def test_sampled_run_equals_one_written_out_in_numpy():
         inputs.append(u)
         y = solve_ivp(lambda _, y, u=u: plant(y, u), (0, 1 / rate), y, "DOP853", rtol=1e-12, atol=1e-16).y[:, -1]
     loop = experiment("duffing").loop
-    run = joined(sampled_chunks(loop, states[0], rate=rate, duration=steps / rate, substeps=10))
+    monkeypatch.setattr(offline, "_substeps", lambda *_: 10)
+    run = joined(sampled_chunks(loop, states[0], rate=rate, duration=steps / rate))
     largest = np.abs(states).max(axis=0)
     np.testing.assert_allclose(run.rig / largest, states / largest, rtol=0, atol=1e-9)
     np.testing.assert_allclose(run.inputs, inputs, rtol=0, atol=1e-9 * np.abs(inputs).max())
 
 
-def test_slow_sampling_still_integrates_the_plant_finely():
+def test_slow_sampling_still_integrates_the_plant_finely(monkeypatch):
     slow = sampled(200.0, duration=20.0)
     state = rig_state(slow.loop, slow.virtual.initial_state({}))
-    chunks = (sampled_chunks(slow.loop, state, rate=200.0, duration=1.0, substeps=n) for n in (None, 100))
-    run, finer = (joined(some).rig for some in chunks)
+    run = joined(sampled_chunks(slow.loop, state, rate=200.0, duration=1.0)).rig
+    monkeypatch.setattr(offline, "_substeps", lambda *_: 100)
+    finer = joined(sampled_chunks(slow.loop, state, rate=200.0, duration=1.0)).rig
     np.testing.assert_allclose(run, finer, rtol=0, atol=1e-7 * np.abs(finer).max())
 
 
