@@ -5,13 +5,14 @@ What a fault does is judged on the plant's own record: the true states of the tw
 
 import dataclasses
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from masking.app.cli import main
-from masking.compile.numerics import safety_kernels
+from masking.compile.numerics import safety_tables
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
 from masking.control.rig.twin import Twin
 from masking.errors import MaskingError, PlantError
@@ -220,7 +221,7 @@ def test_the_allowed_power_never_trips():
 def test_an_hour_of_quantised_rest_never_trips(cart):
     rules = safety_limits.rules(cart.instruments, 500.0, cart.twin)
     chain, rng = Chain(rules), np.random.default_rng(4)
-    assert rules.readings[0, safety_kernels.SPAN] > 0  # its motion is watched
+    assert rules.readings[0, safety_tables.SPAN] > 0  # its motion is watched
     count, command = 3600 * 500, np.zeros(1)
     drift = 0.004 * np.sin(np.linspace(0.0, 20.0, count))  # mm: through some steps, slowly
     noise = 0.0003 * rng.standard_normal(count)  # a third of a step
@@ -375,4 +376,4 @@ def test_the_command_line_tests_a_served_rig_and_refuses_the_wrong_plant_file(ca
         assert {answer["actuator"] for answer in found["answers"]} == {"V1", "V2", "V3"}
         assert main(["rig", "check", address, "--lockstep", "--plant", "cart"]) == 2
         assert "the plant file is that of cart" in capsys.readouterr().err
-        server.terminate()
+        server.send_signal(signal.SIGTERM)
