@@ -40,7 +40,7 @@ def add(
             continue
         settings = {"help": _help(parameter, defaults.get(name, parameter.default)), **_form(parameter, kinds[0])}
         settings |= {"metavar": metavars[name]} if name in metavars else {}
-        if is_positional(parameter, defaults):
+        if is_positional(parameter):
             settings |= {"nargs": "*" if kinds[0] is int else "+"} if parameter.is_repeated else {}
             sub.add_argument(name, **settings)
             continue
@@ -51,9 +51,9 @@ def add(
             sub.add_argument("--map", metavar="t=time,V1=u", help=text)
 
 
-def is_positional(parameter: Parameter, defaults: Mapping[str, object]) -> bool:
+def is_positional(parameter: Parameter) -> bool:
     """Whether an argument is known by its position."""
-    return parameter.is_positional and parameter.is_required and parameter.name not in {"out", *defaults}
+    return parameter.is_positional and parameter.is_required and parameter.name != "out"
 
 
 def value(parameter: Parameter, written: Any) -> Any:  # noqa: ANN401  # as the type of the parameter says

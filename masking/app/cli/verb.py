@@ -29,7 +29,6 @@ class Verb:
         interrupted: what an interrupt leaves, with `{out}`.
         has_json_file: whether `--json` takes a file.
         metavars: placeholders of arguments by their parameters.
-        defaults: of parameters without a default, which become options.
         note: below the help.
         select: those of the function's parameters that are arguments; by default all.
         verbs: of a group.
@@ -44,7 +43,6 @@ class Verb:
     interrupted: str = NOTHING_SAVED
     has_json_file: bool = False
     metavars: Mapping[str, str] = field(default_factory=dict)
-    defaults: Mapping[str, object] = field(default_factory=dict)
     note: str = ""
     select: Callable[[dict[str, Parameter]], dict[str, Parameter]] = dict
     verbs: tuple[Verb, ...] = ()
@@ -89,7 +87,7 @@ def _add_arguments(sub: argparse.ArgumentParser, verb: Verb) -> None:
         add_verbs(sub, "procedure" if verb.name == "measure" else "verb", verb.verbs)
         return
     sub.epilog = verb.note
-    arguments.add(sub, verb.parameters(), verb.metavars, {**verb.defaults, **({"out": verb.out} if verb.out else {})})
+    arguments.add(sub, verb.parameters(), verb.metavars, {"out": verb.out} if verb.out else {})
     if verb.has_json_file:
         text = "print JSON, or write it to a file; give it after the other arguments"
         sub.add_argument("--json", metavar="FILE", nargs="?", const=True, help=text)
@@ -134,7 +132,7 @@ class Call:
         for name, parameter in known.items():
             if name in given and parameter.is_repeated:
                 positional += given.pop(name)
-            elif name in given and arguments.is_positional(parameter, self.verb.defaults):
+            elif name in given and arguments.is_positional(parameter):
                 positional.append(given.pop(name))
         if not self.verb.doing:
             return self.verb.loaded()(*positional, **given)
