@@ -183,15 +183,10 @@ class Wanted:
 
 @dataclass(frozen=True)
 class DesiredDynamics:
-    """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2).
+    """D: the accelerations that the virtual system has at given virtual coordinates and velocities (6.2)."""
 
-    Args:
-        virtual: the virtual system.
-        regulation: what is held besides its dynamics, if anything.
-    """
-
-    virtual: Model
-    regulation: schema.Regulation | None = None
+    virtual: Model  # the virtual system
+    regulation: schema.Regulation | None = None  # what is held besides its dynamics, if anything
 
     def values(self) -> list[float]:
         """Parameters of the regulation: energy, rate, coupling; 0 for an energy that is not held."""

@@ -196,18 +196,12 @@ class Homing:
 
     Before the release, at `since` < 0, the rig's accelerations are those of q'' = r'' - 2 a (q' - r') - a^2 (q - r)
     for a reference r that moves by a polynomial of order five (smoothstep) and then stands still.
-
-    Args:
-        since: node of the time since the release.
-        start: nodes of the coordinates (n,) where the rig stands.
-        end: nodes of the coordinates (n,) of its initial state.
-        time: node of the length of the homing phase, s.
     """
 
-    since: Node
-    start: list[Node]
-    end: list[Node]
-    time: Node
+    since: Node  # node of the time since the release
+    start: list[Node]  # nodes of the coordinates (n,) where the rig stands
+    end: list[Node]  # nodes of the coordinates (n,) of its initial state
+    time: Node  # node of the length of the homing phase, s
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
         """Wanted virtual accelerations, replaced before the release by those of homing.

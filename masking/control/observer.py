@@ -43,24 +43,15 @@ SLOWEST = 1e-3  # of the fastest bandwidth
 
 @dataclass(frozen=True)
 class Plan:
-    """What an observer is designed for.
+    """What an observer is designed for."""
 
-    Args:
-        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
-        sensing: (sensors, 2 n), readings per unit of [q, v].
-        command: (actuators, n), commands per unit of acceleration, in parts of their largest value.
-        noise: standard deviation of each reading (sensors,).
-        period: time between samples, s.
-        delay: samples between a reading and the first effect of the command that answers it.
-        unseen: coordinates without a sensor that the controller does not drive: the model alone follows them.
-    """
-
-    dynamics: Array
-    sensing: Array
-    command: Array
-    noise: Array
-    period: float
-    delay: int
+    dynamics: Array  # (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest
+    sensing: Array  # (sensors, 2 n), readings per unit of [q, v]
+    command: Array  # (actuators, n), commands per unit of acceleration, in parts of their largest value
+    noise: Array  # standard deviation of each reading (sensors,)
+    period: float  # time between samples, s
+    delay: int  # samples between a reading and the first effect of the command that answers it
+    # coordinates without a sensor that the controller does not drive: the model alone follows them
     unseen: tuple[int, ...] = ()
 
     @property

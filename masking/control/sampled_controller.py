@@ -45,31 +45,20 @@ SETTLED = 5.0
 
 @dataclass(frozen=True)
 class SampledController:
-    """A controller at a fixed rate.
+    """A controller at a fixed rate."""
 
-    Args:
-        controller: the control law.
-        instruments: what it knows of the rig's sensors, actuators and limits.
-        observer: how it knows the rig's state.
-        rate: samples per second.
-        noise: standard deviation of every reading, in the sensors' units; that of the plant file where it is None.
-        homing: seconds before the release in which the rig is brought to its initial state; 0 where it is there.
-        end: coordinates (n,) of the rig's initial state.
-        rest: seconds before homing in which the rig rests without commands and the sensors' offsets are measured.
-        feed: what the virtual system gets as inputs while it runs.
-        remembered: the virtual system's internal states at the release.
-    """
-
-    controller: Controller
-    instruments: Instruments
-    observer: Observer
-    rate: float
+    controller: Controller  # the control law
+    instruments: Instruments  # what it knows of the rig's sensors, actuators and limits
+    observer: Observer  # how it knows the rig's state
+    rate: float  # samples per second
+    # standard deviation of every reading, in the sensors' units; that of the plant file where it is None
     noise: float | None
-    homing: float
-    end: Array
+    homing: float  # seconds before the release in which the rig is brought to its initial state; 0 where it is there
+    end: Array  # coordinates (n,) of the rig's initial state
+    # seconds before homing in which the rig rests without commands and the sensors' offsets are measured
     rest: float = 0.0
-    feed: Feed = NOTHING
-    remembered: tuple[float, ...] = ()
+    feed: Feed = NOTHING  # what the virtual system gets as inputs while it runs
+    remembered: tuple[float, ...] = ()  # the virtual system's internal states at the release
 
     @property
     def sizes(self) -> Sizes:
@@ -259,17 +248,11 @@ class SampledController:
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """What a sampled controller knows when it begins.
+    """What a sampled controller knows when it begins."""
 
-    Args:
-        x: its memory, as `masking.compile.numerics.controller_sizes.Sizes.power` says.
-        p: its parameter array.
-        holding: the commands (actuators,) that hold the rig where it was found.
-    """
-
-    x: Array
-    p: Array
-    holding: Array
+    x: Array  # its memory, as `masking.compile.numerics.controller_sizes.Sizes.power` says
+    p: Array  # its parameter array
+    holding: Array  # the commands (actuators,) that hold the rig where it was found
 
 
 Results = list[tuple[str, Node]]
@@ -282,11 +265,7 @@ class _Lowered:
         controller, instruments = sampled.controller, sampled.instruments
         equations = controller.model.equations
         self.graph, self.loads = Graph(), dict[str, str]()
-        n, channels, inputs = (
-            len(equations.coordinates),
-            len(instruments.actuators),
-            len(controller.model.inputs),
-        )
+        n, channels, inputs = (len(equations.coordinates), len(instruments.actuators), len(controller.model.inputs))
         self._count, self.is_live = n, sampled.feed.is_live
         time = self._read("t", "t", varying=True)
         y = {name: self._array(name, "y", len(symbols), first, varying=True) for name, symbols, first in (

@@ -32,36 +32,22 @@ class FromSensor:
 
 @dataclass(frozen=True)
 class FromPush:
-    """An input that is an estimated force.
+    """An input that is an estimated force."""
 
-    Args:
-        cell: of the input.
-        coordinate: index of the rig coordinate along which it acts.
-        factor: virtual units per SI unit.
-        above: rad/s; slower forces are errors of the model.
-    """
-
-    cell: int
-    coordinate: int
-    factor: float
-    above: float
+    cell: int  # of the input
+    coordinate: int  # index of the rig coordinate along which it acts
+    factor: float  # virtual units per SI unit
+    above: float  # rad/s; slower forces are errors of the model
 
 
 @dataclass(frozen=True)
 class Feed:
-    """Inputs of the virtual system that a sampled controller reads as it runs.
+    """Inputs of the virtual system that a sampled controller reads as it runs."""
 
-    Args:
-        scale: index of the seconds per unit of virtual time in the parameter array.
-        series: the cell of each input that is known point by point, and its points.
-        sensors: inputs that are read.
-        pushes: inputs that are estimated.
-    """
-
-    scale: int = 0
-    series: tuple[tuple[int, Series], ...] = ()
-    sensors: tuple[FromSensor, ...] = ()
-    pushes: tuple[FromPush, ...] = ()
+    scale: int = 0  # index of the seconds per unit of virtual time in the parameter array
+    series: tuple[tuple[int, Series], ...] = ()  # the cell of each input that is known point by point, and its points
+    sensors: tuple[FromSensor, ...] = ()  # inputs that are read
+    pushes: tuple[FromPush, ...] = ()  # inputs that are estimated
 
     def __bool__(self) -> bool:
         return bool(self.series or self.sensors or self.pushes)

@@ -28,17 +28,11 @@ _CONVERGED: Final = 1e-12
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """Motion of the passive coordinates with the virtual ones held.
+    """Motion of the passive coordinates with the virtual ones held."""
 
-    Args:
-        names: of the passive coordinates.
-        rest: where they rest (m,), SI units.
-        eigenvalues: of the motion about it (2 m,), 1/s.
-    """
-
-    names: tuple[str, ...]
-    rest: Array
-    eigenvalues: Array
+    names: tuple[str, ...]  # of the passive coordinates
+    rest: Array  # where they rest (m,), SI units
+    eigenvalues: Array  # of the motion about it (2 m,), 1/s
 
     @property
     def verdict(self) -> Literal["stable", "marginal", "unstable"]:
@@ -80,21 +74,13 @@ class ZeroDynamics:
 
 @dataclass(frozen=True)
 class Held:
-    """A rig whose virtual coordinates are held.
+    """A rig whose virtual coordinates are held."""
 
-    Args:
-        plant: the model of the rig, SI units.
-        transform: from rig to virtual coordinates.
-        parameters: values of the transform's own parameters.
-        lengths: size in SI units of one unit of each rig coordinate as the transform sees it (n,).
-        eta: virtual coordinates that are held (k,).
-    """
-
-    plant: Model
-    transform: Transform
-    parameters: Mapping[str, float]
-    lengths: Array
-    eta: Array
+    plant: Model  # the model of the rig, SI units
+    transform: Transform  # from rig to virtual coordinates
+    parameters: Mapping[str, float]  # values of the transform's own parameters
+    lengths: Array  # size in SI units of one unit of each rig coordinate as the transform sees it (n,)
+    eta: Array  # virtual coordinates that are held (k,)
 
     @property
     def passive(self) -> list[int]:

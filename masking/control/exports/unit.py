@@ -23,49 +23,30 @@ class Channel:
 
 @dataclass(frozen=True)
 class Operation:
-    """A function of a unit.
+    """A function of a unit."""
 
-    Args:
-        arguments: of its kernel, in order: ports, memory and constants by their names; `time` is a number.
-        text: what it does, in one sentence.
-        returns_status: whether it returns 0, or why the unit has stopped.
-    """
-
+    # of its kernel, in order: ports, memory and constants by their names; `time` is a number
     arguments: tuple[str, ...]
-    text: str
-    returns_status: bool = False
+    text: str  # what it does, in one sentence
+    returns_status: bool = False  # whether it returns 0, or why the unit has stopped
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A controller, a rig or a model that can be called by itself.
+    """A controller, a rig or a model that can be called by itself."""
 
-    Args:
-        name: of its functions and files, an identifier of C.
-        title: what it is.
-        kind: `controller`, `law`, `plant` or `model`.
-        module: holds each operation's kernel as `unit_` and its name.
-        ports: channels by the name of the argument that they are.
-        memory: shape of each array that evolves.
-        counters: length of the array of whole numbers.
-        constants: arrays that stay.
-        operations: by name; `init` begins, `step` is called once a period.
-        period: seconds, or units of a model's time, between steps; None where the caller gives the time.
-        notes: further sentences on its use.
-        states: what the first numbers of the first array of its memory are; empty where no one wants them.
-    """
-
-    name: str
-    title: str
-    kind: str
-    module: Module
-    ports: Mapping[str, tuple[Channel, ...]]
-    memory: Mapping[str, tuple[int, ...]]
-    counters: int
-    constants: Mapping[str, Array]
-    operations: Mapping[str, Operation]
-    period: float | None
-    notes: tuple[str, ...] = ()
+    name: str  # of its functions and files, an identifier of C
+    title: str  # what it is
+    kind: str  # `controller`, `law`, `plant` or `model`
+    module: Module  # holds each operation's kernel as `unit_` and its name
+    ports: Mapping[str, tuple[Channel, ...]]  # channels by the name of the argument that they are
+    memory: Mapping[str, tuple[int, ...]]  # shape of each array that evolves
+    counters: int  # length of the array of whole numbers
+    constants: Mapping[str, Array]  # arrays that stay
+    operations: Mapping[str, Operation]  # by name; `init` begins, `step` is called once a period
+    period: float | None  # seconds, or units of a model's time, between steps; None where the caller gives the time
+    notes: tuple[str, ...] = ()  # further sentences on its use
+    # what the first numbers of the first array of its memory are; empty where no one wants them
     states: tuple[Channel, ...] = ()
 
     @property

@@ -37,21 +37,13 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Start:
-    """How a controller begins.
+    """How a controller begins."""
 
-    Args:
-        memory: length of its memory.
-        parameters: their number.
-        homing: index of the parameters of the coordinates where homing begins; -1 where there are none.
-        period: seconds between samples.
-        is_held: whether the rig is held by commands from the beginning.
-    """
-
-    memory: int
-    parameters: int
-    homing: int
-    period: float
-    is_held: bool
+    memory: int  # length of its memory
+    parameters: int  # their number
+    homing: int  # index of the parameters of the coordinates where homing begins; -1 where there are none
+    period: float  # seconds between samples
+    is_held: bool  # whether the rig is held by commands from the beginning
 
 
 def clear(start: int) -> Kernel:

@@ -122,23 +122,14 @@ _SAID: Final = {
 
 @dataclass(frozen=True)
 class Trip:
-    """Why a chain tripped.
+    """Why a chain tripped."""
 
-    Args:
-        cause: why.
-        channel: the sensor, actuator or limited expression, or how an emergency stop was pressed; empty for none.
-        tick: of the plant's clock.
-        value: that was found, in the channel's unit.
-        limit: that it passed, likewise.
-        detail: what there is besides, such as a traceback.
-    """
-
-    cause: Cause
-    channel: str
-    tick: int
-    value: float = 0.0
-    limit: float = 0.0
-    detail: str = ""
+    cause: Cause  # why
+    channel: str  # the sensor, actuator or limited expression, or how an emergency stop was pressed; empty for none
+    tick: int  # of the plant's clock
+    value: float = 0.0  # that was found, in the channel's unit
+    limit: float = 0.0  # that it passed, likewise
+    detail: str = ""  # what there is besides, such as a traceback
 
     def __str__(self) -> str:
         said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit).replace(" ;", ";")
@@ -153,39 +144,24 @@ class Trip:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """What a chain holds a rig to, at one rate, in the units of the channels.
+    """What a chain holds a rig to, at one rate, in the units of the channels."""
 
-    Args:
-        rate: samples per second.
-        sensors: their names.
-        actuators: their names.
-        commands: table of limits of the actuators (actuators, 4), as `numerics.controller_sizes` has its columns.
-        readings: table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns.
-        motion: second derivative of each reading by readings and commands (sensors, sensors + actuators).
-        limited: what is limited, in words, a rate as that of the expression.
-        limits: table of what is limited (limits, 4), as `masking.compile.numerics.safety_tables` has its columns.
-        weights: of the readings in each (limits, sensors).
-        estimated: of the states of the controller's estimate in each (limits, states).
-        half: samples of half the window in which a response is compared; 0 where none is.
-        delay: samples between a reading and the first effect of the command that answers it.
-        missed: largest share of the samples of a second that may be late or missed.
-        notes: what is not watched, a sentence each.
-    """
-
-    rate: float
-    sensors: tuple[str, ...]
-    actuators: tuple[str, ...]
-    commands: Array
-    readings: Array
-    motion: Array
-    limited: tuple[str, ...] = ()
+    rate: float  # samples per second
+    sensors: tuple[str, ...]  # their names
+    actuators: tuple[str, ...]  # their names
+    commands: Array  # table of limits of the actuators (actuators, 4), as `numerics.controller_sizes` has its columns
+    readings: Array  # table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns
+    motion: Array  # second derivative of each reading by readings and commands (sensors, sensors + actuators)
+    limited: tuple[str, ...] = ()  # what is limited, in words, a rate as that of the expression
+    # table of what is limited (limits, 4), as `masking.compile.numerics.safety_tables` has its columns
     limits: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    weights: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    weights: Array = field(default_factory=lambda: np.zeros((0, 1)))  # of the readings in each (limits, sensors)
+    # of the states of the controller's estimate in each (limits, states)
     estimated: Array = field(default_factory=lambda: np.zeros((0, 1)))
-    half: int = 0
-    delay: int = 0
-    missed: float = 1.0
-    notes: tuple[str, ...] = ()
+    half: int = 0  # samples of half the window in which a response is compared; 0 where none is
+    delay: int = 0  # samples between a reading and the first effect of the command that answers it
+    missed: float = 1.0  # largest share of the samples of a second that may be late or missed
+    notes: tuple[str, ...] = ()  # what is not watched, a sentence each
 
     @classmethod
     def of_commands(cls, largest: Array, sensors: Sequence[str], actuators: Sequence[str], rate: float) -> Rules:

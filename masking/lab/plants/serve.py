@@ -389,14 +389,7 @@ class _Server:
         self.send(session.number, session.address, kind, text=text)
 
     def send(
-        self,
-        number: int,
-        address: Peer,
-        kind: Kind,
-        index: int = 0,
-        *,
-        values: Array = wire.NO_VALUES,
-        text: str = "",
+        self, number: int, address: Peer, kind: Kind, index: int = 0, *, values: Array = wire.NO_VALUES, text: str = ""
     ) -> None:
         """Send a frame; one that cannot go out is dropped, as the net might, and a text that quotes too much is cut."""
         frame = wire.encode(kind, number, index, values=values, text=text[: wire.LONGEST_TEXT])

@@ -26,15 +26,10 @@ _CLOCK: Final = 0.05  # of the watchdog's time: what its clock may be early
 @final
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """What a served plant allows its controllers.
+    """What a served plant allows its controllers."""
 
-    Args:
-        watchdog: the longest watchdog, s.
-        rates: the lowest and the highest number of samples per second, Hz.
-    """
-
-    watchdog: float = LONGEST_WATCHDOG
-    rates: tuple[float, float] = RATES
+    watchdog: float = LONGEST_WATCHDOG  # the longest watchdog, s
+    rates: tuple[float, float] = RATES  # the lowest and the highest number of samples per second, Hz
 
     def __post_init__(self) -> None:
         low, high = self.rates

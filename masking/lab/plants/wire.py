@@ -65,23 +65,14 @@ TEXTUAL: Final = frozenset({*Kind} - {Kind.SENSORS, Kind.COMMAND})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame that was received whole.
+    """A frame that was received whole."""
 
-    Args:
-        kind: what it is.
-        session: number of the session, below 2**64.
-        index: sample that it holds or answers, below 2**64.
-        sent: ns of the sender's monotonic clock.
-        values: (count,); empty in a frame of text.
-        text: empty in a frame of values.
-    """
-
-    kind: Kind
-    session: int
-    index: int
-    sent: int
-    values: Array
-    text: str
+    kind: Kind  # what it is
+    session: int  # number of the session, below 2**64
+    index: int  # sample that it holds or answers, below 2**64
+    sent: int  # ns of the sender's monotonic clock
+    values: Array  # (count,); empty in a frame of text
+    text: str  # empty in a frame of values
 
 
 def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUES, text: str = "") -> bytes:

@@ -120,25 +120,16 @@ def _table(columns: Mapping[str, NDArray[np.float64]], schema: pa.Schema) -> pa.
 
 @dataclass(frozen=True)
 class Outline:
-    """What a table holds, as its end says; no row is read for it.
+    """What a table holds, as its end says; no row is read for it."""
 
-    Args:
-        path: of the file.
-        names: of the columns.
-        edges: number of the first row of each group, and behind them how many there are.
-        spans: first and last time of each group, as its statistics say; NaN where they do not.
-        manifest: JSON; None where there is none.
-        metadata: of the file, so that it is read once.
-        version: of the file: time of its last change, in ns, and its size.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    edges: tuple[int, ...]
+    path: Path  # of the file
+    names: tuple[str, ...]  # of the columns
+    edges: tuple[int, ...]  # number of the first row of each group, and behind them how many there are
+    # first and last time of each group, as its statistics say; NaN where they do not
     spans: tuple[tuple[float, float], ...]
-    manifest: bytes | None
-    metadata: Any
-    version: tuple[int, int]
+    manifest: bytes | None  # JSON; None where there is none
+    metadata: Any  # of the file, so that it is read once
+    version: tuple[int, int]  # of the file: time of its last change, in ns, and its size
 
 
 def outline(path: Path) -> Outline:

@@ -43,10 +43,7 @@ _KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz, .json, 
 
 
 def read(
-    path: str | Path,
-    names: Names | None = None,
-    dt: float | None = None,
-    needed: Collection[str] = (),
+    path: str | Path, names: Names | None = None, dt: float | None = None, needed: Collection[str] = ()
 ) -> Recording:
     """Read a record, or a part of one.
 

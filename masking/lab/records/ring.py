@@ -111,17 +111,11 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What a reader got at once.
+    """What a reader got at once."""
 
-    Args:
-        first: number of the first row; rows count from 0.
-        table: (rows, columns).
-        missed: rows before these that were overwritten before they were read.
-    """
-
-    first: int
-    table: Array
-    missed: int
+    first: int  # number of the first row; rows count from 0
+    table: Array  # (rows, columns)
+    missed: int  # rows before these that were overwritten before they were read
 
 
 @final

@@ -24,23 +24,15 @@ if sys.platform != "win32":
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """What a stream holds.
+    """What a stream holds."""
 
-    Args:
-        manifest: as it was written.
-        numbers: of the rows (rows,), rising; what lies between them is lost.
-        table: (rows, columns).
-        damages: what was changed or is missing, a sentence each; what is here is not concerned.
-        end: why it ends, as the last page says; None where that is missing, because the stream was cut off.
-        folder: that holds it.
-    """
-
-    manifest: Mapping[str, Any]
-    numbers: Array
-    table: Array
-    damages: tuple[str, ...]
+    manifest: Mapping[str, Any]  # as it was written
+    numbers: Array  # of the rows (rows,), rising; what lies between them is lost
+    table: Array  # (rows, columns)
+    damages: tuple[str, ...]  # what was changed or is missing, a sentence each; what is here is not concerned
+    # why it ends, as the last page says; None where that is missing, because the stream was cut off
     end: Mapping[str, Any] | None
-    folder: Path
+    folder: Path  # that holds it
 
 
 def read(folder: str | Path) -> Stream:

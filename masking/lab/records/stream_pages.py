@@ -62,29 +62,17 @@ def page_bytes(
 
 @dataclass(frozen=True)
 class Page:
-    """A page as it was found, or bytes that are none: those have no sequence.
+    """A page as it was found, or bytes that are none: those have no sequence."""
 
-    Args:
-        start: where its first byte is.
-        stop: behind its last byte.
-        is_sound: whether it is what was written behind the page before it.
-        sequence: number of the page, -1 for bytes that are no page.
-        kind: what its payload is.
-        first: number of its first row.
-        rows: how many rows.
-        payload: without its head.
-        chain: behind it.
-    """
-
-    start: int
-    stop: int
-    is_sound: bool = False
-    sequence: int = -1
-    kind: int = -1
-    first: int = 0
-    rows: int = 0
-    payload: bytes = b""
-    chain: bytes = b""
+    start: int  # where its first byte is
+    stop: int  # behind its last byte
+    is_sound: bool = False  # whether it is what was written behind the page before it
+    sequence: int = -1  # number of the page, -1 for bytes that are no page
+    kind: int = -1  # what its payload is
+    first: int = 0  # number of its first row
+    rows: int = 0  # how many rows
+    payload: bytes = b""  # without its head
+    chain: bytes = b""  # behind it
 
 
 def pages_of(memory: mmap.mmap, at: int, chain: bytes | None) -> Iterator[Page]:

@@ -31,19 +31,12 @@ _REMARKS = ("%", "//")
 
 @dataclass(frozen=True)
 class _Table:
-    """A text in its parts.
+    """A text in its parts."""
 
-    Args:
-        names: of its columns; an empty one is left out.
-        separator: between cells; None for blanks.
-        start: number of the first line of the body, from 1.
-        body: the lines below the names.
-    """
-
-    names: Sequence[str]
-    separator: str | None
-    start: int
-    body: str
+    names: Sequence[str]  # of its columns; an empty one is left out
+    separator: str | None  # between cells; None for blanks
+    start: int  # number of the first line of the body, from 1
+    body: str  # the lines below the names
 
 
 def read(file: Path, heading: Sequence[str]) -> dict[str, Column]:
@@ -69,11 +62,7 @@ def read(file: Path, heading: Sequence[str]) -> dict[str, Column]:
 
 
 def check_cells(
-    part: Part,
-    heading: Sequence[str],
-    columns: Mapping[str, Column],
-    chosen: NDArray[np.bool_],
-    clock: Column,
+    part: Part, heading: Sequence[str], columns: Mapping[str, Column], chosen: NDArray[np.bool_], clock: Column
 ) -> None:
     """Refuse what is no number where one must be, with its line in the file.
 

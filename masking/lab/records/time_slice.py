@@ -18,19 +18,12 @@ _NEAR = 1e-3  # of the time between samples: a sample so near to a time is at it
 
 @dataclass(frozen=True)
 class Part:
-    """The samples of a file from a time on, and before another one, so that parts side by side share none.
+    """The samples of a file from a time on, and before another one, so that parts side by side share none."""
 
-    Args:
-        name: path and times, as they were given.
-        file: path of the whole record.
-        start: time of the first sample in s; None for the first of the record.
-        end: time in s that the last sample lies before; None for the end of the record.
-    """
-
-    name: str
-    file: Path
-    start: float | None = None
-    end: float | None = None
+    name: str  # path and times, as they were given
+    file: Path  # path of the whole record
+    start: float | None = None  # time of the first sample in s; None for the first of the record
+    end: float | None = None  # time in s that the last sample lies before; None for the end of the record
 
     @classmethod
     def of(cls, path: str | Path) -> Part:

@@ -32,15 +32,10 @@ MOST: Final = 1_000_000  # runs
 
 @dataclass(frozen=True)
 class Run:
-    """A run of a batch.
+    """A run of a batch."""
 
-    Args:
-        number: from 1.
-        settings: values of the experiment that it varies, by name, such as `parameters.k`.
-    """
-
-    number: int
-    settings: Mapping[str, float]
+    number: int  # from 1
+    settings: Mapping[str, float]  # values of the experiment that it varies, by name, such as `parameters.k`
 
 
 def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...]]:
@@ -140,21 +135,14 @@ def energy(experiment: Experiment, inputs: Array, rate: float) -> float:
 
 @dataclass
 class Progress:
-    """What a journal has of a run.
+    """What a journal has of a run."""
 
-    Args:
-        run: the run.
-        ends: how its tries ended, in order; each is an entry of the journal.
-        open: the try that has begun and not ended; 0 where there is none.
-        tries: that have begun.
-        left_out: why it was not made; empty where it was.
-    """
-
-    run: Run
+    run: Run  # the run
+    # how its tries ended, in order; each is an entry of the journal
     ends: list[dict[str, Any]] = field(default_factory=list)
-    open: int = 0
-    tries: int = 0
-    left_out: str = ""
+    open: int = 0  # the try that has begun and not ended; 0 where there is none
+    tries: int = 0  # that have begun
+    left_out: str = ""  # why it was not made; empty where it was
 
     @property
     def is_done(self) -> bool:

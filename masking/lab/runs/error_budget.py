@@ -38,21 +38,13 @@ _OFFSETS_NOTE: Final = "makes up for another cause: to mend it alone makes matte
 
 @dataclass(frozen=True)
 class Row:
-    """The masking error of one run: without a cause, whose effects are named as the plant file names them.
+    """The masking error of one run: without a cause, whose effects are named as the plant file names them."""
 
-    Args:
-        cause: what was absent.
-        effects: the effects that were switched off; "limits" for those of the plant file.
-        chi: masking error of each virtual coordinate; infinite where the run could not go on.
-        remedy: what helps against the cause on a rig.
-        note: what must be known to read the row, such as why the run stopped.
-    """
-
-    cause: str
-    effects: tuple[str, ...]
-    chi: Mapping[str, float]
-    remedy: str = ""
-    note: str = ""
+    cause: str  # what was absent
+    effects: tuple[str, ...]  # the effects that were switched off; "limits" for those of the plant file
+    chi: Mapping[str, float]  # masking error of each virtual coordinate; infinite where the run could not go on
+    remedy: str = ""  # what helps against the cause on a rig
+    note: str = ""  # what must be known to read the row, such as why the run stopped
 
     @property
     def worst(self) -> float:

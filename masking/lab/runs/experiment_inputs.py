@@ -30,17 +30,11 @@ from masking.model.modelling.model import Model
 
 @dataclass(frozen=True)
 class VirtualInputs:
-    """What the inputs of a virtual system are that are no expressions.
+    """What the inputs of a virtual system are that are no expressions."""
 
-    Args:
-        experiment: the declaration, with the sources.
-        virtual: the virtual system, whose inputs have become definitions.
-        law: the control law.
-    """
-
-    experiment: schema.ExperimentDeclaration
-    virtual: Model
-    law: Controller
+    experiment: schema.ExperimentDeclaration  # the declaration, with the sources
+    virtual: Model  # the virtual system, whose inputs have become definitions
+    law: Controller  # the control law
 
     @cached_property
     def series(self) -> dict[str, Series]:

@@ -53,21 +53,14 @@ LADDERS: Mapping[What, Sequence[Sequence[float]]] = {
 
 @dataclass(frozen=True)
 class Use:
-    """How much of one limit a motion uses.
+    """How much of one limit a motion uses."""
 
-    Args:
-        name: of the actuator, or the expression that is limited.
-        kind: of the limit: the largest command, the largest mean power, or the largest value of a coordinate.
-        needed: largest magnitude over the motion, in `unit`.
-        limit: largest magnitude that the plant file allows, in `unit`.
-        unit: of both.
-    """
-
-    name: str
+    name: str  # of the actuator, or the expression that is limited
+    # of the limit: the largest command, the largest mean power, or the largest value of a coordinate
     kind: Literal["command", "power", "coordinate"]
-    needed: float
-    limit: float
-    unit: str
+    needed: float  # largest magnitude over the motion, in `unit`
+    limit: float  # largest magnitude that the plant file allows, in `unit`
+    unit: str  # of both
 
     @property
     def part(self) -> float:
@@ -90,19 +83,13 @@ class Use:
 
 @dataclass(frozen=True)
 class Mend:
-    """One change that makes a motion fit, or that was tried in vain.
+    """One change that makes a motion fit, or that was tried in vain."""
 
-    Args:
-        what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
-        factor: what to multiply it by, the one nearest to 1 that fits; None where none does.
-        shown: the factor in few digits, rounded to the side that fits.
-        left: where no factor fits, the limits that each of them passes, with the least use; where there is none such,
-            those that are passed under the factor that comes nearest.
-    """
-
-    what: What
-    factor: float | None
-    shown: float | None = None
+    what: What  # the seconds per unit of virtual time, the stroke that the transform uses, or all initial values
+    factor: float | None  # what to multiply it by, the one nearest to 1 that fits; None where none does
+    shown: float | None = None  # the factor in few digits, rounded to the side that fits
+    # where no factor fits, the limits that each of them passes, with the least use; where there is none such, those
+    # that are passed under the factor that comes nearest
     left: tuple[Use, ...] = ()
 
     def __str__(self) -> str:

@@ -19,19 +19,12 @@ Reached: TypeAlias = tuple[float, Array]  # time of the rig in s, and the state 
 
 @dataclass(frozen=True)
 class Ideal:
-    """The motion that a rig should have.
+    """The motion that a rig should have."""
 
-    Args:
-        virtual: the virtual system.
-        inputs: its inputs that are no expressions.
-        time_scale: seconds of the rig per unit of virtual time.
-        tolerance: local relative error of the integrator.
-    """
-
-    virtual: Model
-    inputs: VirtualInputs
-    time_scale: float
-    tolerance: float
+    virtual: Model  # the virtual system
+    inputs: VirtualInputs  # its inputs that are no expressions
+    time_scale: float  # seconds of the rig per unit of virtual time
+    tolerance: float  # local relative error of the integrator
 
     @property
     def needs_memory(self) -> str:

@@ -27,13 +27,9 @@ from masking.lab.runs.stopping import SYNCHRONISED
 
 @dataclass(frozen=True)
 class RowLayout:
-    """What the numbers of a row are.
+    """What the numbers of a row are."""
 
-    Args:
-        experiment: that runs.
-    """
-
-    experiment: Experiment
+    experiment: Experiment  # that runs
 
     @cached_property
     def groups(self) -> dict[str, dict[str, dict[str, str]]]:

@@ -33,45 +33,29 @@ CHUNK: Final = 2**16  # rows after which an integrator with step size control be
 
 @dataclass(frozen=True)
 class Run:
-    """What happened in a run, at the recorded instants.
+    """What happened in a run, at the recorded instants."""
 
-    Args:
-        times: (m,), seconds of the rig.
-        rig: rig coordinates then velocities (m, 2 n), SI units.
-        virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
-        inputs: (m, inputs).
-    """
-
-    times: Array
-    rig: Array
-    virtual: Array
-    inputs: Array
+    times: Array  # (m,), seconds of the rig
+    rig: Array  # rig coordinates then velocities (m, 2 n), SI units
+    virtual: Array  # virtual coordinates, velocities and internal states (m, .), in the virtual system's units
+    inputs: Array  # (m, inputs)
 
 
 @dataclass(frozen=True)
 class TwinRun:
-    """What happened in a run around a twin, at the recorded samples.
+    """What happened in a run around a twin, at the recorded samples."""
 
-    Args:
-        times: (m,), seconds since the release.
-        states: states of the twin (m, states), as `Twin.state_names` says, SI units.
-        estimates: what the controller took for coordinates, velocities and internal states (m, .), SI units.
-        readings: of the sensors (m, sensors), in their units.
-        demanded: commands before limits (m, actuators), in the actuators' units.
-        applied: commands after limits (m, actuators).
-        power: mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited.
-        disturbances: accelerations that the controller's model lacks, as it estimates them (m, n), SI units.
-        lasting: what the controller took for lasting of each push before the first sample (1, pushes), SI units.
-    """
-
-    times: Array
-    states: Array
-    estimates: Array
-    readings: Array
-    demanded: Array
-    applied: Array
+    times: Array  # (m,), seconds since the release
+    states: Array  # states of the twin (m, states), as `Twin.state_names` says, SI units
+    estimates: Array  # what the controller took for coordinates, velocities and internal states (m, .), SI units
+    readings: Array  # of the sensors (m, sensors), in their units
+    demanded: Array  # commands before limits (m, actuators), in the actuators' units
+    applied: Array  # commands after limits (m, actuators)
+    # mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited
     power: Array
+    # accelerations that the controller's model lacks, as it estimates them (m, n), SI units
     disturbances: Array | None = None
+    # what the controller took for lasting of each push before the first sample (1, pushes), SI units
     lasting: Array | None = None
 
 
@@ -219,13 +203,7 @@ def _bounds(first: int, samples: int, span: int, cuts: Iterable[int] = ()) -> li
 
 
 def run_twin(
-    loop: SampledLoop,
-    start: Array,
-    *,
-    duration: float,
-    seed: int,
-    every: int = 1,
-    progress: Progress | None = None,
+    loop: SampledLoop, start: Array, *, duration: float, seed: int, every: int = 1, progress: Progress | None = None
 ) -> TwinRun:
     """Run a sampled controller around a twin.
 

@@ -21,19 +21,12 @@ _ROWS: Final = 5000  # of a run, at which its energy is looked at
 
 @dataclass(frozen=True)
 class Passive:
-    """Rig coordinates that no virtual one stands for.
+    """Rig coordinates that no virtual one stands for."""
 
-    Args:
-        law: the control law.
-        plant: the model of the rig, SI units.
-        eta: virtual coordinates at the start (k,).
-        given: the experiment's initial values, in declared units.
-    """
-
-    law: Controller
-    plant: Model
-    eta: Array
-    given: Mapping[str, float]
+    law: Controller  # the control law
+    plant: Model  # the model of the rig, SI units
+    eta: Array  # virtual coordinates at the start (k,)
+    given: Mapping[str, float]  # the experiment's initial values, in declared units
 
     @property
     def indices(self) -> list[int]:

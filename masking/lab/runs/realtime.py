@@ -56,41 +56,24 @@ _IDLE = 2  # looks in a row at which it may put out nothing although it is comma
 
 @dataclass(frozen=True, eq=False)
 class RigRun:
-    """What happened in a run, a row for each tick.
+    """What happened in a run, a row for each tick."""
 
-    Args:
-        times: (m,), seconds of the plant's clock: index / rate.
-        wall: (m,), seconds since the first tick, measured.
-        index: (m,), ticks of the plant's clock.
-        sensors: (m, sensors).
-        demanded: (m, actuators), what the controller returned, also where that is not finite.
-        applied: (m, actuators), what was written after the clamp.
-        late: (m,), True where samples before this one were missed, or the tick began more than a period late.
-        durations: (m,), seconds that the controller's step took.
-        lateness: (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before.
-        work: (m,), seconds that the controller, the safety chain and the row of the record took together.
-        table: (m, columns), as `Rows` has it.
-        reason: why it ended, one of `masking.lab.runs.stopping.REASONS`.
-        counters: ticks that were `late` and `clamped`, periods `missed`, and what the plant counted.
-        note: what the machine did not permit, such as real-time priority; empty where there is nothing to say.
-        trip: why the safety chain tripped; None where it did not.
-    """
-
-    times: Array
-    wall: Array
-    index: NDArray[np.int64]
-    sensors: Array
-    demanded: Array
-    applied: Array
+    times: Array  # (m,), seconds of the plant's clock: index / rate
+    wall: Array  # (m,), seconds since the first tick, measured
+    index: NDArray[np.int64]  # (m,), ticks of the plant's clock
+    sensors: Array  # (m, sensors)
+    demanded: Array  # (m, actuators), what the controller returned, also where that is not finite
+    applied: Array  # (m, actuators), what was written after the clamp
+    # (m,), True where samples before this one were missed, or the tick began more than a period late
     late: NDArray[np.bool_]
-    durations: Array
-    lateness: Array
-    work: Array
-    table: Array
-    reason: str
-    counters: Mapping[str, int]
-    note: str = ""
-    trip: Trip | None = None
+    durations: Array  # (m,), seconds that the controller's step took
+    lateness: Array  # (m,), seconds that ticks began late; on a plant's own clock, after a period since the one before
+    work: Array  # (m,), seconds that the controller, the safety chain and the row of the record took together
+    table: Array  # (m, columns), as `Rows` has it
+    reason: str  # why it ended, one of `masking.lab.runs.stopping.REASONS`
+    counters: Mapping[str, int]  # ticks that were `late` and `clamped`, periods `missed`, and what the plant counted
+    note: str = ""  # what the machine did not permit, such as real-time priority; empty where there is nothing to say
+    trip: Trip | None = None  # why the safety chain tripped; None where it did not
 
 
 @dataclass(frozen=True)
@@ -118,17 +101,11 @@ class Hooks:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """State of a controller that a run looks at; the controller changes its arrays in place.
+    """State of a controller that a run looks at; the controller changes its arrays in place."""
 
-    Args:
-        estimate: of the rig's states; for rules that need it.
-        columns: of each row besides `LOOP`, sensors and commands: contiguous arrays of float64.
-        before: samples before the release.
-    """
-
-    estimate: Array | None = None
-    columns: Sequence[Array] = ()
-    before: int = 0
+    estimate: Array | None = None  # of the rig's states; for rules that need it
+    columns: Sequence[Array] = ()  # of each row besides `LOOP`, sensors and commands: contiguous arrays of float64
+    before: int = 0  # samples before the release
 
 
 NO_HOOKS: Final = Hooks()

@@ -16,17 +16,11 @@ from masking.model.modelling.model import Model
 
 @dataclass
 class Columns:
-    """The columns of a recording, each with its unit and meaning, while they are gathered.
+    """The columns of a recording, each with its unit and meaning, while they are gathered."""
 
-    Args:
-        assembly: the declarations of the experiment.
-        plant: the model of the rig.
-        virtual: the virtual system.
-    """
-
-    assembly: Assembly
-    plant: Model
-    virtual: Model
+    assembly: Assembly  # the declarations of the experiment
+    plant: Model  # the model of the rig
+    virtual: Model  # the virtual system
     columns: dict[str, Array] = field(default_factory=dict)
     units: dict[str, dict[str, str]] = field(default_factory=dict)
 

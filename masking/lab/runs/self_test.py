@@ -42,23 +42,14 @@ _NOISY: Final = 5.0  # times the declared noise
 
 @dataclass(frozen=True)
 class Answer:
-    """How one sensor answered the pulse of one actuator.
+    """How one sensor answered the pulse of one actuator."""
 
-    Args:
-        actuator: which was moved.
-        sensor: which is looked at.
-        predicted: the largest change that the twin reads, in the sensor's unit.
-        noise: of the sensor, standard deviation: that at rest, or what is declared where that is more.
-        at_rest: standard deviation of what was read before the pulse.
-        gain: what was read per what was predicted, least squares.
-    """
-
-    actuator: str
-    sensor: str
-    predicted: float
-    noise: float
-    at_rest: float
-    gain: float
+    actuator: str  # which was moved
+    sensor: str  # which is looked at
+    predicted: float  # the largest change that the twin reads, in the sensor's unit
+    noise: float  # of the sensor, standard deviation: that at rest, or what is declared where that is more
+    at_rest: float  # standard deviation of what was read before the pulse
+    gain: float  # what was read per what was predicted, least squares
 
     @property
     def is_clear(self) -> bool:
@@ -73,15 +64,10 @@ class Answer:
 
 @dataclass(frozen=True)
 class SelfTest(Result):
-    """Outcome of a self-test.
+    """Outcome of a self-test."""
 
-    Args:
-        answers: of each sensor to each actuator.
-        findings: why the rig must not be armed, a sentence each; none where it may.
-    """
-
-    answers: tuple[Answer, ...]
-    findings: tuple[str, ...]
+    answers: tuple[Answer, ...]  # of each sensor to each actuator
+    findings: tuple[str, ...]  # why the rig must not be armed, a sentence each; none where it may
 
     def __str__(self) -> str:
         return "\n".join([*map(str, self.answers), *self.findings, "fails" if self.findings else "passes"])

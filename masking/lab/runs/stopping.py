@@ -67,19 +67,12 @@ def check_status(kernels: Kernels, status: int, time: float, state: Array, mend:
 
 @dataclass(frozen=True)
 class StopCondition:
-    """The end of a run by synchronisation.
+    """The end of a run by synchronisation."""
 
-    Args:
-        settings: as the experiment declares them.
-        names: the two virtual coordinates.
-        columns: where they are among the virtual coordinates.
-        detector: in units of virtual time; it takes a sample for each recorded row.
-    """
-
-    settings: Stop
-    names: tuple[str, str]
-    columns: tuple[int, int]
-    detector: Detector
+    settings: Stop  # as the experiment declares them
+    names: tuple[str, str]  # the two virtual coordinates
+    columns: tuple[int, int]  # where they are among the virtual coordinates
+    detector: Detector  # in units of virtual time; it takes a sample for each recorded row
 
     @classmethod
     def of(cls, settings: Stop, virtual: Model, initial: Array, *, step: float, duration: float) -> StopCondition:

@@ -44,19 +44,12 @@ Values: TypeAlias = str | Distribution | Sequence[float] | Array
 
 @dataclass(frozen=True)
 class Axis:
-    """What varies along one direction of a sweep.
+    """What varies along one direction of a sweep."""
 
-    Args:
-        names: of what gets the value; all of them the same.
-        values: of a grid or list (k,); None where they are drawn.
-        distribution: that values are drawn from; None where there are values.
-        is_factor: whether declared values are multiplied by it.
-    """
-
-    names: tuple[str, ...]
-    values: Array | None = None
-    distribution: Distribution | None = None
-    is_factor: bool = False
+    names: tuple[str, ...]  # of what gets the value; all of them the same
+    values: Array | None = None  # of a grid or list (k,); None where they are drawn
+    distribution: Distribution | None = None  # that values are drawn from; None where there are values
+    is_factor: bool = False  # whether declared values are multiplied by it
 
     @property
     def label(self) -> str:
@@ -66,36 +59,22 @@ class Axis:
 
 @dataclass(frozen=True)
 class Joint:
-    """Values that are drawn together: mean + root z, z independent and standard normal.
+    """Values that are drawn together: mean + root z, z independent and standard normal."""
 
-    Args:
-        first: place of the first of their axes.
-        mean: (k,).
-        root: of their covariance (k, k).
-    """
-
-    first: int
-    mean: Array
-    root: Array
+    first: int  # place of the first of their axes
+    mean: Array  # (k,)
+    root: Array  # of their covariance (k, k)
 
 
 @dataclass(frozen=True)
 class Design:
-    """The runs of a sweep: at each point of the grid, the same values that are drawn.
+    """The runs of a sweep: at each point of the grid, the same values that are drawn."""
 
-    Args:
-        axes: what varies.
-        runs: drawn at each point of the grid.
-        seed: of what is drawn.
-        sampling: independent draws, a Latin hypercube, or Sobol's sequence with Owen's scrambling.
-        joint: axes that are drawn together.
-    """
-
-    axes: tuple[Axis, ...]
-    runs: int = 1
-    seed: int = 0
-    sampling: Sampling = "random"
-    joint: tuple[Joint, ...] = ()
+    axes: tuple[Axis, ...]  # what varies
+    runs: int = 1  # drawn at each point of the grid
+    seed: int = 0  # of what is drawn
+    sampling: Sampling = "random"  # independent draws, a Latin hypercube, or Sobol's sequence with Owen's scrambling
+    joint: tuple[Joint, ...] = ()  # axes that are drawn together
 
     @property
     def grid(self) -> tuple[Axis, ...]:

@@ -21,15 +21,10 @@ PLANT: Final = "plant"  # parameters of its model
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value stands.
+    """Where a value stands."""
 
-    Args:
-        path: section of the experiment, keys in it; or `plant` and a parameter.
-        declared: its value, in declared units; None where there is none.
-    """
-
-    path: tuple[str, ...]
-    declared: float | Expression | None
+    path: tuple[str, ...]  # section of the experiment, keys in it; or `plant` and a parameter
+    declared: float | Expression | None  # its value, in declared units; None where there is none
 
 
 def place(experiment: Experiment, name: str) -> Place:

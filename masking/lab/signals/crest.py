@@ -115,17 +115,11 @@ class _Record:
 
 @dataclass(frozen=True)
 class Norm:
-    """The logarithm of the 2p-norm of a multisine as a function of its phases.
+    """The logarithm of the 2p-norm of a multisine as a function of its phases."""
 
-    Args:
-        lines: where the multisine is looked at.
-        amplitudes: (lines,).
-        power: p.
-    """
-
-    lines: _Period | _Record
-    amplitudes: Array
-    power: int
+    lines: _Period | _Record  # where the multisine is looked at
+    amplitudes: Array  # (lines,)
+    power: int  # p
 
     @classmethod
     def of(cls, signal: Multisine, power: int, duration: float | None = None) -> Norm:

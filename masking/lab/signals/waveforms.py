@@ -63,13 +63,7 @@ def multisine(
 
 
 def steps(
-    amplitude: float,
-    *,
-    number: int,
-    hold: float,
-    rate: float,
-    channel: str = "u",
-    unit: str = "V",
+    amplitude: float, *, number: int, hold: float, rate: float, channel: str = "u", unit: str = "V"
 ) -> Excitation:
     """Steps of growing amplitude, to either side of zero and back.
 
@@ -96,14 +90,7 @@ def steps(
     return Excitation("steps", rate, np.repeat(levels, held)[:, None], (channel,), (unit,), meta)
 
 
-def ramp(
-    amplitude: float,
-    *,
-    duration: float = 60.0,
-    rate: float,
-    channel: str = "u",
-    unit: str = "V",
-) -> Excitation:
+def ramp(amplitude: float, *, duration: float = 60.0, rate: float, channel: str = "u", unit: str = "V") -> Excitation:
     """Slow ramp from zero up to the amplitude, down to its negative, and up to zero.
 
     Slow enough, the force is that of the spring, once on the way up and once on the way down.
@@ -127,13 +114,7 @@ def ramp(
 
 
 def sawtooth(
-    amplitude: float,
-    *,
-    number: int,
-    period: float,
-    rate: float,
-    channel: str = "u",
-    unit: str = "V",
+    amplitude: float, *, number: int, period: float, rate: float, channel: str = "u", unit: str = "V"
 ) -> Excitation:
     """Saw-teeth of growing amplitude: n periods of a triangle, of amplitudes A/n, 2A/n, ..., A.
 
@@ -210,14 +191,7 @@ def opposed_sines(
 
 
 def linear_chirp(
-    amplitude: float,
-    *,
-    first: float,
-    last: float,
-    duration: float,
-    rate: float,
-    channel: str = "u",
-    unit: str = "V",
+    amplitude: float, *, first: float, last: float, duration: float, rate: float, channel: str = "u", unit: str = "V"
 ) -> Excitation:
     """Sine whose frequency goes from the first to the last in a straight line.
 
@@ -243,14 +217,7 @@ def linear_chirp(
 
 
 def logarithmic_chirp(
-    amplitude: float,
-    *,
-    first: float,
-    last: float,
-    duration: float,
-    rate: float,
-    channel: str = "u",
-    unit: str = "V",
+    amplitude: float, *, first: float, last: float, duration: float, rate: float, channel: str = "u", unit: str = "V"
 ) -> Excitation:
     """Sine whose frequency is multiplied by the same factor in equal times.
 
