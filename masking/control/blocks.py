@@ -64,8 +64,7 @@ class Transform:
     def expressions(self) -> sp.ImmutableMatrix:
         """Eta = T(q) as a column (k, 1) in the rig's coordinate symbols.
 
-        Raises:
-            ModelError: the identity finds neither the names of the virtual coordinates in the rig nor as many.
+        A ModelError where the identity finds neither the names of the virtual coordinates in the rig nor as many.
         """
         q = self.rig.equations.symbols.q
         matrix, expressions = self.declaration.matrix, self.declaration.expressions
@@ -79,11 +78,7 @@ class Transform:
 
     @property
     def _selected(self) -> tuple[int, ...]:
-        """Indices of the rig coordinates that the identity takes.
-
-        Raises:
-            ModelError: it finds neither the names of the virtual coordinates in the rig nor as many.
-        """
+        """Indices of the rig coordinates that the identity takes."""
         chosen = driven_coordinates.selected(self.rig.coordinates, self.virtual.coordinates)
         if chosen is None:
             raise ModelError(
@@ -94,14 +89,7 @@ class Transform:
         return chosen
 
     def slope(self, parameters: Mapping[str, float]) -> Array:
-        """J at zero coordinates (k, n); without sympy where T is linear.
-
-        Args:
-            parameters: values of the transform's own parameters.
-
-        Raises:
-            ModelError: as `expressions`.
-        """
+        """J at zero coordinates (k, n), for values of T's own parameters; without sympy where T is linear."""
         matrix, expressions = self.declaration.matrix, self.declaration.expressions
         if expressions is not None:
             known = dict.fromkeys(self.rig.equations.symbols.q, 0)
@@ -137,14 +125,7 @@ class Transform:
         return sp.ImmutableMatrix(len(rows), 1, rows)
 
     def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:
-        """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters.
-
-        Args:
-            graph: the graph to add to.
-            q: coordinates of the rig (n,).
-            v: velocities (n,).
-            p: parameters of the transform.
-        """
+        """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters."""
         s = self.rig.equations.symbols
         known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
         jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
@@ -206,17 +187,8 @@ class DesiredDynamics:
     ) -> Wanted:
         """Lower eta'' = F(tau, eta, eta', z), with the virtual system's inputs at zero, and its regulation.
 
-        Args:
-            graph: the graph to add to.
-            time: virtual time.
-            eta: virtual coordinates (k,).
-            rate: their rates (k,).
-            p: parameters of the virtual system.
-            regulation: as `values` gives it.
-            memory: internal states z of the virtual system, and then its delayed expressions.
-
-        Raises:
-            ModelError: an energy is to be held, and the virtual system has none.
+        `regulation` is as `values` gives it; `memory` are internal states z of the virtual system, and then its delayed
+        expressions. A ModelError where an energy is to be held, and the virtual system has none.
         """
         s = self.virtual.equations.symbols
         u = [graph.number(0.0)] * len(s.u)
@@ -249,14 +221,7 @@ class DesiredDynamics:
         return tuple(self.virtual.coordinates.index(name) for name in self.virtual.oscillators)
 
     def damped(self, graph: Graph, wanted: Sequence[Node], rate: Sequence[Node], damping: Node) -> list[Node]:
-        """Wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time.
-
-        Args:
-            graph: the graph to add to.
-            wanted: accelerations (k,).
-            rate: rates of the virtual coordinates (k,).
-            damping: node of the damping.
-        """
+        """Wanted accelerations (k,) with a damping of the oscillators, per unit of virtual time."""
         found = list(wanted)
         for i in self._moving:
             found[i] = graph.sub(wanted[i], graph.mul(damping, rate[i]))
@@ -267,15 +232,7 @@ class DesiredDynamics:
     ) -> list[Node]:
         """Lower dE/deta' of the virtual energy E (k,), 0 for what is no oscillator.
 
-        Args:
-            graph: the graph to add to.
-            time: virtual time.
-            eta: virtual coordinates (k,).
-            rate: their rates (k,).
-            p: parameters of the virtual system.
-
-        Raises:
-            ModelError: the virtual system has no energy.
+        A ModelError where the virtual system has no energy.
         """
         s, energy = self.virtual.equations.symbols, self.virtual.equations.energy
         if energy is None:
@@ -301,15 +258,7 @@ class Cancellation:
     ) -> tuple[list[Node], list[list[Node]], Node]:
         """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end.
 
-        Args:
-            graph: the graph to add to.
-            time: s.
-            q: coordinates (n,).
-            v: velocities and internal states.
-            p: parameters of the model.
-
-        Raises:
-            ModelError: an acceleration is not affine in the inputs.
+        A ModelError where an acceleration is not affine in the inputs.
         """
         s = self.model.equations.symbols
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
@@ -328,14 +277,8 @@ def decouple(
 ) -> tuple[list[Node], list[Node], Node]:
     """Inputs that give two virtual accelerations, and the health of what had to be inverted.
 
-    Solves W u = r for r = `cancel` and r = `drive`; where there are more inputs than coordinates, u is the
-    solution of least norm, u = W^T (W W^T)^-1 r.
-
-    Args:
-        graph: the graph to add to.
-        matrix: W (k, inputs).
-        cancel: r of the first (k,).
-        drive: r of the second (k,).
+    Solves W u = r, with W (k, inputs), for r = `cancel` and r = `drive` (k,); where there are more inputs than
+    coordinates, u is the solution of least norm, u = W^T (W W^T)^-1 r.
     """
     right = [[c, d] for c, d in zip(cancel, drive, strict=True)]
     inputs = len(matrix[0])
@@ -396,9 +339,7 @@ def check_actuation(model: Model, transform: Transform) -> None:
 def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
     """Fewest virtual coordinates without which the others can be driven; such as no input acts on directly.
 
-    Args:
-        decoupling: accelerations of the virtual coordinates by the inputs (k, inputs).
-        forced: forces of the inputs on them (k, inputs).
+    `decoupling` are accelerations of the virtual coordinates by the inputs, `forced` forces on them (k, inputs).
     """
     if not decoupling.size:
         return list(range(len(decoupling)))
@@ -410,13 +351,7 @@ def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:
 
 
 def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node]]) -> list[list[Node]]:
-    """Nodes of the product of two matrices of nodes, without work for zeros of the first.
-
-    Args:
-        graph: the graph to add to.
-        a: rows of n entries.
-        b: n rows.
-    """
+    """Nodes of the product of two matrices of nodes, without work for zeros of the first."""
     found = []
     for row in a:
         filled = [(x, other) for x, other in zip(row, b, strict=True) if not graph.is_number(x, 0.0)]
@@ -426,11 +361,5 @@ def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node
 
 
 def dot(graph: Graph, a: Sequence[Node], b: Sequence[Node]) -> Node:
-    """Node of the scalar product of two rows of nodes.
-
-    Args:
-        graph: the graph to add to.
-        a: a row.
-        b: another, of the same length.
-    """
+    """Node of the scalar product of two rows of nodes."""
     return graph.total([graph.mul(x, y) for x, y in zip(a, b, strict=True)])

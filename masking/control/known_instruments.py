@@ -64,8 +64,7 @@ class Instruments:
     def allocation_inverse(self) -> Array:
         """Commands of least norm for each input (actuators, inputs).
 
-        Raises:
-            ActuationError: the actuators cannot give each input independently of the others.
+        An ActuationError where the actuators cannot give each input independently of the others.
         """
         found = np.asarray(np.linalg.pinv(self.allocation), dtype=np.float64)
         missed = np.abs(np.diag(self.allocation @ found) - 1.0) > 1e-8
@@ -84,10 +83,9 @@ class Instruments:
         return np.array([s.gain.value * self.factors[s.gain.unit] / self.factors[s.unit] for s in declared])
 
     def limits(self) -> Array:
-        """Table of limits of the actuators (actuators, 4), as `masking.compile.numerics.sampled_loop` reads it.
+        """Limits of the actuators (actuators, 4), as `masking.compile.numerics.sampled_loop` reads them.
 
-        Raises:
-            ModelError: an actuator has no largest command.
+        A ModelError where an actuator has no largest command.
         """
         declared = self.plant.limits
         missing = [name for name in self.actuators if name not in declared.inputs]
@@ -114,14 +112,9 @@ class Instruments:
         return known[actuator].unit
 
     def plan(self, rate: float, noise: float | None) -> Plan:
-        """Plan of an observer: the model linearised at rest, the sensors and their noise.
+        """Plan of an observer: the model linearised at rest, the sensors and their noise, one for all if given.
 
-        Args:
-            rate: samples per second.
-            noise: standard deviation of every reading; that of the plant file where it is None.
-
-        Raises:
-            ModelError: the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
+        A ModelError where the sensors do not tell every coordinate, their noise is not known, or the rate is too low.
         """
         n = len(self.model.coordinates)
         dynamics, driven = self.linear()
@@ -198,11 +191,7 @@ class Instruments:
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
 
     def rest(self) -> Array:
-        """Coordinates (n,) at which the model rests without inputs.
-
-        Raises:
-            ModelError: there is no such position near 0.
-        """
+        """Coordinates (n,) at which the model rests without inputs; a ModelError where there are none near 0."""
         model, n = self.model, len(self.model.coordinates)
         inputs, p = np.zeros(len(model.inputs)), model.values()
         internal = [s.initial for s in model.declaration.states.values()]

@@ -84,11 +84,7 @@ class Controller:
 
 
 def check_same_rig(assumed: Model, plant: Model) -> None:
-    """Refuse a controller's model whose coordinates and inputs are not those of the plant.
-
-    Raises:
-        ModelError: names both.
-    """
+    """Refuse a controller's model whose coordinates and inputs are not those of the plant."""
     for what in ("coordinates", "inputs"):
         ours, theirs = getattr(assumed, what), getattr(plant, what)
         if ours != theirs:
@@ -125,14 +121,7 @@ class ControlLaw:
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, homing: Homing | None = None) -> ControlLaw:
-        """Lower the control law into a graph, for given nodes of time and rig state.
-
-        Args:
-            controller: the controller.
-            graph: the graph to add to.
-            rig: nodes of time, rig state, the accelerations that the model lacks, and the energy balance's damping.
-            homing: how the rig is brought to its initial state before the release, if it is.
-        """
+        """Lower the control law into a graph, for given nodes of the rig, and of its homing, if there is one."""
         p = ControllerParameters.of(controller, graph)
         time = graph.div(rig.t, p.time_scale)
         xi = [graph.div(q, length) for q, length in zip(rig.q, p.lengths, strict=True)]
@@ -204,14 +193,7 @@ class Homing:
     time: Node  # node of the length of the homing phase, s
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Wanted virtual accelerations, replaced before the release by those of homing.
-
-        Args:
-            graph: the graph to add to.
-            rig: nodes of time and rig state.
-            jacobian: J (k, n).
-            wanted: virtual accelerations after the release (k,).
-        """
+        """Wanted virtual accelerations (k,), replaced before the release by those of homing, with J (k, n)."""
         number, mul = graph.number, graph.mul
         one = number(1.0)
         moving = mul(number(MOVING_PART), self.time)

@@ -89,11 +89,7 @@ class Differences:
     order = 0
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Coordinates per unit of reading (n, sensors).
-
-        Raises:
-            ModelError: a coordinate has no sensor.
-        """
+        """Coordinates per unit of reading (n, sensors); a ModelError where one has no sensor."""
         del offset
         if plan.unseen:
             raise ModelError(
@@ -127,14 +123,9 @@ class Kalman:
             raise ModelError(f"observer.order {self.order}: allowed are 0, 1 (a constant disturbance) and 2 (a line)")
 
     def gain(self, plan: Plan, offset: int) -> Array:
-        """Steady Kalman gain: correction of [q, v, s, d, ...] per unit of reading.
+        """Steady Kalman gain (2 n + offset + order n, sensors): correction of [q, v, s, d, ...] per unit of reading.
 
-        Args:
-            plan: what the observer is for.
-            offset: number of internal states s, which are not corrected.
-
-        Returns:
-            (2 n + offset + order n, sensors).
+        The `offset` internal states s are not corrected.
         """
         seen, n, sensors = plan.seen, plan.coordinates, len(plan.sensing)
         found = _steady(plan.of_seen(), self.order, self.bandwidths(plan)[seen])
@@ -234,12 +225,7 @@ def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
 def check_rate(rate: float, dynamics: Array) -> None:
     """Refuse a rate at which the rig moves on by more than a radian from one sample to the next.
 
-    Args:
-        rate: samples per second.
-        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
-
-    Raises:
-        ModelError: says which rate would do.
+    `dynamics` (2 n, 2 n): d [q, v] / dt = dynamics [q, v] of the model at rest. A ModelError says which rate would do.
     """
     fastest = float(np.abs(np.linalg.eigvals(dynamics)).max())
     if rate < fastest:
@@ -251,24 +237,14 @@ def check_rate(rate: float, dynamics: Array) -> None:
 
 
 def unseen(sensing: Array) -> tuple[int, ...]:
-    """Coordinates that no reading depends on.
-
-    Args:
-        sensing: readings per unit of each coordinate (sensors, n).
-    """
+    """Coordinates that no reading depends on, by readings per unit of each (sensors, n)."""
     return tuple(int(i) for i in np.flatnonzero(~sensing.any(axis=0)))
 
 
 def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence[str]) -> None:
     """Refuse coordinates that only the model follows, and that do not come to rest by themselves.
 
-    Args:
-        dynamics: (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest.
-        hidden: indices of the coordinates without a sensor.
-        coordinates: names.
-
-    Raises:
-        ModelError: names them.
+    `dynamics` (2 n, 2 n): d [q, v] / dt = dynamics [q, v] of the model at rest; `hidden` are those without a sensor.
     """
     both = [*hidden, *(len(coordinates) + i for i in hidden)]
     if hidden and np.linalg.eigvals(dynamics[np.ix_(both, both)]).real.max() >= 0.0:
@@ -280,16 +256,7 @@ def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence
 
 
 def check_sensing(sensing: Array, coordinates: Sequence[str], sensors: Sequence[str]) -> None:
-    """Refuse sensors that do not tell every coordinate.
-
-    Args:
-        sensing: readings per unit of each coordinate (sensors, n).
-        coordinates: names.
-        sensors: names.
-
-    Raises:
-        ModelError: names the coordinates that are not observed.
-    """
+    """Refuse sensors that do not tell every coordinate, by readings per unit of each (sensors, n)."""
     observed = np.linalg.pinv(sensing) @ sensing if len(sensing) else np.zeros((len(coordinates),) * 2)
     missed = [name for i, name in enumerate(coordinates) if abs(observed[i, i] - 1.0) > 1e-8]
     if missed:

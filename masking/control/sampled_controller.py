@@ -85,11 +85,7 @@ class SampledController:
 
     @cached_property
     def lags(self) -> Array:
-        """Delays of the virtual system's delayed expressions, in samples.
-
-        Raises:
-            ModelError: one is shorter than the time between samples.
-        """
+        """Delays of the virtual system's delayed expressions, in samples, which are at least one."""
         found = self.controller.virtual.delays() * self.controller.time_scale * self.rate
         if len(found) and found.min() < 1.0:
             raise ModelError(
@@ -122,8 +118,7 @@ class SampledController:
     def gain(self) -> Array:
         """Observer's gain, C-contiguous.
 
-        Raises:
-            ModelError: the observer is faster than the sampling allows, or the noise or a limit is not known.
+        A ModelError where it is faster than the sampling allows, or the noise or a limit is not known.
         """
         noise = self.noise if self.has_model else 1.0
         plan = self.instruments.plan(self.rate, noise)
@@ -160,11 +155,7 @@ class SampledController:
 
     @cached_property
     def kernels(self) -> Kernels:
-        """Compiled controller; from the cache on disk where it has been made before.
-
-        Raises:
-            ActuationError: the inputs cannot accelerate every virtual coordinate.
-        """
+        """Compiled controller; from the cache on disk where it has been made before."""
         return Kernels(store.load(store.key({"sampled": self.structure()}), self._build))
 
     def _build(self) -> Module:
@@ -203,11 +194,7 @@ class SampledController:
         module.add_factory("transforms", sampled_loop.transforms, "transform", sizes.coordinates)
 
     def begin(self, readings: Array) -> Beginning:
-        """How a controller begins on a rig at rest, which it holds where it is.
-
-        Args:
-            readings: what the sensors read first (sensors,).
-        """
+        """How a controller begins on a rig at rest, which reads (sensors,) first, and is held where it is."""
         sizes, n = self.sizes, self.sizes.coordinates
         q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
         internal = [state.initial for state in self.controller.model.declaration.states.values()]

@@ -82,8 +82,7 @@ class SampledStep:
     def virtual(self) -> tuple[Array, Array, BoundFunction]:
         """Computation of the virtual motion from the estimate.
 
-        Returns:
-            an array (1,) for the time in s, the virtual coordinates and velocities (2 k,), and what computes them.
+        Returns an array (1,) for the time in s, the virtual coordinates and velocities (2 k,), and what computes them.
         """
         time, n = np.zeros(1), self.sampled.sizes.coordinates
         found = np.zeros(2 * len(self.sampled.controller.virtual.coordinates))
@@ -171,12 +170,7 @@ class SampledStep:
             self.power[:] = before + part * (limits[:, HEATING] * command**2 - before)
 
     def _stop(self, status: int, index: int) -> NoReturn:
-        """Raise what a status stands for; from now on each call does, until `reset`.
-
-        Raises:
-            CommandError: the commands are not finite.
-            SingularityError: a matrix became singular.
-        """
+        """Raise what a status stands for; from now on each call does, until `reset`."""
         bad = [name for name, value in zip(self.actuators, self.applied, strict=True) if not np.isfinite(value)]
         self.applied[:] = 0.0
         self._call = _stopped(f"sample {index}")
@@ -286,11 +280,7 @@ def _buffers(array: Any) -> tuple[Any, Any]:  # noqa: ANN401  (what ctypes takes
 
 
 def _copy(given: ArrayLike, target: Array, what: str, names: Sequence[str]) -> None:
-    """Copy one number for each name, and a single number where one is wanted.
-
-    Raises:
-        PlantMismatchError: there is not one number for each name.
-    """
+    """Copy one number for each name, and a single number where one is wanted; refuse anything else."""
     if len(names) == 1 and isinstance(given, int | float | np.number):
         target[0] = given
         return

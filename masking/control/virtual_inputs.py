@@ -101,14 +101,7 @@ class Feed:
         return bool(self.sensors or self.pushes)
 
     def forces(self, graph: Graph, controller: Controller, known: dict[object, Node], d: list[Node]) -> list[Node]:
-        """Nodes of the force along the coordinate of each push.
-
-        Args:
-            graph: the graph to add to.
-            controller: with the model of the rig.
-            known: nodes of its symbols.
-            d: accelerations that the model lacks (n,).
-        """
+        """Nodes of the force along the coordinate of each push, with accelerations `d` that the model lacks (n,)."""
         mass = controller.model.equations.mass.tolist()
         return [
             graph.total([graph.mul(graph.lower(m, known), a) for m, a in zip(mass[one.coordinate], d, strict=True)])

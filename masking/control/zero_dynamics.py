@@ -100,11 +100,7 @@ class Held:
         return eta.ravel(), jacobian / self.lengths
 
     def placed(self, z: Array) -> Root:
-        """Rig coordinates (n,) at passive ones z (m,), with the slope [J; passive] there (n, n).
-
-        Raises:
-            ModelError: there are none.
-        """
+        """Rig coordinates (n,) at passive ones z (m,), with the slope [J; passive] there (n, n), if there are any."""
         n = len(self.lengths)
         start = np.zeros(n)
         start[self.passive] = z
@@ -140,13 +136,10 @@ class Held:
         return np.asarray((free + driven @ u)[self.passive], dtype=np.float64)
 
     def zero_dynamics(self) -> ZeroDynamics:
-        """Zero dynamics about the rest that is nearest to zero.
+        """Zero dynamics about the rest that is nearest to zero; a ModelError where there is none.
 
         Damping is that of velocities at which the rig passes rest in oscillations of a unit of length, as for an
         observer: dry friction has no slope at rest.
-
-        Raises:
-            ModelError: the passive coordinates do not rest anywhere near zero.
         """
         lengths, m = self.plant.lengths[self.passive], len(self.passive)
         still = np.zeros(m)

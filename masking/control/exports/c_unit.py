@@ -23,12 +23,7 @@ STATUS = "0 while it runs; 2: a matrix became singular; 3: not finite; 7: the wa
 
 
 class CUnit:
-    """The text of a unit in C.
-
-    Args:
-        unit: the unit.
-        real: `double` or `float`.
-    """
+    """The text of a unit in C, whose numbers are `double` or `float`."""
 
     def __init__(self, unit: Unit, real: str) -> None:
         self.unit, self.real = unit, real
@@ -62,11 +57,7 @@ class CUnit:
         return filled("unit.h", marks)
 
     def source(self) -> str:
-        """Source.
-
-        Raises:
-            ModelError: a constant is too large for the type of numbers.
-        """
+        """Source; a ModelError where a constant is too large for the type of numbers."""
         unit = self.unit
         functions = CFunctions(self._module(), self.real)
         public = []

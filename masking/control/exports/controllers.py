@@ -22,13 +22,7 @@ WATCH = "Count a period, from a timer; without a step for too long, set the comm
 
 
 def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit:
-    """Sampled controller as a unit.
-
-    Args:
-        sampled: the controller.
-        name: of the unit.
-        watchdog: seconds without a step after which commands are zero.
-    """
+    """Sampled controller as a unit; `watchdog` s without a step set its commands to zero."""
     module, sizes, known = Module(name, {}), sampled.sizes, sampled.instruments
     sampled.add_to(module)
     period, a = 1.0 / sampled.rate, sizes.actuators
@@ -103,10 +97,7 @@ def _begin(sampled: SampledController, operations: Operations) -> dict[str, Arra
 def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     """Control law that is given the rig's states as a unit: it has no observer and no limits.
 
-    Args:
-        loop: controller and plant; only the controller is exported.
-        name: of the unit.
-        rate: samples per second, where the law runs at a rate.
+    Of the loop, only the controller is exported; `rate` are samples per second, where the law runs at one.
     """
     loop.controller.virtual.check_no_delays("the export of a control law that is given the states")
     module, controller = module_of(loop), loop.controller

@@ -9,12 +9,7 @@ from masking.control.exports.unit import Unit
 
 
 def programs(unit: Unit, real: str) -> dict[str, str]:
-    """Texts of example programs by the names of their files.
-
-    Args:
-        unit: the unit.
-        real: `double` or `float`.
-    """
+    """Texts of example programs by the names of their files, with numbers that are `double` or `float`."""
     is_law = unit.kind == "law"  # which is given the time before the readings
     names = Names("&unit", "in + 1" if is_law else "in", "out", "in[0]", "status")
     ports = {"sensors": "readings", "actuators": "commands"}

@@ -17,13 +17,7 @@ from masking.model.modelling.model import Model
 
 
 def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
-    """Simulated rig as a unit, at rest and unpowered.
-
-    Args:
-        twin: the rig.
-        name: of the unit.
-        rate: samples per second.
-    """
+    """Simulated rig as a unit, at rest and unpowered, that takes a number of samples per second."""
     module = Module(name, {})
     twin.add_to(module)
     state, values, late = twin.unpowered(), twin.values(), twin.late(rate)
@@ -62,12 +56,9 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
 
 
 def model_unit(model: Model, name: str, rate: float) -> Unit:
-    """Model as a unit, in its initial state; coordinates without one begin at 0.
+    """Model, in SI units or in its scales, as a unit, in its initial state; coordinates without one begin at 0.
 
-    Args:
-        model: the model, in SI units, or in its scales.
-        name: of the unit.
-        rate: steps per second, or per unit of the model's time.
+    `rate` are steps per second, or per unit of the model's time.
     """
     model.check_ordinary("an exported model")
     module = lowering.module(model.equations)

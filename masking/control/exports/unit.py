@@ -70,13 +70,7 @@ class Unit:
 
 
 class Operations(dict[str, Operation]):
-    """Operations of a unit by name, whose kernels are added to its module with them.
-
-    Args:
-        module: of the unit.
-        start: its first sample.
-        period: as that of the unit.
-    """
+    """Operations of a unit by name, whose kernels are added to its module with them; `start` is its first sample."""
 
     def __init__(self, module: Module, start: int, period: float | None) -> None:
         self.module = module
@@ -85,14 +79,10 @@ class Operations(dict[str, Operation]):
             module.add_factory("instant", unit_kernels.instant, period, exported=False)
 
     def add(self, name: str, text: str, arguments: str, *kernel: Any, returns_status: bool = False) -> None:  # noqa: ANN401
-        """Add an operation.
+        """Add an operation; `text` says what it does, in one sentence.
 
-        Args:
-            name: of the operation.
-            text: what it does, in one sentence.
-            arguments: of its kernel, as `Operation` has them, in one line.
-            kernel: its factory, and what that is given.
-            returns_status: whether it returns a status.
+        `arguments` are those of its kernel, as `Operation` has them, in one line; `kernel` is its factory, and what
+        that is given.
         """
         self.module.add_factory(f"unit_{name}", *kernel, exported=False)
         self[name] = Operation(tuple(arguments.split()), text, returns_status)

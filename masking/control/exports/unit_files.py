@@ -14,14 +14,7 @@ ENDINGS = {"c": ".c", "fmu": f"_fmi{fmu_unit.VERSIONS[0]}.fmu"}  # of a file tha
 
 
 def write(unit: Unit, folder: Path, to: str, real: str) -> tuple[Path, ...]:
-    """Write a unit into a folder, and return its files.
-
-    Args:
-        unit: the unit.
-        folder: made where it is not there.
-        to: `c` or `fmu`.
-        real: numbers of C.
-    """
+    """Write a unit into a folder as `c`, whose numbers are of a type, or as `fmu`, and return its files."""
     folder.mkdir(parents=True, exist_ok=True)
     if to == "fmu":
         return fmu_unit.write(unit, folder)

@@ -88,8 +88,7 @@ def count(counters: IntVector) -> None:
 def resting(clear: Kernel, memory: int, parameters: int, actuators: int) -> Kernel:
     """Make the beginning of a controller of which nothing depends on the first readings.
 
-    Returns:
-        `init(readings, unit, memory0, values, holding)`.
+    It is `init(readings, unit, memory0, values, holding)`.
     """
 
     def init(readings: Vector, unit: Memory, memory0: Vector, values: Vector, holding: Vector) -> None:
@@ -107,19 +106,9 @@ def beginning(
 ) -> Kernel:
     """Make the beginning of a controller on a rig that rests where the first readings say.
 
-    The coordinates that give these readings are found by Newton's method, with the inverse of the sensors at rest.
-
-    Args:
-        clear: begins at a sample.
-        measure: what the sensors would read.
-        still: the inputs that hold the rig where it is.
-        allocate: commands of inputs.
-        wire: inputs of commands.
-        sizes: of the controller.
-        start: how it begins.
-
-    Returns:
-        `init(readings, unit, work, memory0, values, inverse, limits)`.
+    It is `init(readings, unit, work, memory0, values, inverse, limits)`. The coordinates that give these readings are
+    found by Newton's method, with the inverse of the sensors at rest. `measure` is what the sensors would read, `still`
+    the inputs that hold the rig where it is, `allocate` commands of inputs, and `wire` inputs of commands.
     """
     memory, parameters, homing = start.memory, start.parameters, start.homing
     period, is_held = start.period, start.is_held
@@ -167,8 +156,7 @@ def beginning(
 def controller_step(control: Kernel, instant: Kernel, actuators: int, period: float) -> Kernel:
     """Make the step of a sampled controller; where it cannot go on, commands are zero until `init`.
 
-    Returns:
-        `step(readings, commands, unit, demanded, applied, work, first, counters) -> status`.
+    It is `step(readings, commands, unit, demanded, applied, work, first, counters) -> status`.
     """
 
     def step(
@@ -200,9 +188,8 @@ def controller_step(control: Kernel, instant: Kernel, actuators: int, period: fl
 def miss_with_model(control: Kernel, instant: Kernel, sizes: Sizes, period: float) -> Kernel:
     """Make the step over a sample that was missed, as `masking.control.stepwise_controller.SampledStep` takes it.
 
-    Returns:
-        `miss(readings, unit, applied, unsent, before, work, counters)`, for the readings of the next sample and a gain
-        of zero.
+    It is `miss(readings, unit, applied, unsent, before, work, counters)`, for the readings of the next sample and a
+    gain of zero.
     """
     channels, powers = sizes.actuators, sizes.power.start
 
@@ -222,11 +209,7 @@ def miss_with_model(control: Kernel, instant: Kernel, sizes: Sizes, period: floa
 
 
 def miss_with_differences(skip: Kernel, instant: Kernel, period: float) -> Kernel:
-    """Make the step over a missed sample of a controller without a model.
-
-    Returns:
-        `miss(x, p, applied, work, counters, limits)`.
-    """
+    """Make `miss(x, p, applied, work, counters, limits)`, over a missed sample of a controller without a model."""
 
     def miss(x, p, applied, work, counters, limits):
         skip(instant(counters[INDEX]), period, x, p, limits, applied, work)
@@ -236,11 +219,9 @@ def miss_with_differences(skip: Kernel, instant: Kernel, period: float) -> Kerne
 
 
 def watchdog(actuators: int, patience: int) -> Kernel:
-    """Make the watchdog, which is called once a period.
+    """Make the watchdog `watch(commands, counters) -> status`, which is called once a period.
 
-    Returns:
-        `watch(commands, counters) -> status`, which sets the commands to zero where no step was made for `patience`
-        periods, until `init`.
+    It sets the commands to zero where no step was made for `patience` periods, until `init`.
     """
 
     def watch(commands, counters):
@@ -267,11 +248,7 @@ def law_beginning(clear: Kernel, parameters: int) -> Kernel:
 
 
 def law_step(law: Kernel, size: int, coordinates: int, inputs: int) -> Kernel:
-    """Make the step of a control law that is given the states.
-
-    Returns:
-        `step(time, readings, commands, p, first, counters) -> status`.
-    """
+    """Make `step(time, readings, commands, p, first, counters) -> status` of a control law that is given the states."""
 
     def step(time, readings, commands, p, first, counters):
         for i in range(inputs):

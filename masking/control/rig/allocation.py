@@ -16,13 +16,8 @@ from masking.model.declaration.units import factor_of
 def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Mapping[str, float]) -> Array:
     """Input of a model, in SI units, per unit of each actuator, in its unit (inputs, actuators).
 
-    Args:
-        plant: the plant file; without `actuators`, each input is an actuator.
-        model: the model that the plant file names.
-        parameters: its parameters in SI units.
-
-    Raises:
-        DeclarationError: an input is not wired, or not linear in the actuators.
+    The parameters of the model are in SI units; without `actuators` in the plant file, each input is an actuator. A
+    DeclarationError where an input is not wired, or not linear in the actuators.
     """
     sizes = np.array([factor_of(channel.unit) for channel in (plant.actuators or model.inputs).values()])
     if not plant.actuators:

@@ -108,11 +108,7 @@ class Twin:
         return tuple(s.name for s in equations.symbols.p if s in held and s.name in own)
 
     def validate(self) -> None:
-        """Refuse effects and allocation that do not fit the model.
-
-        Raises:
-            DeclarationError: lists all effects and all lines of the allocation that do not.
-        """
+        """Refuse effects and allocation that do not fit the model; a DeclarationError lists all of them."""
         _ = self.dictionary, self.effects, self.allocation, self.attached
 
     @cached_property
@@ -124,8 +120,7 @@ class Twin:
     def effects(self) -> tuple[PlacedEffect, ...]:
         """Every effect at every place, in declared order.
 
-        Raises:
-            DeclarationError: there is no such effect or place, or a parameter is unknown or missing.
+        A DeclarationError where there is no such effect or place, or a parameter is unknown or missing.
         """
         problems: list[Problem] = []
         for name in self.changes:

@@ -23,14 +23,8 @@ GROUP: Final = "masking.plants"
 def connect(address: str, key: Key | None = None) -> Plant:
     """Plant at an address such as `udp://127.0.0.1:5005`; nothing is reached before it is configured.
 
-    Args:
-        address: of the plant.
-        key: that its server has, too.
-
-    Raises:
-        PlantMismatchError: no adapter has this scheme, its library is missing, the address is wrong, or a key is given
-            where there are no frames.
-        PlantError: the adapter fails.
+    `key` is that which its server has, too. A PlantMismatchError where no adapter has this scheme, its library is
+    missing, the address is wrong, or a key is given where there are no frames; a PlantError where the adapter fails.
     """
 
     def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to
@@ -44,10 +38,9 @@ def connect(address: str, key: Key | None = None) -> Plant:
 
 
 def listen(address: str) -> Hub:
-    """Line at which a plant is served, such as `udp://127.0.0.1:5005`.
+    """Line at which a plant is served, such as `udp://127.0.0.1:5005`; raises what `connect` does.
 
-    Raises:
-        PlantMismatchError: as for `connect`; or plants are not served at such addresses.
+    A PlantMismatchError also where plants are not served at such addresses.
     """
 
     def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to

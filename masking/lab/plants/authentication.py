@@ -41,11 +41,7 @@ _MAKE: Final = "make one with 'openssl rand -hex 32 > FILE; chmod 600 FILE', and
 
 @final
 class Key:
-    """A key that a server and its controllers share; it is shown nowhere.
-
-    Args:
-        secret: at least 16 bytes that nobody can guess.
-    """
+    """A key of at least 16 bytes that a server and its controllers share, and nobody can guess; it is shown nowhere."""
 
     def __init__(self, secret: bytes) -> None:
         if not SHORTEST <= len(secret) <= _LONGEST:
@@ -54,10 +50,9 @@ class Key:
 
     @classmethod
     def read(cls, path: str | Path) -> Key:
-        """Read a key from a file that only its owner can read; white space around it is no part of it.
+        """Read a key from a file that only its owner can use; white space around it is no part of it.
 
-        Raises:
-            PlantMismatchError: the file cannot be read, others can read or write it, or it holds no key.
+        A PlantMismatchError where the file cannot be read, others can read or write it, or it holds no key.
         """
         try:
             number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
@@ -74,12 +69,7 @@ class Key:
             raise PlantMismatchError(f"{path}: {error}") from error
 
     def tags(self, session: int, nonce: bytes = b"") -> tuple[_Tags, _Tags]:
-        """Tags of the frames of a session to the plant, and to the controller.
-
-        Args:
-            session: number of the session, below 2**64.
-            nonce: of the server; empty before it is known.
-        """
+        """Tags of the frames of a session to the plant, and to the controller; no nonce before it is known."""
         about = session.to_bytes(8, "little") + nonce
         to_plant, to_controller = (hashlib.blake2b(way + about, key=self._shared).digest() for way in (_FORWARD, _BACK))
         return _Tags(to_plant), _Tags(to_controller)
@@ -122,12 +112,7 @@ class _Tags:
 
 @final
 class AuthenticatedLine:
-    """The controller's end of a line whose frames have tags.
-
-    Args:
-        line: that carries them.
-        key: that the server has, too.
-    """
+    """The controller's end of a line whose frames have tags, by the key that the server has, too."""
 
     def __init__(self, line: Line, key: Key) -> None:
         self._line, self._key = line, key
@@ -152,8 +137,7 @@ class AuthenticatedLine:
     def receive(self) -> bytes:
         """Frame that waits, without its tag; a challenge is answered, and is a BlockingIOError.
 
-        Raises:
-            WireError: its tag is wrong.
+        A WireError where its tag is wrong.
         """
         tagged = self._line.receive()
         if len(tagged) >= wire.SMALLEST + TAG:
@@ -176,12 +160,7 @@ class AuthenticatedLine:
 
 @final
 class AuthenticatedHub:
-    """The plant's end of lines whose frames have tags.
-
-    Args:
-        hub: that carries them.
-        key: that its controllers have, too.
-    """
+    """The plant's end of lines whose frames have tags, by the key that its controllers have, too."""
 
     def __init__(self, hub: Hub, key: Key) -> None:
         self._hub, self._key = hub, key
@@ -200,9 +179,7 @@ class AuthenticatedHub:
     def receive(self) -> tuple[bytes, Peer]:
         """Frame that waits, without its tag, and where it came from; a first hello is challenged.
 
-        Raises:
-            OSError: there is none, or it was challenged.
-            WireError: its tag is wrong.
+        An OSError where there is none, or it was challenged; a WireError where its tag is wrong.
         """
         tagged, peer = self._hub.receive()
         if len(tagged) < wire.SMALLEST:

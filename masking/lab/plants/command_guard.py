@@ -31,8 +31,7 @@ class Guard(Protocol):
     def check(self, sample: Sample, command: Array) -> str:
         """Bring a command (actuators,) within the limits, in place.
 
-        Returns:
-            why the plant must stop, as a sentence; empty where it need not. The command is not written then.
+        Returns why the plant must stop, as a sentence; empty where it need not. The command is not written then.
         """
         ...
 
@@ -41,8 +40,7 @@ class Guard(Protocol):
 class PlantLimits:
     """Holds a plant to the limits of a plant file by a safety chain of its own.
 
-    Args:
-        rules: what the plant is held to, at a number of samples per second; of channels that it has, in any order.
+    `rules` gives what it is held to at a number of samples per second; of channels that it has, in any order.
     """
 
     def __init__(self, rules: Callable[[float], Rules]) -> None:
@@ -58,11 +56,7 @@ class PlantLimits:
         return {"clamped": clamped} if clamped else {}
 
     def begin(self, plant: Plant, settings: Settings) -> None:
-        """Begin a chain for the plant's channels.
-
-        Raises:
-            PlantMismatchError: the plant does not have one of those that are limited.
-        """
+        """Begin a chain; a PlantMismatchError where the plant lacks a channel that is limited."""
         rules = self._rules(settings.rate)
         self._sensors = _places("sensor", rules.sensors, plant.sensors)
         self._actuators = _places("actuator", rules.actuators, plant.actuators)

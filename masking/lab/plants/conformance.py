@@ -58,15 +58,8 @@ def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: fl
 def reach(make_plant: MakePlant, settings: Settings, amplitude: float, largest: float = np.inf) -> None:
     """See that there is a plant to check, before every rule fails since there is none, and what its actuators bear.
 
-    Args:
-        make_plant: makes an unconfigured plant.
-        settings: what it is configured with.
-        amplitude: magnitude of the commands that are tried.
-        largest: magnitude that every actuator bears.
-
-    Raises:
-        PlantError: it cannot be configured.
-        PlantMismatchError: the amplitude is no positive number, or larger than an actuator bears.
+    Commands are tried up to an amplitude, which must be positive and no more than the `largest` that every actuator
+    bears: else a PlantMismatchError; a PlantError where the plant cannot be configured.
     """
     if not 0.0 < amplitude < float("inf"):
         raise PlantMismatchError(f"the amplitude is {amplitude:g}; give a positive number in the actuators' units")

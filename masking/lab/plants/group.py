@@ -71,11 +71,7 @@ class PlantGroup:
         return Sample(max(self._read[name] - first for name, first in self._first.items()), np.concatenate(values))
 
     def write(self, index: int, command: Array) -> None:
-        """Give each plant its part of the command (actuators,), as the answer to its own last sample.
-
-        Raises:
-            CommandError: it is not one finite number for each actuator.
-        """
+        """Give each plant its part of the command (actuators,), as the answer to its own last sample."""
         self._life.need_active("write")
         check_command(command, self.actuators)
         first = 0
@@ -119,13 +115,8 @@ class PlantGroup:
 def connect_each(addresses: Sequence[str], names: Sequence[str], key: Key | None = None) -> Plant:
     """Plant at an address, or the plants of an experiment together.
 
-    Args:
-        addresses: one, or `name=address` for each name.
-        names: of the plants of an experiment with several; empty where it has one.
-        key: that the servers of all have, too.
-
-    Raises:
-        PlantMismatchError: they are others, or no adapter has them.
+    There is one address, or `name=address` for each of the names; `key` is that which the servers of all have, too. A
+    PlantMismatchError where they are others, or no adapter has them.
     """
     pairs = [address.partition("=") for address in addresses]
     found = {name: address for name, is_named, address in pairs if is_named}

@@ -181,16 +181,7 @@ def check_command(command: Array, actuators: tuple[str, ...]) -> None:
 
 
 def check_answer(tick: int, command: Array, actuators: tuple[str, ...]) -> None:
-    """Refuse a command that answers no sample, or that `check_command` refuses.
-
-    Args:
-        tick: of the last sample that was read; negative before the first.
-        command: one number for each actuator (actuators,).
-        actuators: their names.
-
-    Raises:
-        CommandError: it is refused.
-    """
+    """Refuse a command that answers no sample, since none was read (tick < 0), or that `check_command` refuses."""
     check_command(command, actuators)
     if tick < 0:
         raise CommandError("write: there is no sample to answer yet; call read first")

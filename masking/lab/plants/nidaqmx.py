@@ -57,8 +57,7 @@ class NidaqmxPlant:
     def configure(self, settings: Settings) -> None:
         """Set the outputs to zero, and reserve channels and clock.
 
-        Raises:
-            PlantMismatchError: lockstep is asked for, or the card cannot do what the address or the rate say.
+        A PlantMismatchError where lockstep is asked for, or the card cannot do what the address or the rate say.
         """
         if settings.lockstep:
             raise PlantMismatchError(f"{self._device} keeps its own time; leave out lockstep")
@@ -97,8 +96,7 @@ class NidaqmxPlant:
     def read(self) -> Sample:
         """Wait for the next edge of the clock.
 
-        Raises:
-            PlantLostError: the card stopped, a sample was too late for it, or no command came for the watchdog's time.
+        A PlantLostError where the card stopped, a sample was too late, or no command came for the watchdog's time.
         """
         self._life.need_active("read")
         values = np.empty(len(self.sensors))

@@ -34,12 +34,9 @@ _EARLY_NS: Final = 0 if sys.platform == "linux" else 500_000  # what time.sleep 
 
 @final
 class Deadlines:
-    """Instants one period apart on the monotonic clock, from the construction on; a missed one is never made up for.
+    """Instants 1 / rate apart on the monotonic clock, from now on; a missed one is never made up for.
 
     `missed` counts the periods that were left out.
-
-    Args:
-        rate: Hz.
     """
 
     def __init__(self, rate: float) -> None:
@@ -50,11 +47,8 @@ class Deadlines:
     def wait(self, stop: Stop, every: float = POLL) -> float:
         """Wait for the next instant, or until asked to stop; return how late it was missed or met, in seconds.
 
-        Where it passed more than a period ago, it and those after it are left out up to the next one to come.
-
-        Args:
-            stop: looked at once, and then time and again while there is time.
-            every: seconds between these.
+        Where it passed more than a period ago, it and those after it are left out up to the next one to come. `stop` is
+        looked at once, and then every `every` seconds while there is time.
         """
         self._tick += 1
         late = time.monotonic_ns() - self._instant

@@ -75,10 +75,8 @@ class RemotePlant(ABC):
     def configure(self, settings: Settings) -> None:
         """Open a session and learn the names of the channels.
 
-        Raises:
-            PlantLostError: nobody answers.
-            PlantRefusedError: the plant is taken, does not accept these settings, or has another key.
-            PlantMismatchError: what answers does not name its channels.
+        A PlantLostError where nobody answers; a PlantRefusedError where the plant is taken, does not accept these
+        settings, or has another key; a PlantMismatchError where what answers does not name its channels.
         """
         self._life.configure()
         self.deactivate()
@@ -122,9 +120,8 @@ class RemotePlant(ABC):
     def read(self) -> Sample:
         """Wait for the next sample and return the newest; in lockstep the one that follows the last command.
 
-        Raises:
-            PlantLostError: none came in time, too many are missing, or the plant ended the session; says why.
-            EmergencyStopError: that of the plant is pressed.
+        A PlantLostError where none came in time, too many are missing, or the plant ended the session, and says why; an
+        EmergencyStopError where that of the plant is pressed.
         """
         self._life.need_active("read")
         newest, began = None, time.monotonic()

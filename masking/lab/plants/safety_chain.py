@@ -165,11 +165,7 @@ class Rules:
 
     @classmethod
     def of_commands(cls, largest: Array, sensors: Sequence[str], actuators: Sequence[str], rate: float) -> Rules:
-        """Rules of a rig of which only the largest commands (actuators,) are known.
-
-        Raises:
-            PlantMismatchError: there is not one positive number for each actuator.
-        """
+        """Rules of a rig of which only the largest commands (actuators,) are known, positive numbers."""
         largest = np.array(largest, dtype=np.float64)
         if largest.shape != (len(actuators),) or not np.all(largest > 0.0) or not np.all(np.isfinite(largest)):
             names = ", ".join(actuators)
@@ -197,12 +193,8 @@ def kernels() -> Kernels:
 class Chain:
     """The chain of one run: `watch` the readings of a tick, let the controller answer, and write what `guard` returns.
 
-    Attributes:
-        trip: why it tripped; None while it has not.
-
-    Args:
-        rules: what the rig is held to.
-        estimate: what the controller knows of the rig's states, which it changes in place; where rules need it.
+    `trip` is why it tripped; None while it has not. `estimate` is what the controller knows of the rig's states, which
+    it changes in place; where rules need it.
     """
 
     def __init__(self, rules: Rules, estimate: Array | None = None) -> None:
@@ -274,14 +266,8 @@ class Chain:
     def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
         """Look at the time of a tick that is late, or before which samples were missed; others need no look.
 
-        Trips where five ticks in a row are late, where too many of a second are, and where the plant was silent.
-
-        Args:
-            tick: of the plant's clock.
-            is_late: whether it is late.
-            silence: periods waited for it.
-            missed: samples before it that were missed.
-            lost: those of them that never came.
+        Trips where five ticks in a row are late, where too many of a second are, and where the plant was silent:
+        `silence` are the periods waited for it, and `lost` those of the `missed` samples that never came.
         """
         if silence > _LOST + 1.5 and lost > _LOST:
             self.stop(Cause.COMM_LOST, tick, value=silence, limit=_LOST)

@@ -296,13 +296,8 @@ class _Server:
     def answers(self, session: Session, sample: Sample, late: float) -> float:
         """Take in the answers to a sample at the end of its tick, if they came in time.
 
-        Args:
-            session: of the tick.
-            sample: that was sent.
-            late: seconds that the end of the tick was missed or met late.
-
-        Returns:
-            instant at which the next sample is due, s of the monotonic clock.
+        The end was missed or met `late` seconds late. Returns the instant at which the next sample is due, s of the
+        monotonic clock.
         """
         now = time.monotonic()
         instant = now - late if late * session.settings.rate <= 1.0 else now

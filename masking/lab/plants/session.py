@@ -39,11 +39,7 @@ class Allowed:
             raise PlantMismatchError(f"rates from {low:g} to {high:g} Hz; give a lowest and a highest, both positive")
 
     def check(self, settings: Settings) -> None:
-        """Refuse settings that are not allowed.
-
-        Raises:
-            PlantMismatchError: says which, and how to allow it.
-        """
+        """Refuse settings that are not allowed with a PlantMismatchError, which says how to allow them."""
         low, high = self.rates
         if not low <= settings.rate <= high:
             raise PlantMismatchError(
@@ -59,14 +55,7 @@ class Allowed:
 
 @final
 class Session:
-    """What is known of one controller: who it is, its last command, and how it went.
-
-    Args:
-        number: that it drew.
-        address: where it is.
-        settings: that it asked for.
-        plant: configured.
-    """
+    """What is known of one controller: the number that it drew, where it is, its last command, and how it went."""
 
     def __init__(self, number: int, address: Peer, settings: Settings, plant: Plant) -> None:
         self.number, self.address, self.settings = number, address, settings
@@ -103,21 +92,12 @@ class Session:
         self.counters[cause] += 1
 
     def show(self, instant: float) -> None:
-        """Begin to wait for the answer to a sample.
-
-        Args:
-            instant: at which the sample was due, s of the monotonic clock.
-        """
+        """Begin to wait for the answer to a sample that was due at an instant, s of the monotonic clock."""
         self.fresh = self.is_written = False
         self.silent_from = min(self.silent_from, instant)
 
     def watch(self, tick: int, now: float) -> None:
-        """Trip where samples were not answered for the time of the watchdog.
-
-        Args:
-            tick: of the last sample.
-            now: s of the monotonic clock.
-        """
+        """Trip where samples were not answered for the time of the watchdog; now is s of the monotonic clock."""
         silent = now - self.silent_from + self._early
         if self.latch is not None:
             return
@@ -129,9 +109,7 @@ class Session:
     def watch_clock(self, tick: int, late: float) -> None:
         """Trip where the plant's own clock stood still for the time of the watchdog: what waits to be read is as old.
 
-        Args:
-            tick: of the last sample.
-            late: time since the instant that is at hand, s.
+        `late` is the time since the instant that is at hand, s.
         """
         if self.latch is None and self.answered >= 0 and late >= self.settings.watchdog:
             self.trip(tick, f"the server was held up for {late * 1e3:.0f} ms, while the last command held")

@@ -53,14 +53,7 @@ class SessionRows:
         row[self.sensors] = sample.values
 
     def finish(self, plant: Plant, command: Array, *, fresh: bool, latched: bool) -> None:
-        """Complete the row.
-
-        Args:
-            plant: whose telemetry is that of the end of the row.
-            command: (actuators,) that held after the sample.
-            fresh: it came in time.
-            latched: the plant has tripped.
-        """
+        """Complete the row: the command (actuators,) that held, the plant's telemetry, and what happened."""
         row = self.row
         row[4:6] = fresh, latched
         row[self.inputs] = command
@@ -70,11 +63,7 @@ class SessionRows:
         self.is_open = False
 
     def recording(self, manifest: Mapping[str, Any]) -> Recording:
-        """Rows; what is not finite is 0 there, and 1 in `nonfinite.<column>`.
-
-        Args:
-            manifest: what else is known of the session.
-        """
+        """Rows; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
         table = np.concatenate(self.chunks)[: self.count]
         columns = dict(zip(self.names, table.T, strict=True))
         for name, column in list(columns.items()):

@@ -17,14 +17,9 @@ from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, c
 class SimulatedPlant:
     """A twin that starts at rest and unpowered, and moves for one sample under each command.
 
-    A command acts after the delay that the twin declares; `masking.lab.runs.offline.run_twin` computes the same.
-
-    Args:
-        twin: the rig.
-        seed: of the sensors' noise.
-
-    Raises:
-        ModelError: a sensor reads at once what is commanded, as the force of a component: nothing can answer it.
+    A command acts after the delay that the twin declares; `masking.lab.runs.offline.run_twin` computes the same. `seed`
+    is that of the sensors' noise. A ModelError where a sensor reads at once what is commanded, as the force of a
+    component: nothing can answer it.
     """
 
     owns_clock = False
@@ -72,11 +67,7 @@ class SimulatedPlant:
         return Sample(self._tick, self._readings.copy())
 
     def write(self, index: int, command: Array) -> None:
-        """Let the rig move by one sample, and this command (actuators,) act after the delay.
-
-        Raises:
-            CommandError: it is not one finite number for each actuator, or nothing was read.
-        """
+        """Let the rig move by one sample, and this command (actuators,) act after the delay."""
         self._life.need_active("write")
         check_answer(self._tick, command, self.actuators)
         del index  # the oldest command under way acts, whatever sample it answers

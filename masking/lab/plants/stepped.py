@@ -57,11 +57,7 @@ class SteppedPlant(ABC):
         self._life.activate()
 
     def read(self) -> Sample:
-        """Sample after the last command, or the same again where no command came.
-
-        Raises:
-            PlantError: a reading is not finite.
-        """
+        """Sample after the last command, or the same again where no command came; finite readings only."""
         self._life.need_active("read")
         if self._tick < 0 or self._is_moved:
             self._tick += 1
@@ -73,11 +69,7 @@ class SteppedPlant(ABC):
         return Sample(self._tick, values)
 
     def write(self, index: int, command: Array) -> None:
-        """Move by one sample under this command (actuators,).
-
-        Raises:
-            CommandError: it is not one finite number for each actuator, or nothing was read.
-        """
+        """Move by one sample under this command (actuators,)."""
         self._life.need_active("write")
         check_answer(self._tick, command, self.actuators)
         del index  # the simulation waits for its command

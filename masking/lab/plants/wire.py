@@ -76,17 +76,9 @@ class Frame:
 
 
 def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUES, text: str = "") -> bytes:
-    """Write a frame, stamped with this moment.
+    """Write a frame, stamped with this moment; its kind says whether `values` (count,) or `text` is carried.
 
-    Args:
-        kind: what it is; says whether `values` or `text` is carried.
-        session: number of the session, below 2**64.
-        index: sample that it holds or answers, below 2**64.
-        values: (count,).
-        text: any text.
-
-    Raises:
-        PlantError: it does not fit into a datagram.
+    A PlantError where it does not fit into a datagram.
     """
     if kind in TEXTUAL:
         payload = text.encode()
@@ -104,8 +96,7 @@ def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUE
 def decode(datagram: bytes) -> Frame:
     """Read a frame.
 
-    Raises:
-        WireError: it is not exactly one sound frame of this version, or it is a command that is not finite.
+    A WireError where it is not exactly one sound frame of this version, or a command that is not finite.
     """
     size = len(datagram) - SMALLEST
     if size < 0 or datagram[:4] != MAGIC:
@@ -196,11 +187,7 @@ def settings_text(settings: Settings) -> str:
 
 
 def read_settings(text: str) -> Settings:
-    """Read the text of a hello.
-
-    Raises:
-        PlantMismatchError: it does not hold exactly the settings, or one is out of range.
-    """
+    """Read the text of a hello, which holds exactly the settings, each in its range."""
     content = _object(text)
     if set(content) | {"acknowledge"} != set(Settings.__slots__):  # which not every controller knows
         raise PlantMismatchError(f"a hello holds {', '.join(Settings.__slots__)}; got {text}")
@@ -213,11 +200,7 @@ def channels_text(sensors: tuple[str, ...], actuators: tuple[str, ...]) -> str:
 
 
 def read_channels(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Read the text of an accept: the names of sensors and of actuators.
-
-    Raises:
-        PlantMismatchError: it does not hold two lists of different names.
-    """
+    """Read the text of an accept: the names of sensors and of actuators, two lists of different names."""
     content = _object(text)
     names: list[tuple[str, ...]] = []
     for kind in ("sensors", "actuators"):
@@ -232,11 +215,7 @@ def read_channels(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def parse_address(address: str) -> tuple[str, int]:
-    """Split `udp://host:port`.
-
-    Raises:
-        PlantMismatchError: it is written otherwise.
-    """
+    """Split `udp://host:port`; a PlantMismatchError where an address is written otherwise."""
     try:
         parts = urlsplit(address)
         if parts.scheme == "udp" and parts.hostname and parts.port is not None and not parts.path:

@@ -17,17 +17,10 @@ _DIES_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
 
 @final
 class Child:
-    """A module of this package as a process; what it prints is read here.
+    """A module of this package, run as `python -m` runs it; what it prints is read here.
 
-    Args:
-        module: its name, run as `python -m` runs it.
-        arguments: of its command line.
-        is_apart: in a session of its own, which no signal of the terminal reaches.
-        is_quiet: its errors are not shown on the terminal.
-        handles: files that it inherits.
-
-    Raises:
-        OSError: no process can be started.
+    It inherits the files `handles`; with `is_apart` it has a session of its own, which no signal of the terminal
+    reaches, and with `is_quiet` its errors are not shown there. An OSError where no process can be started.
     """
 
     def __init__(
@@ -63,11 +56,7 @@ class Child:
         return status
 
     def output(self, limit: float) -> str:
-        """All that it prints until it ends; an exception here, such as an interrupt, ends it.
-
-        Args:
-            limit: s that it has to end in order before it is killed.
-        """
+        """All that it prints until it ends; an exception here, such as an interrupt, ends it as `end` does."""
         try:
             return self._process.communicate()[0]
         except BaseException:
@@ -87,16 +76,9 @@ class Child:
 class Supervisor:
     """A thread that waits for the end of a child, which costs nothing else, and replaces one that failed.
 
-    Attributes:
-        child: that runs, or ended in order; None once one has failed and is not replaced.
-        failures: exit statuses of the children that failed.
-
-    Args:
-        child: that runs.
-        start: of another one.
-        most: children at most, the first among them.
-        final: exit statuses after which no other is started.
-        name: of the thread.
+    There are `most` children at most, the first among them, and none after the exit statuses `final`. `child` is the
+    one that runs, or ended in order, and None once one has failed and is not replaced; `failures` are the exit statuses
+    of those that failed.
     """
 
     def __init__(

@@ -38,14 +38,10 @@ class _Break:
 
 
 def rate(t: Array, name: str) -> float:
-    """Samples per second of a steady clock.
+    """Samples per second of a steady clock: of instants in s (samples,), which increase.
 
-    Args:
-        t: instants of the samples in s (samples,), which increase.
-        name: of the record, for messages: its path if it is a file.
-
-    Raises:
-        RecordError: the record is too short, or its clock is not steady.
+    `name` is that of the record in messages, its path if it is a file. A RecordError where the record is too short, or
+    its clock is not steady.
     """
     if len(t) < 4:
         raise RecordError(f"{name}: it has {len(t)} samples; give a longer record")

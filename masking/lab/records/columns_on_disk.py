@@ -29,11 +29,7 @@ CLOCK: Final = "t"
 class StoredColumns(Mapping[str, Column]):
     """Columns of a table on disk: each is read whole when it is asked for, and forgotten with its last user.
 
-    Args:
-        table: what the file holds.
-
-    Raises:
-        RecordError: it has no clock, no rows, or a clock that goes back.
+    A RecordError where the table has no clock, no rows, or a clock that goes back.
     """
 
     def __init__(self, table: parquet.Outline) -> None:
@@ -116,11 +112,7 @@ def _check(path: Path, name: str, column: Column, begin: int) -> None:
 
 
 def read(path: Path) -> tuple[Mapping[str, Column], bytes | None]:
-    """Columns of a parquet file, which stay on disk where they are large, and the manifest if there is one.
-
-    Raises:
-        RecordError: it cannot be read, or is no table of numbers.
-    """
+    """Columns of a parquet file, which stay on disk where they are large, and the manifest if there is one."""
     table = parquet.outline(path)
     if CLOCK not in table.names or 8 * table.edges[-1] * len(table.names) <= LARGE:
         return parquet.read(path)

@@ -19,14 +19,9 @@ _SUCH: Final = "give the host and the port of the program that listens, such as 
 
 @final
 class Datagrams:
-    """Datagrams of the rows of a ring.
+    """Datagrams of the rows of a ring, whose reader only these use, to `host:port`, whether anybody listens or not.
 
-    Args:
-        reader: of the ring, which only these use.
-        address: `host:port` of who listens; nobody needs to.
-
-    Raises:
-        OperatorError: this is no address.
+    An OperatorError where this is no address.
     """
 
     def __init__(self, reader: RingReader, address: str) -> None:
@@ -61,11 +56,7 @@ class Datagrams:
 
 
 def split(address: str) -> tuple[str, int]:
-    """Host and the port of an address.
-
-    Raises:
-        OperatorError: it has none.
-    """
+    """Host and the port of an address; an OperatorError where it has none."""
     host, colon, port = address.rpartition(":")
     if not colon or not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 1 << 16):
         raise OperatorError(f"--stream {address}: this is no host and port; {_SUCH}")

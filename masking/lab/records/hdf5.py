@@ -76,12 +76,7 @@ def _elsewhere(file: Path, path: str, what: str) -> RecordError:
 
 
 def _check_chunks(file: Path, held: h5py.Dataset) -> None:
-    """Refuse chunks that unpack to more than they should: HDF5 unpacks all that there is.
-
-    Raises:
-        RecordError: there are such ones.
-        zlib.error: a chunk is damaged.
-    """
+    """Refuse chunks that unpack to more than they should: HDF5 unpacks all that there is."""
     if held.chunks is None or held.compression != "gzip":
         return
     size, inside = math.prod(held.chunks) * held.dtype.itemsize, 4096  # and what stands around the numbers

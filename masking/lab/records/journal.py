@@ -27,15 +27,8 @@ _TRIES: Final = 0.05  # s between looks at a lock
 class Journal:
     """A journal that this process, and those that it starts with `handle`, have alone; a context.
 
-    Attributes:
-        entries: all that is in it, in order.
-
-    Args:
-        path: of the file, made if need be.
-        patience: s that another process is waited for.
-
-    Raises:
-        RecordError: the file cannot be written, another process has it, a line was changed, or the system is Windows.
+    Its file is made if need be; another process is waited for `patience` s. `entries` is all that is in it, in order. A
+    RecordError where the file cannot be written, another process has it, a line was changed, or the system is Windows.
     """
 
     def __init__(self, path: Path, patience: float = 0.0) -> None:
@@ -88,11 +81,7 @@ class Journal:
         return found
 
     def add(self, **entry: Any) -> None:  # noqa: ANN401
-        """Add an entry, as JSON can hold it, and bring it to disk.
-
-        Raises:
-            RecordError: no place is left; what was written of it is taken back.
-        """
+        """Add an entry, as JSON can hold it, and bring it to disk; where no place is left, take it back."""
         text = json.dumps(entry, ensure_ascii=False).encode()
         line, begin = text + b"\t" + _check(text) + b"\n", os.lseek(self.handle, 0, os.SEEK_CUR)
         try:

@@ -32,11 +32,7 @@ _MDF_DEFLATED = (0, 1)  # plain and transposed
 
 
 def read(file: Path) -> dict[str, Column]:
-    """Read the channels of numbers in a .tdms, .mf4 or .mcap file.
-
-    Raises:
-        RecordError: the package for it is not installed, or the file cannot be read.
-    """
+    """Read the channels of numbers in a .tdms, .mf4 or .mcap file, by the package for it."""
     package, reader = {".tdms": ("nptdms", _tdms), ".mf4": ("asammdf", _mdf), ".mcap": ("mcap.reader", _mcap)}[
         file.suffix.lower()
     ]
@@ -97,11 +93,7 @@ def _opened_mdf(file: Path, asammdf: ModuleType) -> Any:  # noqa: ANN401  (of an
 
 
 def _unpacked_mdf(file: Path) -> int:
-    """How many bytes the compressed blocks of an MDF file unpack to, or say that they do.
-
-    Raises:
-        ValueError: one unpacks to more than it says.
-    """
+    """How many bytes the compressed blocks of an MDF file unpack to; a ValueError where one says too few."""
     data, total = file.read_bytes(), 0
     for block in re.finditer(b"##DZ", data):
         head = data[block.start() + 24 : block.start() + 48]
@@ -119,11 +111,7 @@ def _unpacked_mdf(file: Path) -> int:
 
 
 def _unpacked_mcap(file: Path) -> int:
-    """How many bytes the chunks of an MCAP file unpack to.
-
-    Raises:
-        ValueError: one unpacks to more than it says.
-    """
+    """How many bytes the chunks of an MCAP file unpack to; a ValueError where one says too few."""
     streams, total, most = importlib.import_module("mcap.stream_reader"), 0, unpacked_size.limit(file)
     with file.open("rb") as stream:
         for one in streams.StreamReader(stream, emit_chunks=True, record_size_limit=file.stat().st_size).records:

@@ -33,12 +33,8 @@ _ORDERS: Mapping[bytes, Order] = {b"\x00\x01IM": "little", b"\x01\x00MI": "big"}
 def check(file: Path) -> None:
     """Refuse a file whose arrays are of unknown kinds, too deep in one another, or too large once they are unpacked.
 
-    A file of another version is not looked at.
-
-    Raises:
-        RecordError: it unpacks to too much.
-        ValueError: it is damaged.
-        zlib.error: a compressed element is.
+    A file of another version is not looked at. A RecordError where it unpacks to too much, a ValueError or zlib.error
+    where it is damaged.
     """
     total, start = 0, HEADER
     length = file.stat().st_size

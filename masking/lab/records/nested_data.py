@@ -22,12 +22,9 @@ def first_line(error: BaseException) -> str:
 
 @contextmanager
 def parsed(file: Path, what: str) -> Iterator[None]:
-    """Turn whatever a parser raises at a file inside into our words.
+    """Turn whatever a parser raises at a file inside into a RecordError in our words.
 
     Parsers raise what they meet, such as struct.error, zlib.error, SyntaxError and MemoryError.
-
-    Raises:
-        RecordError: the file cannot be read.
     """
     try:
         yield
@@ -40,12 +37,8 @@ def parsed(file: Path, what: str) -> Iterator[None]:
 def vectors(path: str, held: object) -> Iterator[tuple[str, Column]]:
     """Vectors of numbers in some data as float64, by their paths, such as `run/u`.
 
-    (n,), (1, n) and (n, 1) are vectors, with two numbers or more. The columns of a matrix that is not square, along
-    its longer side, and the items of a list are numbered from 1: `run/y/1`. What holds no numbers is left out.
-
-    Args:
-        path: of the data.
-        held: a mapping, a list, an array of numbers or of objects, or anything else.
+    (n,), (1, n) and (n, 1) are vectors, with two numbers or more. The columns of a matrix that is not square, along its
+    longer side, and the items of a list are numbered from 1: `run/y/1`. What holds no numbers is left out.
     """
     if isinstance(held, Mapping):
         for name, one in held.items():
@@ -78,11 +71,7 @@ def _columns(path: str, array: NDArray[np.generic]) -> Iterator[tuple[str, Colum
 
 
 def without_doubles(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Object of JSON.
-
-    Raises:
-        ValueError: a key stands in it twice.
-    """
+    """Object of JSON; a ValueError where a key stands in it twice."""
     held = dict(pairs)
     if len(held) < len(pairs):
         names = [name for name, _ in pairs]

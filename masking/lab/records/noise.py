@@ -25,24 +25,20 @@ MULTIPLE = 128
 
 
 def third_differences(readings: Array) -> Array:
-    """Third differences (samples - 3, columns), scaled so that those of white noise are as large as the noise.
+    """Third differences of readings (samples, columns), scaled to the size of their white noise (samples - 3, columns).
 
-    Args:
-        readings: in equal steps of time (samples, columns); what moves smoothly leaves next to nothing.
+    In equal steps of time, what moves smoothly leaves next to nothing.
     """
     return np.asarray(np.diff(readings, n=3, axis=0) / np.sqrt(20.0))  # 1 + 9 + 9 + 1
 
 
 def white_noise(readings: Array) -> Array:
-    """Standard deviation of white noise in each column (columns,).
+    """Standard deviation of white noise in each column (columns,) of readings, evenly in time (samples, columns).
 
     White noise is as strong at all frequencies, and motion is not. The spectrum is cut into bands, and the noise is the
     mean of those that differ by chance only, the quietest first: all of them where there is nothing but noise. So
-    neither ten samples in a period nor a line near half the rate count as noise. Of noise with a colour, it is what
-    the quietest bands hold. Fewer than 256 readings have their noise found from third differences.
-
-    Args:
-        readings: in equal steps of time (samples, columns).
+    neither ten samples in a period nor a line near half the rate count as noise. Of noise with a colour, it is what the
+    quietest bands hold. Fewer than 256 readings have their noise found from third differences.
 
     Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7, for smoothed periodograms; von Neumann
     et al., Annals of Mathematical Statistics 12 (1941), 153-162, for differences.
@@ -65,11 +61,9 @@ def white_noise(readings: Array) -> Array:
 def bandwidth(readings: Array) -> float:
     """Highest frequency, in cycles per sample, at which any column is louder than its white noise.
 
-    Each quarter of the readings is looked at, so that motion that decays counts where it is. Bands are a third of an
-    octave wide. Of fewer than 1024 readings the quarters are too few for bands, and have 0.5.
-
-    Args:
-        readings: in equal steps of time (samples, columns).
+    Each quarter of the readings (samples, columns), in equal steps of time, is looked at, so that motion that decays
+    counts where it is. Bands are a third of an octave wide. Of fewer than 1024 readings the quarters are too few for
+    bands, and have 0.5.
     """
     if len(readings) < QUARTERS * FEWEST:
         return 0.5

@@ -15,11 +15,7 @@ from masking.lab.records.nested_data import parsed
 
 
 def read(file: Path) -> object:
-    """Array or the arrays by their names.
-
-    Raises:
-        RecordError: it is cut off or damaged, holds Python objects, or unpacks to too much.
-    """
+    """Array or the arrays by their names; refuses what is damaged, holds Python objects, or unpacks to too much."""
     with parsed(file, "the numpy file"):
         if zipfile.is_zipfile(file):
             with zipfile.ZipFile(file) as packed:
@@ -39,14 +35,9 @@ def read(file: Path) -> object:
 
 
 def _size(stream: IO[bytes], length: int) -> int:
-    """How many bytes an array takes as float64, from its header.
+    """How many bytes an array takes as float64, from its header, with which it has `length` bytes in the file.
 
-    Args:
-        stream: at the beginning of an array.
-        length: of the array with its header in bytes.
-
-    Raises:
-        ValueError: it is no array of numbers, or the header says that it is longer than the file.
+    A ValueError where it is no array of numbers, or the header says that it is longer than the file.
     """
     version = npy.read_magic(stream)
     header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0

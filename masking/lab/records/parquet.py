@@ -62,13 +62,9 @@ def write(
     manifest: bytes,
     facts: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Write equally long, contiguous float64 columns and the manifest text as one zstd-compressed parquet table.
+    """Write equally long, contiguous float64 columns and a manifest in JSON as one zstd-compressed parquet table.
 
-    Args:
-        stream: what is written to.
-        columns: (samples,) each.
-        manifest: JSON.
-        facts: texts for the metadata of fields, such as their units, by key and column.
+    `facts` are texts for the metadata of fields, such as their units, by key and column.
     """
     schema = _schema(columns, facts).with_metadata({MANIFEST_KEY: manifest})
     pq.write_table(_table(columns, schema), stream, row_group_size=ROWS, **_WRITTEN)
@@ -76,22 +72,16 @@ def write(
 
 @final
 class Writer:
-    """A table that is written chunk by chunk, with the manifest at its end.
-
-    Args:
-        stream: what is written to.
-    """
+    """A table that is written to a stream chunk by chunk, with the manifest at its end."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._writer: Any = None  # of pyarrow
 
     def add(self, columns: Mapping[str, NDArray[np.float64]], facts: Mapping[str, Mapping[str, str]]) -> None:
-        """Write rows behind those that are there.
+        """Write rows behind those that are there: the same contiguous columns (samples,) each time.
 
-        Args:
-            columns: (samples,) each, contiguous; the same ones each time.
-            facts: texts for the metadata of fields, such as their units, by key and column; the first ones count.
+        `facts` are texts for the metadata of fields, such as their units, by key and column; the first ones count.
         """
         if self._writer is None:
             # Statistics of all columns of all groups: measured 8 MB of memory for each hour at 1 kHz.
@@ -133,11 +123,7 @@ class Outline:
 
 
 def outline(path: Path) -> Outline:
-    """Read what a parquet file holds, but no row of it.
-
-    Raises:
-        RecordError: it cannot be read, or is no table of numbers.
-    """
+    """Read what a parquet file holds, but no row of it; refuse what is no table of numbers."""
     with _reading(path) as file:
         _check_kinds(path, file.schema_arrow)
         found, names = file.metadata, tuple(file.schema_arrow.names)
@@ -159,15 +145,9 @@ def _range(group: pq.RowGroupMetaData, column: int | None) -> tuple[float, float
 
 
 def groups(table: Outline, which: Sequence[int], names: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
-    """Read columns of a table, one group of rows after the other.
+    """Read columns of a table, one group of rows after the other; `which` are the numbers of the groups.
 
-    Args:
-        table: what the file holds.
-        which: numbers of the groups.
-        names: of the columns.
-
-    Raises:
-        RecordError: it is damaged, or another file than it was.
+    A RecordError where it is damaged, or another file than it was.
     """
     if _version(table.path) != table.version:
         raise RecordError(f"{table.path}: the recording was replaced since it was loaded; load it anew")
@@ -189,8 +169,7 @@ def _version(path: Path) -> tuple[int, int]:
 def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
     """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one.
 
-    Raises:
-        RecordError: it cannot be read, or is no table of numbers.
+    A RecordError where it cannot be read, or is no table of numbers.
     """
     with _reading(path) as file:
         _check_kinds(path, file.schema_arrow)
@@ -203,11 +182,7 @@ def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
 
 @contextmanager
 def _reading(path: Path, metadata: Any = None) -> Iterator[pq.ParquetFile]:  # noqa: ANN401  # of pyarrow
-    """Open a parquet file; what goes wrong with it while it is open is said in our words.
-
-    Raises:
-        RecordError: it cannot be read.
-    """
+    """Open a parquet file; what goes wrong with it while it is open is a RecordError in our words."""
     try:
         with path.open("rb") as stream:
             is_parquet = stream.read(len(_MAGIC)) == _MAGIC

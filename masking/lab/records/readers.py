@@ -109,11 +109,7 @@ def digest(path: str | Path) -> str:
 
 
 def mapping(text: str) -> dict[str, str]:
-    """Read `t=time,u1=V1` as the columns of a file by the names that they get.
-
-    Raises:
-        RecordError: a part has no equals sign, or a name is given twice.
-    """
+    """Read `t=time,u1=V1` as the columns of a file by the names that they get; refuse what is written otherwise."""
     found: dict[str, str] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, equals, column = (word.strip() for word in part.partition("="))
@@ -128,10 +124,8 @@ def mapping(text: str) -> dict[str, str]:
 def _columns(file: Path, heading: Sequence[str], part: Part | None) -> tuple[dict[str, Column], bytes | None]:
     """Columns of a file, and the manifest of one of our own.
 
-    Args:
-        file: to be read.
-        heading: names of the columns of a text that has none; empty for all else.
-        part: of a long record, which is read with what lies around it; None where its clock is not its own.
+    `heading` are the names of the columns of a text that has none. `part` is that of a long record, which is read with
+    what lies around it; None where its clock is not its own.
     """
     kind = file.suffix.lower()
     if heading and kind not in _TEXT:

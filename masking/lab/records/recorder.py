@@ -87,23 +87,11 @@ def _is_writing(process: int) -> bool:
 
 @final
 class Recorder(Result):
-    """The recorder of a run, as the process sees it that writes the rows.
+    """The recorder of a run, as the process sees it that writes the rows into `ring`.
 
-    It is there, and the manifest on disk, once this is made.
-
-    Attributes:
-        ring: for the rows.
-        lost: rows that were put and are in no part of the stream, counted by `close`.
-
-    Args:
-        folder: of the stream, made if need be.
-        columns: unit and meaning of the numbers of a row, by name.
-        rate: rows per second, Hz.
-        spare: folder for the rest where the first one is full.
-        **more: what else the manifest says.
-
-    Raises:
-        RecordError: the folder holds a stream already, or cannot be written.
+    It is there, and the manifest on disk, once this is made: with unit and meaning of each column, the `rate` in Hz and
+    what `more` says. Where the folder is full, `spare` gets the rest. `lost` are rows that were put and are in no part
+    of the stream, counted by `close`. A RecordError where the folder holds a stream already, or cannot be written.
     """
 
     json_names = ("ended", "lost", "note")

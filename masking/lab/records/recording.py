@@ -328,14 +328,10 @@ class Recording:
 
 @contextmanager
 def writing(folder: Path, *, overwrite: bool = False) -> Iterator[tuple[BinaryIO, BinaryIO]]:
-    """Streams of both files of a recording, manifest and table; after an error the folder is as it was.
+    """Streams of both files of a recording, manifest and table, in a folder that is made if need be.
 
-    Args:
-        folder: where to, made if need be.
-        overwrite: whether a recording that is there may be replaced.
-
-    Raises:
-        RecordError: it cannot be written, or holds a recording that may not be replaced.
+    After an error the folder is as it was. A RecordError where it cannot be written, or holds a recording and
+    `overwrite` is not given.
     """
     held = next((name for name in (TABLE, MANIFEST) if (folder / name).exists()), None)
     if held and not overwrite:

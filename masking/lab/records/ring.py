@@ -59,14 +59,10 @@ def cells(table: Array) -> memoryview[float]:
 
 @final
 class Ring:
-    """The side that writes.
+    """The side that writes; it keeps at least a number of rows, of which there are `rate` per second.
 
-    Args:
-        columns: names of the numbers of a row.
-        rate: rows per second, Hz.
-        units: of columns that have one, by name.
-        rows: that are kept, at least.
-        **more: what else a reader should know, as JSON can hold it.
+    `units` are those of columns that have one, by name, and `more` is what else a reader should know, as JSON can hold
+    it.
     """
 
     def __init__(
@@ -120,14 +116,7 @@ class Rows:
 
 @final
 class RingReader:
-    """A side that reads, from the oldest row that is still there.
-
-    Args:
-        path: of a ring.
-
-    Raises:
-        RecordError: it is none.
-    """
+    """A side that reads, from the oldest row that is still there; a RecordError where the file is no ring."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)

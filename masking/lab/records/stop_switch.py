@@ -45,14 +45,7 @@ class Presser(IntEnum):
 
 @final
 class Switch:
-    """A switch that another process made; `Switch.make` makes one.
-
-    Args:
-        path: of the switch.
-
-    Raises:
-        RecordError: it is none.
-    """
+    """A switch that another process made; `Switch.make` makes one. A RecordError where the file is none."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)

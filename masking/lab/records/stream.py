@@ -63,12 +63,8 @@ def remove(folder: str | Path) -> None:
 def begin(folder: str | Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest of a stream into a folder, made if need be; it is on disk then.
 
-    Args:
-        folder: that holds no stream.
-        manifest: with `columns`, in their order, `rate`, `spare` and `number`, a text that no other stream has.
-
-    Raises:
-        RecordError: it holds one, or cannot be written.
+    It has `columns`, in their order, `rate`, `spare` and `number`, a text that no other stream has. A RecordError where
+    the folder holds a stream, or cannot be written.
     """
     folder = Path(folder)
     if is_in(folder):
@@ -129,18 +125,11 @@ def written(folder: str | Path) -> int:
 
 @final
 class StreamWriter:
-    """The end of a stream, where pages are added; another process may have begun it.
+    """The end of a stream, where pages are added; another process may have begun it in the folder.
 
-    Attributes:
-        next: number of the row that follows those that are there.
-        moved: how many parts were full.
-
-    Args:
-        folder: with the manifest of a stream.
-
-    Raises:
-        NoSpaceError: nothing can be written.
-        RecordError: there is no manifest, or another process writes this stream.
+    `next` is the number of the row that follows those that are there; `moved` is how many parts were full. All that
+    adds to it raises a NoSpaceError where no part can be written any more; making it raises a RecordError where there
+    is no manifest, or another process writes this stream.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -160,34 +149,18 @@ class StreamWriter:
             self._add(CONTENT, self._content)
 
     def append(self, first: int, table: Array) -> None:
-        """Add a page of rows.
-
-        Args:
-            first: number of the first.
-            table: (rows, columns).
-
-        Raises:
-            NoSpaceError: no part can be written any more.
-        """
+        """Add a page of rows (rows, columns), of which `first` is the number of the first."""
         self._add(DATA, np.ascontiguousarray(table, dtype="<f8").tobytes(), first, len(table))
         self.next = first + len(table)
 
     def end(self, why: Mapping[str, Any]) -> None:
-        """Add the last page, which says why the stream ends, bring all to disk, and close it.
-
-        Raises:
-            NoSpaceError: no part can be written any more.
-        """
+        """Add the last page, which says why the stream ends, bring all to disk, and close it."""
         self._add(END, json_text(why).encode(), self.next)
         self.sync()
         self.close()
 
     def sync(self) -> None:
-        """Bring what was added to disk; where that fails, the next part follows.
-
-        Raises:
-            NoSpaceError: no part can be written any more.
-        """
+        """Bring what was added to disk; where that fails, the next part follows."""
         if self._file is None or not hasattr(os, "fdatasync"):
             return
         try:

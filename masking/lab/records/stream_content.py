@@ -38,11 +38,7 @@ class Stream:
 def read(folder: str | Path) -> Stream:
     """Read a stream: of what was cut off all whole pages, of what was damaged all that is sound.
 
-    Args:
-        folder: that holds it.
-
-    Raises:
-        RecordError: it holds none, another process writes it, or what its columns are is not known any more.
+    A RecordError where the folder holds none, another process writes it, or what its columns are is not known any more.
     """
     return _Reader(Path(folder)).read()
 

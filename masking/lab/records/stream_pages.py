@@ -45,16 +45,9 @@ def part_head(number: int, chain: bytes) -> bytes:
 def page_bytes(
     chain: bytes, sequence: int, kind: int, payload: bytes, *, first: int = 0, rows: int = 0, width: int = 0
 ) -> bytes:
-    """Page behind a chain; its own is its last bytes.
+    """Page number `sequence` behind the chain of the one before it; its own chain is its last bytes.
 
-    Args:
-        chain: behind the page before it.
-        sequence: number of the page.
-        kind: what the payload is.
-        payload: its content.
-        first: number of its first row.
-        rows: how many rows.
-        width: numbers of a row.
+    It has `rows` rows of `width` numbers, from the number `first` on; `kind` says what the payload is.
     """
     head = _HEAD.pack(_PAGE, sequence, first, rows, width, kind, len(payload))
     return b"".join([head, hash_of(head, size=_CHECK), payload, hash_of(chain, head, payload)])
@@ -78,10 +71,7 @@ class Page:
 def pages_of(memory: mmap.mmap, at: int, chain: bytes | None) -> Iterator[Page]:
     """Page after page, and the bytes between them; without a page that the end of the file cuts off.
 
-    Args:
-        memory: of a part.
-        at: where a page begins, or is looked for.
-        chain: before it; None where it is that which stands there.
+    The first is looked for from a byte on, behind a chain; None where that is the one which stands there.
     """
     while at < len(memory):
         page = _page(memory, at, chain)

@@ -33,16 +33,9 @@ def path(folder: Path, first: int, last: int) -> Path:
 
 
 def write(folder: Path, first: int, last: int, columns: Mapping[str, Column]) -> None:
-    """Write a chunk; afterwards it is on disk, whatever happens.
+    """Write the rows from `first` to before `last` into a folder, made if need be; then they are on disk for sure.
 
-    Args:
-        folder: made if need be.
-        first: number of its first row.
-        last: one more than that of its last row.
-        columns: numbers, texts, or a row of numbers in each row.
-
-    Raises:
-        RecordError: it cannot be written.
+    A column has numbers, texts, or a row of numbers in each row. A RecordError where it cannot be written.
     """
     arrays = {name: _array(column) for name, column in columns.items()}
     try:
@@ -95,11 +88,7 @@ def clear(folder: Path) -> None:
 
 
 def read(folder: Path) -> Columns:
-    """Read all rows of a folder, in order, each once.
-
-    Raises:
-        RecordError: there are none, or a file is damaged.
-    """
+    """Read all rows of a folder, in order, each once; a RecordError where there are none, or a file is damaged."""
     tables, reached = list[pa.Table](), 0
     for first, last in done(folder):
         if last <= reached:  # the same rows in chunks of another size

@@ -42,12 +42,7 @@ class _Table:
 def read(file: Path, heading: Sequence[str]) -> dict[str, Column]:
     """Read a table; its first line names its columns, or a heading does. Missing numbers are NaN.
 
-    Args:
-        file: to be read.
-        heading: names of the columns of a file that has none; empty for all else.
-
-    Raises:
-        RecordError: it is no table, a line has more or fewer cells than there are names, or a name stands twice.
+    A RecordError where it is no table, a line has more or fewer cells than there are names, or a name stands twice.
     """
     table = _table(file, heading)
     used = [i for i, name in enumerate(table.names) if name]
@@ -64,17 +59,10 @@ def read(file: Path, heading: Sequence[str]) -> dict[str, Column]:
 def check_cells(
     part: Part, heading: Sequence[str], columns: Mapping[str, Column], chosen: NDArray[np.bool_], clock: Column
 ) -> None:
-    """Refuse what is no number where one must be, with its line in the file.
+    """Refuse what is no number where one must be, with its line in the file, such as a sample of a part.
 
-    Args:
-        part: the record.
-        heading: names of the columns of a file that has none.
-        columns: that must be finite, by their names in the file.
-        chosen: whether a sample is in the part (samples,).
-        clock: in s (samples,).
-
-    Raises:
-        RecordError: a sample of the part is not finite.
+    `columns` must be finite there, and have their names in the file; `chosen` says of each sample whether it is in the
+    part, and `clock` has its time in s (samples,); `heading` is as that of `read`.
     """
     wrong = {name: np.flatnonzero(chosen & ~np.isfinite(values)) for name, values in columns.items()}
     first = min(((int(rows[0]), name) for name, rows in wrong.items() if len(rows)), default=None)
@@ -183,9 +171,8 @@ def _of_decimals(table: _Table) -> NDArray[np.float64] | None:
 def _rows(file: Path, table: _Table) -> list[tuple[int, list[str]]]:
     """Cells of each line of the body without blanks around them, with its number.
 
-    Raises:
-        RecordError: a line has more or fewer cells than there are names, a quote is not closed, or numbers have decimal
-            points as well as decimal commas.
+    A RecordError where a line has more or fewer cells than there are names, a quote is not closed, or numbers have
+    decimal points as well as decimal commas.
     """
     made = []
     marks: dict[str, tuple[int, str]] = {}

@@ -14,26 +14,19 @@ _DECADES: Final = (-6, 1)  # 1 us to 10 s
 
 
 def timing(index: NDArray[np.int64], **parts: Array) -> dict[str, Any]:
-    """Timing of the ticks of a run, for its manifest.
+    """Timing of the ticks (m,) of a run, for its manifest: times by name, s (m,).
 
-    Args:
-        index: of each tick (m,).
-        parts: times by name, s (m,): how late ticks began, `lateness`, where there was a clock; what the step of the
-            controller took, `controller`; what it, the safety chain and the row of the record took together, `work`.
+    How late ticks began is `lateness`, where there was a clock; what the step of the controller took is `controller`;
+    what it, the safety chain and the row of the record took together is `work`.
     """
     return {name: histogram(values, index) for name, values in parts.items() if len(values)}
 
 
 def histogram(values: Array, index: NDArray[np.int64]) -> dict[str, Any]:
-    """How times are distributed.
+    """How times (m,), s, of ticks (m,) are distributed.
 
-    Args:
-        values: (m,), s.
-        index: tick of each (m,).
-
-    Returns:
-        `median`, `p99` and `max` in s, the tick `at` which that was, and the `counts` of the ticks below the first of
-        the `edges`, between two, and from the last one on.
+    `median`, `p99` and `max` in s, the tick `at` which that was, and the `counts` of the ticks below the first of the
+    `edges`, between two, and from the last one on.
     """
     first, last = _DECADES
     edges = 10.0 ** np.linspace(first, last, (last - first) * _PER_DECADE + 1)

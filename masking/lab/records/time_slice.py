@@ -29,8 +29,7 @@ class Part:
     def of(cls, path: str | Path) -> Part:
         """Read `FILE`, `FILE@10:20`, `FILE@10:` or `FILE@:20`; a path that is there as it stands is a whole record.
 
-        Raises:
-            RecordError: what is behind the file are not two times in s, one after the other.
+        A RecordError where what is behind the file are not two times in s, one after the other.
         """
         text = str(path)
         file, _, times = text.rpartition(MARK)
@@ -59,10 +58,8 @@ class Part:
     def samples(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell of each sample of a clock (samples,) in s whether it is in the part.
 
-        The last sample of a record lasts as long as the others: 1000 samples from 0 s on at 100 Hz go to 10 s.
-
-        Raises:
-            RecordError: the part reaches out of the record, or no sample lies in it.
+        The last sample of a record lasts as long as the others: 1000 samples from 0 s on at 100 Hz go to 10 s. A
+        RecordError where the part reaches out of the record, or no sample lies in it.
         """
         chosen = np.full(len(t), True)
         known = t[np.isfinite(t)]
@@ -82,13 +79,8 @@ class Part:
     def within(self, first: float, last: float, step: float) -> tuple[float, float]:
         """Times of a record that the part goes from and until; infinite where none is given.
 
-        Args:
-            first: time of the first sample of the record, s.
-            last: time of its last sample, s.
-            step: time between samples, s.
-
-        Raises:
-            RecordError: the part reaches out of the record.
+        The record has samples at the times `first` to `last`, `step` apart, in s; a RecordError where the part reaches
+        out of it.
         """
         near = _NEAR * step
         if any(time is not None and not first - near <= time <= last + step + near for time in (self.start, self.end)):
@@ -113,11 +105,7 @@ def exists(path: Path) -> bool:
 
 
 def _seconds(text: str) -> float | None:
-    """Time; None for no text.
-
-    Raises:
-        ValueError: it is no finite decimal number.
-    """
+    """Time; None for no text, and a ValueError for no finite decimal number."""
     if not text:
         return None
     if not is_decimal(text) or not math.isfinite(value := float(text)):

@@ -19,15 +19,7 @@ def limit(file: Path) -> int:
 
 
 def check(file: Path, size: int) -> None:
-    """Refuse a file that unpacks to too much.
-
-    Args:
-        file: packed.
-        size: of all that it holds as float64, in bytes.
-
-    Raises:
-        RecordError: it is larger than `limit`.
-    """
+    """Refuse a packed file that unpacks to more bytes than `limit`, in all as float64."""
     if size > limit(file):
         raise RecordError(
             f"{file}: it unpacks to {size / 2**20:.0f} MiB, {size / max(1, file.stat().st_size):.0f} times its size: "
@@ -36,11 +28,7 @@ def check(file: Path, size: int) -> None:
 
 
 def inflated(data: bytes, most: int) -> int:
-    """How many bytes data of zlib unpack to, in little memory; no more than one piece beyond `most`.
-
-    Raises:
-        zlib.error: they are damaged.
-    """
+    """How many bytes data of zlib unpack to, in little memory; no more than one piece beyond `most`."""
     return sum(map(len, _pieces(data, most)))
 
 

@@ -27,16 +27,7 @@ _WIDTH, _ROW, _ENDS = 9.0, 1.5, 0.75  # inches: width of a figure, height of a r
 
 
 def frame(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> Any:  # noqa: ANN401  # a DataFrame
-    """Pandas DataFrame over the time, with units and meanings in `attrs`.
-
-    Args:
-        columns: of the recording.
-        units: of the columns, by name.
-        meanings: of the columns, by name.
-
-    Raises:
-        RecordError: pandas is not installed.
-    """
+    """Pandas DataFrame of columns over the time, with units and meanings in `attrs`; a RecordError without pandas."""
     pandas = _package("pandas")
     made = pandas.DataFrame({name: values for name, values in columns.items() if name != "t"})
     made.index = pandas.Index(columns["t"], name="t")
@@ -45,17 +36,7 @@ def frame(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str
 
 
 def dataset(columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str], title: str) -> Any:  # noqa: ANN401  # a Dataset
-    """Xarray Dataset over the time; each variable has `units` and `long_name`.
-
-    Args:
-        columns: of the recording.
-        units: of the columns, by name.
-        meanings: of the columns, by name.
-        title: of the recording.
-
-    Raises:
-        RecordError: xarray is not installed.
-    """
+    """Xarray Dataset over the time; each variable has `units` and `long_name`. A RecordError without xarray."""
     xarray = _package("xarray")
 
     def variable(name: str) -> tuple[str, NDArray[np.float64], dict[str, str]]:
@@ -76,13 +57,9 @@ def _package(name: str) -> ModuleType:
 def figure(
     columns: Columns, units: Mapping[str, str], rows: Sequence[Sequence[str]], title: str
 ) -> axes.NotebookFigure:
-    """Draw columns over the time; what is ideal lies as a dashed line over what is virtual.
+    """Draw columns over the time, those of a row into the same axes, below a title.
 
-    Args:
-        columns: of the recording.
-        units: of the columns, by name; those of a row may differ, and are then in its legend.
-        rows: the columns of each row of axes.
-        title: written above.
+    What is ideal lies as a dashed line over what is virtual. Where the units of a row differ, they are in its legend.
     """
     height = _ROW * len(rows) + _ENDS
     made = axes.NotebookFigure(figsize=(_WIDTH, height), dpi=axes.DPI / 2, facecolor="white", layout="constrained")
@@ -119,15 +96,7 @@ def _label(name: str) -> str:
 
 
 def card(title: str, subtitle: str, columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> str:
-    """HTML with a table of columns: their units, meanings, ranges and shapes, rates left out.
-
-    Args:
-        title: of the recording.
-        subtitle: the line below it.
-        columns: of the recording.
-        units: of the columns, by name.
-        meanings: of the columns, by name.
-    """
+    """HTML with a table of columns: their units, meanings, ranges and shapes, rates left out."""
     rows = [
         (name, units.get(name, ""), meanings.get(name, ""), f"{c.min():.4g}", f"{c.max():.4g}", fragments.line(c))
         for name, c in columns.items()

@@ -39,10 +39,9 @@ class Run:
 
 
 def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...]]:
-    """Load a plan; return it with its experiment and its runs, of which the first and the last value are checked.
+    """Load a plan; return it with its experiment and its runs, each of whose values is checked.
 
-    Raises:
-        DeclarationError: the plan, its experiment, or a value that it gives that is wrong; lists every problem.
+    A DeclarationError lists every problem of the plan, its experiment, and the values that it gives.
     """
     declared = registry.load_batch(plan)
     problems = list(_problems(declared))
@@ -90,11 +89,7 @@ def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
 
 
 def changed(experiment: Experiment, settings: Mapping[str, float]) -> Experiment:
-    """Experiment with some of its values replaced, such as `parameters.k` or `seed`.
-
-    Raises:
-        DeclarationError: as for a file.
-    """
+    """Experiment with some of its values replaced, such as `parameters.k` or `seed`, checked as those of a file."""
     whole, sections = experiment.declaration.canonical(), dict[str, Any]()
     for name, value in settings.items():
         section, _, key = name.partition(".")
@@ -108,10 +103,7 @@ def changed(experiment: Experiment, settings: Mapping[str, float]) -> Experiment
 def write(experiment: Experiment, folder: Path) -> Path:
     """Write the file of an experiment with replaced values into a folder, made if need be; return its path.
 
-    A run of that file can be recovered by itself, as one of any other file.
-
-    Raises:
-        RecordError: it cannot be written.
+    A run of that file can be recovered by itself, as one of any other file. A RecordError where it cannot be written.
     """
     path = folder / EXPERIMENT
     try:
@@ -125,10 +117,7 @@ def write(experiment: Experiment, folder: Path) -> Path:
 def energy(experiment: Experiment, inputs: Array, rate: float) -> float:
     """Heat in J that commands turn into: the sum of `heating c^2 h`, 0 where the heating is not known.
 
-    Args:
-        experiment: whose plant is driven.
-        inputs: commands in force (samples, actuators), in the actuators' units.
-        rate: samples per second.
+    `inputs` are the commands in force (samples, actuators), in the actuators' units, at a number of samples per second.
     """
     return float(np.sum(experiment.instruments.limits()[:, HEATING] * inputs**2)) / rate
 
@@ -180,11 +169,7 @@ def progress(runs: Sequence[Run], entries: Sequence[Mapping[str, Any]]) -> list[
 
 
 def begin(entries: Sequence[Mapping[str, Any]], wanted: str, folder: Path) -> bool:
-    """Whether a journal is that of these runs; False where it is empty.
-
-    Raises:
-        RecordError: it is that of others.
-    """
+    """Whether a journal is that of these runs; False where it is empty. A RecordError where it is that of others."""
     if not entries:
         return False
     if entries[0].get("plan") != wanted:

@@ -105,13 +105,9 @@ class Budget:
 def run(experiment: Experiment, wanted: bool | None = None, progress: Progress | None = None) -> Recording:
     """Run an experiment and put its budget into the manifest of the recording, under `budget`.
 
-    Args:
-        experiment: what to run.
-        wanted: whether to make a budget; where it is None, one is made that takes less than ten seconds.
-        progress: called with the part done, first of the run and then of the budget.
-
-    Raises:
-        MaskingError: the run could not go on, or a budget is wanted of a run without an observer.
+    Where it is not said whether a budget is wanted, one is made that takes less than ten seconds. `progress` is called
+    with the part done, first of the run and then of the budget. A MaskingError where the run could not go on, or a
+    budget is wanted of a run without an observer.
     """
     if wanted and not experiment.has_observer:
         raise ModelError(
@@ -159,17 +155,10 @@ def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
 
 
 def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
-    """Run an experiment as it is, and again without each cause of masking error.
+    """Run an experiment with an observer as it is, and again without each cause of masking error.
 
     Only the cause changes: the observer keeps the bandwidths and the noise for which it was designed, and a controller
-    that predicts the delay predicts the one there is.
-
-    Args:
-        experiment: with an observer.
-        progress: called with the part done.
-
-    Raises:
-        MaskingError: the experiment is wrong; a run that cannot go on counts with an infinite chi.
+    that predicts the delay predicts the one there is. A run that cannot go on counts with an infinite chi.
     """
     bench, found = _Bench(experiment), causes(experiment.twin)
     total = 1 + len(found) + 2 * FASTER

@@ -176,8 +176,7 @@ class Experiment:
     def assumed_effects(self) -> dict[str, schema.EffectChange]:
         """Changes of the plant's effects as the controller takes them.
 
-        Raises:
-            DeclarationError: `controller.effects` names an effect that no controller is designed with.
+        A DeclarationError where `controller.effects` names an effect that no controller is designed with.
         """
         assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
         allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
@@ -192,11 +191,7 @@ class Experiment:
 
     @cached_property
     def sampled(self) -> SampledController:
-        """Sampled controller, with the initial state to which it brings the rig.
-
-        Raises:
-            ModelError: the initial state moves.
-        """
+        """Sampled controller, with the initial state to which it brings the rig; a ModelError where that moves."""
         settings = self.declaration.controller
         made = SampledController(
             self.law,
@@ -351,14 +346,7 @@ class Experiment:
         return self.recording(columns, dict(timing), is_stopped=row is not None)
 
     def prepare(self, largest: float) -> None:
-        """Compile or load what a run calls, if its recording is not too large.
-
-        Args:
-            largest: size of a recording, in bytes.
-
-        Raises:
-            DeclarationError: it is larger, or a unit of the plant does not fit.
-        """
+        """Compile or load what a run calls; refuse a recording beyond some bytes, or units that do not fit."""
         if problems := [*self._check_size(largest), *([] if self.is_compiled else registry.check_units(self.assembly))]:
             raise DeclarationError(problems)
         virtual = self.virtual.kernels
@@ -405,9 +393,8 @@ class Experiment:
     def columns(self, run: Run | TwinRun, reached: Reached | None = None) -> tuple[Columns, Reached]:
         """Columns of a run, or of a chunk of it, and what the virtual system by itself has reached then.
 
-        Args:
-            run: where a rig's true states are not known, `states` are estimates.
-            reached: what it has reached before; None for a run from its beginning.
+        Where a rig's true states are not known, the `states` of the run are estimates; `reached` is what the virtual
+        system has reached before, None for a run from its beginning.
         """
         live = live_inputs(self.sampled, run, self.inputs) if isinstance(run, TwinRun) else {}
         states, reached = self.ideal.along(run.times, live, reached or (0.0, self.virtual_start))
@@ -450,13 +437,9 @@ class Experiment:
     def manifest(
         self, made: Columns, summary: Summary, timing: Mapping[str, float], *, is_stopped: bool
     ) -> dict[str, Any]:
-        """Manifest of a run.
+        """Manifest of a run: of its columns, or a chunk of them, and the summary of all its rows.
 
-        Args:
-            made: its columns, or a chunk of them.
-            summary: of all its rows.
-            timing: seconds that each stage took.
-            is_stopped: whether its stop condition ended it.
+        `timing` has the seconds that each stage took; `is_stopped` says whether its stop condition ended it.
         """
         at = summary.last / self.time_scale if is_stopped else None
         entries = {

@@ -40,8 +40,7 @@ class VirtualInputs:
     def series(self) -> dict[str, Series]:
         """Inputs that are known point by point, in the virtual system's units and time.
 
-        Raises:
-            DeclarationError: a file or a signal cannot be read.
+        A DeclarationError where a file or a signal cannot be read.
         """
         given = {name: source for name, source in self.experiment.inputs.items() if source.is_series}
         return {name: self._read(name, source) for name, source in given.items()}
@@ -92,11 +91,7 @@ class VirtualInputs:
         return len(self.law.model.parameters)
 
     def feed(self, instruments: Instruments) -> Feed:
-        """Inputs that a sampled controller feeds to the virtual system.
-
-        Args:
-            instruments: the sensors.
-        """
+        """Inputs that a sampled controller feeds to the virtual system, from sensors of its instruments."""
         sources, offset = self.experiment.inputs, self._offset
         first = {name: offset + self._cells(name)[0] for name, one in sources.items() if one.expression is None}
         sensors, gains = [], dict(zip(instruments.sensors, instruments.gains(), strict=True))
@@ -120,9 +115,7 @@ class VirtualInputs:
     def along(self, times: Array, live: Mapping[str, Array]) -> Schedule | None:
         """Schedule of the virtual system by itself, with what was read or estimated in a run.
 
-        Args:
-            times: of the rig, in units of virtual time (m,).
-            live: each input that the run alone knows, at these times (m,).
+        `times` are those of the rig in units of virtual time (m,); `live` has each input that the run alone knows (m,).
         """
         more = {name: Series(times, values, "linear") for name, values in live.items()}
         return self._schedule({**self.series, **more})
@@ -142,13 +135,7 @@ class VirtualInputs:
 
 
 def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs) -> dict[str, Array]:
-    """Inputs of the virtual system that only a run knows, at its times (m,), in the system's units.
-
-    Args:
-        sampled: the controller.
-        run: what it read and estimated.
-        inputs: of the virtual system.
-    """
+    """Inputs of the virtual system that only a run knows, at its times (m,), in the system's units."""
     feed, sources = sampled.feed, inputs.experiment.inputs
     names = [name for name, one in sources.items() if one.sensor is not None]
     found = {n: one.factor * run.readings[:, one.sensor] for n, one in zip(names, feed.sensors, strict=True)}

@@ -178,18 +178,14 @@ class Feasibility:
 
 
 def feasibility(experiment: Experiment) -> Feasibility:
-    """Compare what the ideal motion of an experiment needs with the limits of its plant.
+    """Compare what the ideal motion of a sound experiment needs with the limits of its plant.
 
-    A limit of mean power is compared if the plant file gives the heating of an actuator: the power `heating c^2` of
-    a command c, averaged as the sampled controller does it, with the time constant of the plant file, from rest.
+    A limit of mean power is compared if the plant file gives the heating of an actuator: the power `heating c^2` of a
+    command c, averaged as the sampled controller does it, with the time constant of the plant file, from rest.
 
-    Args:
-        experiment: sound, as `Experiment.validate` finds it.
-
-    Raises:
-        ModelError: an actuator has no largest command; no rig position gives the initial state.
-        ActuationError: the actuators cannot give what the control law asks for.
-        DeclarationError: the motion cannot be followed to its end; with the place of what is to blame.
+    A ModelError where an actuator has no largest command or no rig position gives the initial state, an ActuationError
+    where the actuators cannot give what the control law asks for, and a DeclarationError, with the place of what is to
+    blame, where the motion cannot be followed to its end.
     """
     motion = Motion(experiment)
     try:
@@ -242,17 +238,10 @@ class Motion:
         return uses, rows, False
 
     def uses(self, rows: int, what: What = "time_scale", factor: float = 1.0) -> tuple[Use, ...]:
-        """How much of each limit the motion uses.
+        """How much of each limit the motion uses, looked at in `rows` instants, with a change of the experiment.
 
-        Args:
-            rows: instants at which the motion is looked at.
-            what: what is changed of the experiment.
-            factor: of the change.
-
-        Raises:
-            SingularityError: a matrix of the control law became singular on the way.
-            IntegrationError: the motion could not be followed.
-            ModelError: an actuator has no largest command, or no rig position gives the initial state.
+        Raises a SingularityError or IntegrationError where it could not be followed, and a ModelError as `feasibility`
+        does.
         """
         experiment, plant = self.experiment, self.experiment.assembly.plant
         instruments = experiment.instruments
@@ -284,10 +273,8 @@ class Motion:
     def simulate(self, rows: int, what: What, factor: float) -> tuple[Array, Array, Array]:
         """Times of the rig (rows,), its states (rows, .) in SI units and its inputs (rows, inputs).
 
-        Args:
-            rows: of the simulation.
-            what: the seconds per unit of virtual time, the stroke that the transform uses, or all initial values.
-            factor: by which it is multiplied.
+        The factor multiplies the seconds per unit of virtual time, the stroke that the transform uses, or all initial
+        values.
         """
         time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
         experiment, loop = self.experiment, self.loop
@@ -321,13 +308,7 @@ class Motion:
 
 
 def mean_power(power: Array, step: float, time: float) -> Array:
-    """Exponential mean P of a power p (m,), with P' = (p - P) / time and P = 0 at first.
-
-    Args:
-        power: (m,), at even times.
-        step: s from one to the next.
-        time: s over which the mean is taken.
-    """
+    """Exponential mean P of a power p (m,), with P' = (p - P) / time and P = 0 at first; `step` and `time` in s."""
     kept = math.exp(-step / time)
     halves = 0.5 * (1.0 - kept) * (power[1:] + power[:-1])
     return np.concatenate([[0.0], np.asarray(signal.lfilter([1.0], [1.0, -kept], halves), dtype=np.float64)])

@@ -166,10 +166,8 @@ def run(experiment: Experiment, plant: Plant, settings: RunSettings = REAL_TIME)
 class _Run:
     """One run of an experiment.
 
-    Attributes:
-        keeper: the controller on the ticks of the plant.
-        streamed: rows on their way to disk; None where they are not.
-        ended: what was recorded, once the plant is at zero.
+    `keeper` is the controller on the ticks of the plant; `streamed` are the rows on their way to disk, None where they
+    are not; `ended` is what was recorded, once the plant is at zero.
     """
 
     def __init__(self, experiment: Experiment, settings: RunSettings) -> None:
@@ -270,13 +268,9 @@ def _check(experiment: Experiment) -> None:
 
 @final
 class _Watched:
-    """What watches a run for synchronisation.
+    """What watches a run for synchronisation: one of `every` samples, those that are recorded, as offline.
 
-    Args:
-        watch: what has been seen of it.
-        columns: where the two are among the virtual coordinates.
-        every: of how many samples one is looked at: those that are recorded, as offline.
-        controller: that is watched.
+    `columns` are where the two are among the virtual coordinates of the controller.
     """
 
     def __init__(self, watch: Watch, columns: tuple[int, int], every: int, controller: SampledStep) -> None:
@@ -295,17 +289,10 @@ class _Watched:
 
 @final
 class _Keeper:
-    """A sampled controller on the ticks of a plant, and where it is in its run.
+    """A sampled controller on the ticks of a plant, and where it is in its run, `before` and `after` the release.
 
-    Attributes:
-        last: the last sample that was answered; 0 is the release.
-        lasting: what lasted of pushes at the release (1, pushes).
-
-    Args:
-        controller: the controller, which begins with the first sample.
-        before: samples before the release.
-        after: samples from the release on.
-        watched: what ends the run before that.
+    `last` is the last sample that was answered; 0 is the release. `lasting` is what lasted of pushes at the release (1,
+    pushes). `watched` ends the run before its time.
     """
 
     def __init__(self, controller: SampledStep, before: int, after: int, watched: _Watched | None) -> None:

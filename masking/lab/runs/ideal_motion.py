@@ -35,12 +35,9 @@ class Ideal:
         return "its virtual system jumps, or depends on its past" if meta.get("lags") or meta.get("events") else ""
 
     def along(self, times: Array, live: Mapping[str, Array], reached: Reached) -> tuple[Array, Reached]:
-        """Its states (m, .) from where it is on, and where it is then.
+        """Its states (m, .) at times of the rig (m,) in s, from where it has got to, and where it is then.
 
-        Args:
-            times: of the rig (m,), s.
-            live: inputs that the run alone knows, by name (m,).
-            reached: the state at an earlier time, or at 0.
+        `live` are inputs that the run alone knows, by name (m,).
         """
         (begin, state), parts = reached, list[Array]()
         schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(self.virtual.kernels, len(times))

@@ -43,14 +43,8 @@ def run(
 ) -> Recording:
     """Run an experiment, with its recording in a folder; the recording that is returned is on disk if it is large.
 
-    Args:
-        experiment: to run.
-        folder: made if need be; after an error it is as it was.
-        overwrite: whether a recording that is there may be replaced.
-        progress: called with the part done.
-
-    Raises:
-        MaskingError: as `Experiment.run`; a virtual system needs the whole run in memory, or there is no room on disk.
+    The folder is made if need be; after an error it is as it was. Raises what `Experiment.run` does, and a MaskingError
+    where a virtual system needs the whole run in memory, or there is no room on disk.
     """
     folder, stages = Path(folder), [time.perf_counter()]
     if experiment.ideal.needs_memory:

@@ -73,12 +73,7 @@ class RowLayout:
         return {name: slice(*pair) for name, pair in zip(self.groups, itertools.pairwise(ends), strict=True)}
 
     def run(self, table: Array, after: int) -> TwinRun:
-        """Run since the release that rows (rows, columns) are of.
-
-        Args:
-            table: since the first sample, or a part of it.
-            after: samples from the release on.
-        """
+        """Run since the release that rows (rows, columns) are of, `after` of them if all are there."""
         rate, every = self.experiment.sampled.rate, self.experiment.every
         index, answered = (table[:, i].astype(np.int64) for i in (INDEX, ANSWERED))
         kept = np.flatnonzero((answered > 0) & (index >= 0) & (index < after) & (index % every == 0))
@@ -97,13 +92,10 @@ class RowLayout:
         )
 
     def recording(self, table: Array, after: int, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
-        """Recording of a run on a plant that runs by itself.
+        """Recording of a run on a plant that runs by itself, of rows as `run` takes them.
 
-        Args:
-            table: rows since the first sample, or a part of them.
-            after: samples from the release on.
-            lockstep: whether controller and plant waited for each other.
-            outcome: how the run ended and what was counted, for the manifest.
+        With `lockstep`, controller and plant waited for each other; `outcome` says how the run ended and what was
+        counted, for the manifest.
         """
         columns, _ = self.experiment.columns(self.run(table, after))
         made = self.experiment.recording(columns, {}, is_stopped=outcome["end"] == SYNCHRONISED)
@@ -117,12 +109,7 @@ def samples_after(experiment: Experiment, sampled: SampledController) -> int:
 
 
 def known(controller: SampledStep, lasting: Array) -> Known:
-    """State of a controller in rows, in the order of `RowLayout`.
-
-    Args:
-        controller: that answers.
-        lasting: of pushes at the release (1, pushes), changed in place.
-    """
+    """State of a controller in rows, in the order of `RowLayout`; `lasting` (1, pushes) is changed in place."""
     sizes, state = controller.sampled.sizes, controller.state
     states = sizes.states + (sizes.coordinates if sizes.order else 0)
     columns = controller.power, state[:states], controller.demanded, lasting[0]
@@ -131,19 +118,10 @@ def known(controller: SampledStep, lasting: Array) -> Known:
 
 @final
 class StreamedRows:
-    """The rows of a run on their way to disk.
+    """The rows of a run on their way to disk, to which `put` brings each.
 
-    Attributes:
-        put: records a row.
-
-    Args:
-        experiment: that runs.
-        folder: of the stream.
-        spare: folder for the rest where that one is full.
-        **more: what else the manifest says.
-
-    Raises:
-        RecordError: the folder holds a stream already, or cannot be written.
+    `spare` is the folder for the rest where that of the stream is full, and `more` what else the manifest says. A
+    RecordError where the folder holds a stream already, or cannot be written.
     """
 
     def __init__(

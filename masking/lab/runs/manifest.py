@@ -20,13 +20,7 @@ LIBRARIES = ("masking", "numpy", "numba", "sympy")
 
 
 def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Manifest of a run.
-
-    Args:
-        assembly: what was declared.
-        virtual: the virtual system, as it was integrated.
-        entries: what the run adds.
-    """
+    """Manifest of a run: what was declared, the virtual system as it was integrated, and what the run adds."""
     declaration, rate = assembly.experiment, assembly.experiment.controller.rate
     files = {**declaration.files, **assembly.plant.files}
     for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
@@ -57,22 +51,12 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
 
 
 def start(wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
-    """Where homing should have brought the rig, and where it did.
-
-    Args:
-        wanted: initial state of the virtual coordinates.
-        reached: what they were at first, by name.
-    """
+    """Where homing should have brought the virtual coordinates, and where it did, by name."""
     return {"wanted": dict(zip(reached, map(float, wanted), strict=False)), "reached": dict(reached)}
 
 
 def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
-    """Facts of the observer of a controller.
-
-    Args:
-        sampled: the controller.
-        kind: of the observer.
-    """
+    """Facts of the observer of a controller."""
     entry: dict[str, Any] = {"kind": kind, "delay": sampled.delay}
     if sampled.has_model:
         known = sampled.instruments
@@ -85,12 +69,7 @@ def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
 
 
 def limits(plant: schema.PlantDeclaration, instruments: Instruments) -> dict[str, dict[str, Any]]:
-    """Limit of each actuator in the unit of its commands.
-
-    Args:
-        plant: with the limits.
-        instruments: with the units.
-    """
+    """Limit of each actuator in the unit of its commands."""
     found = {}
     for name, limit in plant.limits.inputs.items():
         unit = instruments.unit(name) if name in instruments.actuators else limit.unit

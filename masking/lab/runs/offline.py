@@ -86,14 +86,7 @@ def samples_until(duration: float, rate: float) -> int:
 
 
 def chunks(kernels: Kernels, rows: int) -> range:
-    """First row of each chunk in which compiled dynamics are integrated.
-
-    What jumps, or depends on its past, is integrated in one.
-
-    Args:
-        kernels: of the dynamics.
-        rows: of the run.
-    """
+    """First row of each chunk in which dynamics are integrated; a single one if they jump, or depend on their past."""
     return range(0, rows, max(1, rows) if kernels.meta.get("lags") or kernels.meta.get("events") else CHUNK)
 
 
@@ -109,18 +102,9 @@ def continuous_chunks(
 ) -> Iterator[Run]:
     """Run a closed loop whose controller acts in continuous time, in chunks of `CHUNK` rows.
 
-    Args:
-        loop: controller and plant.
-        state: rig coordinates then velocities (2 n,) at the first time.
-        rows: to record.
-        instants: returns the times of the rows from one number to before another.
-        tolerance: local relative error of the integrator.
-        schedule: parameters of the control law that change on the way.
-        progress: called with the part done.
-
-    Raises:
-        SingularityError: the decoupling matrix became singular; holds the state.
-        IntegrationError: the integrator could not go on.
+    The state at the first time is that of `loop_state`; `instants` returns the times of the rows from one number to
+    before another; `schedule` changes parameters of the control law on the way. A SingularityError, which holds the
+    state, where the decoupling matrix became singular; an IntegrationError where the integrator could not go on.
     """
     p, _ = loop.values(), loop.controller.virtual.delays()
     inputs, y, before = np.zeros(len(loop.plant.inputs)), state, np.empty(0)
@@ -153,21 +137,9 @@ def sampled_chunks(
 ) -> Iterator[Run]:
     """Run a closed loop whose controller reads the state at a fixed rate and holds its outputs, in chunks of rows.
 
-    The plant takes as many integration steps between samples as its motion about the initial state asks for.
-
-    Args:
-        loop: controller and plant.
-        state: rig coordinates then velocities (2 n,) at time 0.
-        rate: samples per second.
-        duration: seconds.
-        every: record one sample of this many.
-        schedule: parameters of the control law that change on the way.
-        progress: called with the part done.
-        most: rows of a chunk; by default there is one.
-
-    Raises:
-        SingularityError: the decoupling matrix became singular; holds the state.
-        IntegrationError: the state or the inputs are no longer finite.
+    The plant takes as many integration steps between samples as its motion about the initial state asks for. One sample
+    of `every` is recorded; a chunk has at most `most` rows, and by default there is one. Raises what
+    `continuous_chunks` does.
     """
     loop.controller.virtual.check_ordinary("a controller with 'observer: exact'")
     if not (rate > 0.0 and duration > 0.0 and every >= 1):
@@ -207,20 +179,10 @@ def run_twin(
 ) -> TwinRun:
     """Run a sampled controller around a twin.
 
-    With homing, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin
-    is held at `start` by the controller's own commands until the first command that was made for the release acts.
-
-    Args:
-        loop: controller and twin.
-        start: the twin's coordinates (n,) at the start where there is no homing, SI units.
-        duration: seconds after the release.
-        seed: of the sensors' noise.
-        every: record one sample of this many.
-        progress: called with the part done.
-
-    Raises:
-        SingularityError: the decoupling matrix became singular; holds the state.
-        IntegrationError: the state or the commands are no longer finite.
+    With homing, the twin starts at rest and unpowered, and the record begins at the release. Without one, the twin is
+    held at the coordinates `start` (n,), SI units, by the controller's own commands until the first command that was
+    made for the release acts. One sample of `every` is recorded, for a duration in s after the release; `seed` is that
+    of the sensors' noise. Raises what `continuous_chunks` does.
     """
     return joined(twin_chunks(loop, start, duration=duration, seed=seed, every=every, progress=progress))
 
@@ -310,14 +272,10 @@ class Mapped(Protocol):
 def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None) -> Array:
     """Rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
-    Args:
-        loop: controller and plant.
-        virtual_state: virtual coordinates then velocities (2 k,); what follows is not looked at.
-        guess: rig coordinates (n,) to start from; by default several are tried.
-        passive: coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default.
-
-    Raises:
-        ModelError: no rig position is found that gives the virtual coordinates.
+    `virtual_state` has virtual coordinates then velocities (2 k,); what follows is not looked at. `guess` are rig
+    coordinates (n,) to start from; by default several are tried. `passive` are coordinates, then velocities, of those
+    that no virtual one stands for (2 (n - k),); 0 by default. A ModelError where no rig position gives the virtual
+    coordinates.
     """
     lengths = loop.controller.lengths
     k = len(loop.controller.virtual.coordinates)
@@ -347,13 +305,7 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
 
 
 def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
-    """State of a closed loop whose virtual system is in a state: the rig's, then `ClosedLoop.internal`.
-
-    Args:
-        loop: controller and plant.
-        virtual_state: virtual coordinates, velocities and internal states.
-        rig: coordinates and velocities of the rig (2 n,), such as `rig_state` gives them.
-    """
+    """State of a closed loop whose virtual system is in a state: the rig's (2 n,), then `ClosedLoop.internal`."""
     internal = [state.initial for state in loop.plant.declaration.states.values()]
     return np.concatenate([rig, internal, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
 
@@ -371,14 +323,9 @@ def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
 
 
 def complete(loop: ClosedLoop, times: Array, states: Array, p: Array, schedule: Schedule | None) -> Run:
-    """Run of a closed loop whose states are known.
+    """Run of a closed loop whose states (m, .), SI units, are known at increasing times (m,).
 
-    Args:
-        loop: controller and plant.
-        times: (m,), increasing.
-        states: of the rig (m, .), SI units.
-        p: parameter array of the loop.
-        schedule: parameters of it that change on the way.
+    `schedule` changes parameters of the loop's array `p` on the way.
     """
     virtual = np.empty((len(times), 2 * len(loop.controller.virtual.coordinates)))
     inputs = np.empty((len(times), len(loop.plant.inputs)))

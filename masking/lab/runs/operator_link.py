@@ -81,13 +81,7 @@ class Operator:
         self.switch.remove()
 
     def begin(self, experiment: Experiment, controller: SampledStep, rules: Rules) -> None:
-        """Show what a controller is about to do; in an attended run, wait until somebody looks.
-
-        Args:
-            experiment: that runs.
-            controller: that answers.
-            rules: of the safety chain.
-        """
+        """Show what a controller is about to do; in an attended run, wait until somebody looks."""
         if self._attend is None:
             return
         self._shown = _Shown(experiment, controller, rules, is_attended=self.is_attended)
@@ -131,14 +125,7 @@ class Operator:
 
 @final
 class _Shown:
-    """The rows that are shown.
-
-    Args:
-        experiment: that runs.
-        controller: that answers.
-        rules: of the safety chain.
-        is_attended: whether the page must stay open.
-    """
+    """The rows that are shown; `is_attended` says whether the page must stay open."""
 
     def __init__(self, experiment: Experiment, controller: SampledStep, rules: Rules, *, is_attended: bool) -> None:
         sampled = controller.sampled

@@ -40,11 +40,7 @@ class Passive:
 
     @cached_property
     def zero_dynamics(self) -> ZeroDynamics:
-        """Their motion with the virtual coordinates held where the run begins.
-
-        Raises:
-            ModelError: they do not rest anywhere.
-        """
+        """Their motion with the virtual coordinates held where the run begins; a ModelError without a rest."""
         law = self.law
         return Held(self.plant, law.transform, law.transform_parameters, law.lengths, self.eta).zero_dynamics()
 
@@ -60,11 +56,7 @@ class Passive:
         return np.array([*start, *speeds])
 
     def check_still(self) -> None:
-        """Refuse initial velocities, which a controller that reads sensors cannot give.
-
-        Raises:
-            ModelError: names the coordinate.
-        """
+        """Refuse initial velocities, which a controller that reads sensors cannot give."""
         moving = [
             name for name in self.names if self.given.get(f"{name}'") and name not in self.law.virtual.coordinates
         ]
@@ -75,11 +67,7 @@ class Passive:
             )
 
     def entry(self, states: Array) -> dict[str, Any]:
-        """Their names and motion, for the manifest.
-
-        Args:
-            states: of the rig over the run (rows, .), coordinates and velocities first, SI units.
-        """
+        """Their names and motion, for the manifest, from states of the rig (rows, .), [q, v, ...] in SI units."""
         try:
             found = self.zero_dynamics.as_dict()
         except ModelError as error:

@@ -193,15 +193,7 @@ def _reason(error: BaseException, rows: Rows) -> str:
 def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, mend: str) -> None:
     """Refuse a plant whose channels are not those wanted, in their order.
 
-    Args:
-        plant: configured.
-        sensors: the names that are wanted.
-        actuators: likewise.
-        whose: who wants them, such as "the experiment is for linear_rig".
-        mend: what to do about it.
-
-    Raises:
-        PlantMismatchError: names both.
+    `whose` says who wants them, such as "the experiment is for linear_rig", and `mend` what to do about it.
     """
     for kind, theirs, ours in (("sensors", plant.sensors, sensors), ("actuators", plant.actuators, actuators)):
         if tuple(theirs) != tuple(ours):
@@ -271,9 +263,7 @@ def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Ho
 def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) -> None:
     """Let the controller answer a sample; what it raises comes through once zero was written.
 
-    Raises:
-        CommandError: it returned something else than one number for each actuator.
-        Exception: what the controller raised.
+    A CommandError where it returned something else than one number for each actuator.
     """
     tick = sample.index
     try:
@@ -288,13 +278,7 @@ def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) 
 
 @final
 class _Taken:
-    """Whether a plant that reports its outputs takes the commands that it is given.
-
-    Args:
-        plant: the plant.
-        chain: which trips where it does not.
-        rate: samples per second.
-    """
+    """Trips the chain where a plant that reports its outputs does not take the commands that it is given."""
 
     def __init__(self, plant: Telling, chain: Chain, rate: float) -> None:
         self._plant, self._chain, self._every, self._row = plant, chain, max(2, round(rate * _LOOKED_AFTER)), 0
@@ -320,14 +304,8 @@ class _Taken:
 class _Ticks:
     """When the samples of a run came.
 
-    Attributes:
-        missed: periods that the clock of this side left out.
-        gaps: samples of the plant's clock that were missed.
-        is_late: whether the last tick was.
-
-    Args:
-        rate: samples per second.
-        before: samples before the release.
+    `missed` are the periods that the clock of this side left out, `gaps` the samples of the plant's clock that were
+    missed, and `is_late` says whether the last tick was.
     """
 
     def __init__(self, rate: float, before: int) -> None:
@@ -354,17 +332,8 @@ class _Ticks:
 class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
-    Attributes:
-        table: (samples, columns): `LOOP`, the sensors, the applied commands, and what the controller knows.
-        count: rows that were begun.
-        ticks: their times.
-
-    Args:
-        samples: number of rows.
-        plant: a configured plant.
-        chain: of the run.
-        on_row: each called once with each row.
-        known: state of the controller.
+    `table` (samples, columns) has `LOOP`, the sensors, the applied commands, and what the controller knows; `count` are
+    the rows that were begun, and `ticks` their times. Each of `on_row` is called once with each row.
     """
 
     def __init__(
@@ -390,17 +359,10 @@ class Rows:
         ]
 
     def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
-        """Begin the next row with a sample.
+        """Begin the next row with a sample (sensors,); return the samples that were missed before it.
 
-        Args:
-            tick: of the plant's clock.
-            values: (sensors,).
-            wall: s of the wall clock.
-            missed: periods missed so far.
-            lateness: s that the tick began late, where it is this side that keeps the time.
-
-        Returns:
-            the samples that were missed before this one.
+        `wall` is s of the wall clock, and `missed` are the periods missed so far; `lateness` is how late the tick
+        began, s, where it is this side that keeps the time.
         """
         row, tick = self.count, min(tick, _LARGEST)
         self.count += 1
@@ -413,13 +375,7 @@ class Rows:
     def answer(self, tick: int, demanded: Array, duration: float) -> None:
         """Keep what the controller answered in the row that was begun, and what of it may be written.
 
-        Args:
-            tick: of the plant's clock.
-            demanded: (actuators,).
-            duration: s that the controller took.
-
-        Raises:
-            CommandError: it is not one number for each actuator.
+        `demanded` is (actuators,); the controller took `duration` s. A CommandError where it is of another shape.
         """
         row, chain = self.count - 1, self.chain
         self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration

@@ -20,10 +20,7 @@ _STEP: Final = 1e-6  # of a size of each state, for differences
 def instants(duration: float, samples: int, rate: float | None) -> tuple[int, Callable[[int, int], Array]]:
     """How many rows a recording in continuous time has, and what gives the times from one row to before another.
 
-    Args:
-        duration: s.
-        samples: rows, evenly from its beginning to its end, where there is no rate.
-        rate: rows per second, if declared.
+    Where no rate is declared, there are `samples` rows, evenly from its beginning to its end in s.
     """
     if rate is not None:
         return samples_until(duration, rate), lambda first, last: np.arange(float(first), last) / rate
@@ -42,21 +39,12 @@ def rows_per_unit(virtual: Model, initial: Array) -> float:
     """Rows per unit of virtual time that show each period of the motion, and at least 10.
 
     The period is that of the fastest oscillation about the initial state and about rest.
-
-    Args:
-        virtual: the virtual system.
-        initial: its initial state, coordinates then velocities (2 k,), in its units.
     """
     return max(FEWEST, PER_PERIOD * fastest(virtual, initial) / (2.0 * math.pi))
 
 
 def fastest(virtual: Model, initial: Array) -> float:
-    """Angular frequency of the fastest oscillation about the initial state and about rest; 0 without any.
-
-    Args:
-        virtual: the virtual system.
-        initial: as `rows_per_unit` has it.
-    """
+    """Angular frequency of the fastest oscillation about the initial state (2 k,) and about rest; 0 without any."""
     return max(_fastest(virtual, state) for state in (initial, np.zeros(len(initial))))
 
 

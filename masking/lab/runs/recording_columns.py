@@ -29,25 +29,14 @@ class Columns:
         return self.assembly.plant.actuators or self.assembly.plant_model.inputs
 
     def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
-        """Add one column (m,).
-
-        Args:
-            name: of the column.
-            values: (m,).
-            unit: of the values.
-            meaning: in words.
-        """
+        """Add one column (m,), with its unit, and its meaning in words."""
         self.columns[name] = np.ascontiguousarray(values)
         self.units[name] = {"unit": unit, "meaning": meaning}
 
     def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
         """Add time, and coordinates and velocities of the rig, the virtual system and the ideal.
 
-        Args:
-            times: (m,), s.
-            rig: its states (m, .), SI units.
-            virtual: virtual coordinates, velocities and internal states (m, .), in the virtual system's units.
-            ideal: those of the virtual system by itself.
+        The states (m, .) are in SI units for the rig, and in the virtual system's for the others; times (m,) in s.
         """
         self.add("t", times, "s", "time")
         for prefix, model, states in (

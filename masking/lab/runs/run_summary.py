@@ -16,15 +16,8 @@ from masking.lab.runs.passive_coordinates import Passive
 class Summary:
     """Numbers of a run that need all of its rows, but not all at once.
 
-    Args:
-        virtual: names of the virtual coordinates.
-        rig: names of the coordinates of the rig.
-        passive: those of the rig that no virtual one stands for, if any.
-
-    Attributes:
-        first: first row of the virtual coordinates, by name.
-        last: last time, s.
-        passive: what the passive coordinates did, for the manifest; None where there are none.
+    `first` is the first row of the virtual coordinates, by name, `last` the last time in s, and `passive` what the
+    passive coordinates did, for the manifest; None where there are none.
     """
 
     def __init__(self, virtual: Sequence[str], rig: Sequence[str], passive: Passive | None) -> None:
@@ -33,11 +26,7 @@ class Summary:
         self.passive: dict[str, Any] | None = None
 
     def add(self, columns: Mapping[str, Array]) -> None:
-        """Add a chunk of rows.
-
-        Args:
-            columns: of the recording (m,), by name.
-        """
+        """Add a chunk of rows: the columns of the recording (m,), by name."""
         self.first = self.first or {name: float(columns[f"virtual.{name}"][0]) for name in self._errors}
         self.last = float(columns["t"][-1])
         for name, errors in self._errors.items():

@@ -43,14 +43,9 @@ class _Linear:
 def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estimate: Array | None = None) -> Rules:
     """Rules that the safety chain holds a rig to.
 
-    Args:
-        instruments: what the controller knows of the rig.
-        rate: samples per second.
-        twin: the rig with what it does wrong; without it, a quarter of the largest commands is not explained.
-        estimate: where the controller has its estimate of [q, v, ...], SI units, if it has one.
-
-    Raises:
-        ModelError: an actuator has no largest command.
+    Without its twin, which has what it does wrong, a quarter of the largest commands is not explained. `estimate` is
+    where the controller has its estimate of [q, v, ...], SI units, if it has one. A ModelError where an actuator has no
+    largest command.
     """
     return _Builder(instruments, rate, twin, 0 if estimate is None else len(estimate)).rules()
 
@@ -58,12 +53,7 @@ def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estim
 def limits(instruments: Instruments, rate: float) -> Rules:
     """Rules of a plant for whoever drives it: its limits, as far as its sensors show them.
 
-    Args:
-        instruments: of the plant file.
-        rate: samples per second.
-
-    Raises:
-        ModelError: an actuator has no largest command.
+    A ModelError where an actuator has no largest command.
     """
     return _Builder(instruments, rate, None, 0).limits()
 

@@ -73,11 +73,7 @@ class SelfTest(Result):
         return "\n".join([*map(str, self.answers), *self.findings, "fails" if self.findings else "passes"])
 
     def check(self) -> None:
-        """Refuse a rig that must not be armed.
-
-        Raises:
-            PlantError: says what was found.
-        """
+        """Refuse a rig that must not be armed, with a PlantError that says what was found."""
         if self.findings:
             raise PlantError(f"the self-test refuses to arm: {'; '.join(self.findings)}")
 
@@ -93,19 +89,11 @@ def self_test(
 ) -> SelfTest:
     """Pulse each actuator in turn, and compare what the sensors read with what those of the twin do.
 
-    Args:
-        twin: of the plant file.
-        plant: not active, at rest; it is deactivated on every way out.
-        size: of a pulse, as a part of the largest command, at most 1.
-        rate: samples per second.
-        lockstep: run as fast as both sides can.
-        acknowledge: why the plant tripped in the last run was looked at.
+    The plant is at rest and not active; it is deactivated on every way out. A pulse is a part of at most 1, `size`, of
+    the largest command. `acknowledge` says that somebody has looked at why the plant tripped in the last run.
 
-    Raises:
-        ModelError: an actuator has no largest command.
-        PlantMismatchError: the plant has other channels, or the size is none.
-        PlantError: the plant is lost, or refuses.
-        MaskingError: the test was interrupted.
+    A ModelError where an actuator has no largest command, a PlantMismatchError where the plant has other channels or
+    the size is none, a PlantError where it is lost or refuses, and a MaskingError where the test was interrupted.
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
@@ -127,11 +115,7 @@ def self_test(
 
 
 def allowed(twin: Twin) -> float:
-    """Command that every actuator of a plant file may be given.
-
-    Raises:
-        ModelError: an actuator has no largest command.
-    """
+    """Command that every actuator of a plant file may be given; a ModelError where one has no largest command."""
     return float(Instruments.of(twin).limits()[:, LARGEST].min())
 
 
@@ -154,13 +138,7 @@ def _predicted(ideal: Twin, rules: Rules, at: int, seconds: float) -> Array:
 
 
 class _Pulse:
-    """A pulse of one actuator, as a controller.
-
-    Args:
-        rules: whose largest commands are those of the pulse.
-        at: which actuator.
-        seconds: length of the pulse.
-    """
+    """A pulse of one actuator, as a controller, with the largest command of the rules."""
 
     def __init__(self, rules: Rules, at: int, seconds: float) -> None:
         self.rules, self.at, rate = rules, at, rules.rate
@@ -185,11 +163,7 @@ class _Pulse:
     def run(
         self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False
     ) -> tuple[Array, Trip | None]:
-        """Readings before and after the pulse (samples, sensors), once a real rig is at rest again.
-
-        Raises:
-            MaskingError: it was interrupted.
-        """
+        """Readings before and after the pulse (samples, sensors), once a real rig is at rest again."""
         rate, rest = self.rules.rate, 0 if twin is None else round(_REST * self.rules.rate)
 
         def accept(found: Plant) -> None:

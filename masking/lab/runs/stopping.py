@@ -48,16 +48,8 @@ _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
 def check_status(kernels: Kernels, status: int, time: float, state: Array, mend: str) -> None:
     """Raise what the status of a closed loop's kernel stands for, unless it reached its end.
 
-    Args:
-        kernels: of the closed loop.
-        status: one of `masking.compile.numerics.stop_codes`.
-        time: at which it stopped, s.
-        state: at that time.
-        mend: what to do about a rig that became unstable.
-
-    Raises:
-        SingularityError: a matrix became singular; holds the state.
-        IntegrationError: the loop could not go on.
+    `time` in s and `state` are those at which it stopped; `mend` is what to do about a rig that became unstable. A
+    SingularityError, which holds the state, or an IntegrationError.
     """
     if status == NOT_FINITE:
         raise IntegrationError(f"the masked rig became unstable and grew without bound by t = {time:.6g} s: {mend}")
@@ -78,15 +70,8 @@ class StopCondition:
     def of(cls, settings: Stop, virtual: Model, initial: Array, *, step: float, duration: float) -> StopCondition:
         """End of a run, whose period is that of the virtual system by itself where none is declared.
 
-        Args:
-            settings: as declared.
-            virtual: the virtual system.
-            initial: its initial state (2 k,).
-            step: virtual time between recorded rows.
-            duration: virtual time.
-
-        Raises:
-            ModelError: the first of the two does not oscillate, or rows are too far apart.
+        The initial state is (2 k,), and the step between recorded rows and the duration are virtual times. A ModelError
+        where the first of the two does not oscillate, or rows are too far apart.
         """
         first, second = settings.of or virtual.oscillators[:2]
         columns = (virtual.coordinates.index(first), virtual.coordinates.index(second))

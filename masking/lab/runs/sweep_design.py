@@ -120,16 +120,10 @@ class Design:
 
     @classmethod
     def of(cls, over: Mapping[str, Values], runs: int | None, seed: int, sampling: Sampling) -> Design:
-        """Design of what a sweep is given.
+        """Design of what a sweep is given: values by what varies, and the runs drawn at each point of the grid.
 
-        Args:
-            over: values by what varies; several names with commas between them get the same value.
-            runs: drawn at each point of the grid; None for one.
-            seed: of what is drawn.
-            sampling: as `Design` has it.
-
-        Raises:
-            DeclarationError: values cannot be read, or what is drawn has no number of runs.
+        Several names with commas between them get the same value. A DeclarationError where values cannot be read, or
+        what is drawn has no number of runs.
         """
         axes, joint = list[Axis](), list[Joint]()
         for key, given in over.items():

@@ -28,15 +28,11 @@ class Place:
 
 
 def place(experiment: Experiment, name: str) -> Place:
-    """Variation behind a name of a sweep.
+    """Place behind a name of a sweep, in an experiment that varies.
 
-    Args:
-        experiment: that varies.
-        name: a parameter, coordinate or velocity (`x1'`) of the virtual system; `EFFECT.PARAMETER` of the plant;
-            `plant.PARAMETER` of its model; a number of the experiment, such as `duration`; or the path of one.
-
-    Raises:
-        DeclarationError: it stands for nothing.
+    A name is a parameter, coordinate or velocity (`x1'`) of the virtual system; `EFFECT.PARAMETER` of the plant;
+    `plant.PARAMETER` of its model; a number of the experiment, such as `duration`; or the path of one. A
+    DeclarationError where it stands for nothing.
     """
     declaration, plant = experiment.declaration, experiment.assembly.plant
     virtual = Model(experiment.assembly.virtual_model, declaration.parameters)
@@ -70,12 +66,7 @@ def place(experiment: Experiment, name: str) -> Place:
 
 
 def unit(experiment: Experiment, where: Place) -> str:
-    """Declared unit of a parameter of the virtual system or of the plant's model; nothing for 1 and others.
-
-    Args:
-        experiment: that varies.
-        where: a place in it.
-    """
+    """Declared unit of a parameter of the virtual system or of the plant's model; nothing for 1 and others."""
     models = {"parameters": experiment.assembly.virtual_model, PLANT: experiment.assembly.plant_model}
     model, name = models.get(where.path[0]), where.path[-1]
     found = model.parameters[name].unit if model and name in model.parameters else "1"
@@ -95,14 +86,9 @@ def _initial(model: Model, name: str) -> float | None:
 
 
 def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]) -> Experiment:
-    """Experiment with other values.
+    """Experiment with other values: each with its place, and whether the declared one is multiplied by it.
 
-    Args:
-        experiment: whose declaration is sound.
-        settings: each a place, its value, and whether the declared one is multiplied by that.
-
-    Raises:
-        DeclarationError: as for a file.
+    The declaration of the experiment is sound; a DeclarationError as for a file where that of the result is not.
     """
     sections, parameters = dict[str, Any](), dict[str, float]()
     values = [(where.path, value(where, number, is_factor=by)) for where, number, by in settings]
@@ -128,11 +114,7 @@ def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]
 
 
 def value(where: Place, number: float, *, is_factor: bool) -> float | str:
-    """Value that a place gets: a number, or an expression for multiples of one.
-
-    Raises:
-        DeclarationError: there is no declared value to multiply.
-    """
+    """Value that a place gets: a number, or an expression for multiples of one, where there is a declared value."""
     if not is_factor:
         return float(number)
     if where.declared is None:

@@ -123,13 +123,7 @@ class Norm:
 
     @classmethod
     def of(cls, signal: Multisine, power: int, duration: float | None = None) -> Norm:
-        """Norm of a multisine.
-
-        Args:
-            signal: whose amplitudes count.
-            power: p.
-            duration: over the record from 0 to this time, s; over one period if it is None.
-        """
+        """Norm of a multisine over the record from 0 to `duration` s; over one period where that is None."""
         return cls(_lines(signal, duration), signal.amplitudes, power)
 
     def __call__(self, phases: Array) -> float:

@@ -232,24 +232,14 @@ class Multisine:
 
 
 def wave(harmonics: tuple[int, ...], amplitudes: np.ndarray, size: int) -> Array:
-    """Samples of one period of Re sum_k c_k exp(i h_k theta) (size,).
-
-    Args:
-        harmonics: h_k (lines,).
-        amplitudes: c_k, complex (lines,).
-        size: of the period, in samples.
-    """
+    """Samples of one period of Re sum_k c_k exp(i h_k theta) (size,), for harmonics h_k and complex c_k (lines,)."""
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     spectrum[list(harmonics)] = 0.5 * size * amplitudes
     return np.asarray(fft.irfft(spectrum, size), dtype=np.float64)
 
 
 def periodic(signal: Multisine) -> tuple[int, ...]:
-    """Harmonics of a multisine.
-
-    Raises:
-        ModelError: its lines have no common period.
-    """
+    """Harmonics of a multisine; a ModelError where its lines have no common period."""
     if signal.harmonics is None:
         raise ModelError(
             f"the lines have no common period with harmonics up to {HIGHEST_HARMONIC}; give the duration of the "
@@ -259,17 +249,7 @@ def periodic(signal: Multisine) -> tuple[int, ...]:
 
 
 def check_size(samples: int, lines: int, duration: float, most: int = MOST_POINTS) -> None:
-    """Refuse a record that is too long to be looked at.
-
-    Args:
-        samples: of the record.
-        lines: of the multisine.
-        duration: of the record, s.
-        most: samples times lines that are allowed.
-
-    Raises:
-        ModelError: there are more.
-    """
+    """Refuse a record, of a duration in s, whose samples times lines are more than can be looked at."""
     if samples * lines > most:
         raise ModelError(
             f"a record of {duration:g} s with {lines} lines takes {samples * lines:.3g} values, at most {most:.3g} are "

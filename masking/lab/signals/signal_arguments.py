@@ -14,27 +14,14 @@ from masking.errors import ModelError
 
 
 def real(what: str, value: object) -> float:
-    """Finite number.
-
-    Raises:
-        ModelError: it is none.
-    """
+    """Finite number; a ModelError where it is none."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise ModelError(f"{what} is {value!r}; give a finite number")
 
 
 def positive(what: str, value: object, unit: str = "") -> float:
-    """Positive, finite number.
-
-    Args:
-        what: its name in the message.
-        value: the number.
-        unit: of it.
-
-    Raises:
-        ModelError: it is none.
-    """
+    """Positive, finite number; a ModelError where it is none, with its name and unit."""
     found = real(what, value)
     if found > 0.0:
         return found
@@ -42,16 +29,7 @@ def positive(what: str, value: object, unit: str = "") -> float:
 
 
 def count(what: str, value: object, least: int = 1) -> int:
-    """Whole number.
-
-    Args:
-        what: its name in the message.
-        value: the number.
-        least: that is allowed.
-
-    Raises:
-        ModelError: it is none, or less.
-    """
+    """Whole number of at least `least`; a ModelError where it is none."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= least:
         return int(value)
     raise ModelError(f"{what} is {value!r}; give a whole number of at least {least}")
@@ -60,13 +38,8 @@ def count(what: str, value: object, least: int = 1) -> int:
 def row(what: str, values: ArrayLike, length: int | None = None) -> Array:
     """Finite numbers as a read-only array (length,), one number repeated.
 
-    Args:
-        what: name of the numbers, in the plural.
-        values: one number, or a sequence of them.
-        length: how many there must be; None for any number of at least one.
-
-    Raises:
-        ModelError: they are no such numbers.
+    A ModelError where they are no such numbers; any number of them will do where no length is given. `what` is their
+    name, in the plural.
     """
     try:
         found = np.array(values, dtype=np.float64)
@@ -87,16 +60,7 @@ def row(what: str, values: ArrayLike, length: int | None = None) -> Array:
 
 
 def below_nyquist(what: str, frequency: float, rate: float) -> None:
-    """Refuse a frequency that the rate cannot hold.
-
-    Args:
-        what: its name in the message.
-        frequency: Hz.
-        rate: Hz.
-
-    Raises:
-        ModelError: the frequency is not below half the rate.
-    """
+    """Refuse a frequency that is not below half the rate, both in Hz, with a ModelError."""
     if frequency >= rate / 2:
         raise ModelError(
             f"{what} {frequency:.6g} Hz is not below half the rate {rate:g} Hz; take a rate above "
@@ -105,17 +69,7 @@ def below_nyquist(what: str, frequency: float, rate: float) -> None:
 
 
 def samples(what: str, seconds: float, rate: float, least: int) -> int:
-    """How many samples a part of a signal lasts.
-
-    Args:
-        what: its name in the message.
-        seconds: s.
-        rate: Hz.
-        least: samples that are needed.
-
-    Raises:
-        ModelError: there are fewer.
-    """
+    """How many samples a part of a signal lasts, s at a rate in Hz; a ModelError where there are fewer than `least`."""
     found = round(seconds * rate)
     if found < least:
         raise ModelError(
@@ -126,11 +80,7 @@ def samples(what: str, seconds: float, rate: float, least: int) -> int:
 
 
 def names(what: str, values: Sequence[str]) -> tuple[str, ...]:
-    """Different texts, not empty and without brackets, which hold units in a csv.
-
-    Raises:
-        ModelError: they are no such texts.
-    """
+    """Different texts, not empty and without brackets, which hold units in a csv; a ModelError where they are none."""
     found = (values,) if isinstance(values, str) else tuple(values)
     for name in found:
         if not isinstance(name, str) or not name or name != name.strip() or set(name) & set("[]\r\n"):
