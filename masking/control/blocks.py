@@ -38,17 +38,11 @@ INVERTIBLE = "choose a transform that is invertible, and that the actuators can 
 
 @dataclass(frozen=True)
 class Transform:
-    """T: virtual coordinates as smooth functions of rig coordinates.
+    """T: virtual coordinates as smooth functions of rig coordinates."""
 
-    Args:
-        rig: the model of the rig.
-        virtual: the model whose coordinates are computed.
-        declaration: identity, a matrix, or one expression for each virtual coordinate.
-    """
-
-    rig: Model
-    virtual: Model
-    declaration: schema.Transform
+    rig: Model  # the model of the rig
+    virtual: Model  # the model whose coordinates are computed
+    declaration: schema.Transform  # identity, a matrix, or one expression for each virtual coordinate
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -22,22 +22,15 @@ from masking.model.modelling.model import Model
 
 @dataclass(frozen=True)
 class Instruments:
-    """Sensors, actuators and limits of a rig, as its plant file declares them to the controller.
+    """Sensors, actuators and limits of a rig, as its plant file declares them to the controller."""
 
-    Args:
-        plant: the content of the plant file.
-        model: the controller's model of the rig, in SI units.
-        factors: size in SI units of each unit that the plant file uses.
-        noise: standard deviation of a reading of each sensor for which it is known, in the sensor's unit.
-        delay: samples between a reading and the first effect of the command that answers it.
-        driven: slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each.
-    """
-
-    plant: schema.PlantDeclaration
-    model: Model
-    factors: Mapping[str, float]
+    plant: schema.PlantDeclaration  # the content of the plant file
+    model: Model  # the controller's model of the rig, in SI units
+    factors: Mapping[str, float]  # size in SI units of each unit that the plant file uses
+    # standard deviation of a reading of each sensor for which it is known, in the sensor's unit
     noise: Mapping[str, float]
-    delay: int
+    delay: int  # samples between a reading and the first effect of the command that answers it
+    # slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each
     driven: Array | None = None
 
     @classmethod

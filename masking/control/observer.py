@@ -186,7 +186,6 @@ class _Steady:
 
 
 def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
-    """Steady Kalman filter for a bandwidth of each coordinate."""
     n, h = plan.coordinates, plan.period
     size = (2 + order) * n
     flow = np.zeros((size, size))

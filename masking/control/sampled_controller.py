@@ -300,7 +300,6 @@ class _Lowered:
         self.inputs = [dot(self.graph, row, out) for row in wires]
 
     def _add_balance(self, controller: Controller, p: ControllerParameters, time: Node) -> None:
-        """Add what the energy balance calls."""
         graph, k = self.graph, len(controller.virtual.coordinates)
         wanted = [graph.div(d, p.time_scale) for d in self.law.desired]
         taken, frequency = p.energy_balance

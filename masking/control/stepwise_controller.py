@@ -144,7 +144,6 @@ class SampledStep:
         self._is_placed = True
 
     def _begin(self) -> None:
-        """Answer the first sample."""
         if not self._is_placed:
             self._place()
         self._call, self._has_begun = self._bound[0].call, True
@@ -297,7 +296,6 @@ def _copy(given: ArrayLike, target: Array, what: str, names: Sequence[str]) -> N
 
 
 def _stopped(where: str) -> Callable[[], NoReturn]:
-    """Call of a controller that has stopped."""
 
     def refuse() -> NoReturn:
         raise CommandError(f"the controller stopped at {where}; call reset to begin again")

@@ -164,7 +164,6 @@ def _variable(parent: Element, variable: Variable, version: int) -> None:
 
 
 def _structure(parent: Element, found: tuple[Variable, ...], version: int) -> None:
-    """Write the structure: the outputs, which are also what is computed at the beginning."""
     places = [(i, v.reference) for i, v in enumerate(found, 1) if v.causality == "output"]
     for name in ("Output", "InitialUnknown"):
         listed = SubElement(parent, f"{name}s") if version == 2 else parent

@@ -96,17 +96,14 @@ class _Tags:
         self._keyed = hashlib.blake2b(key=key, digest_size=TAG)
 
     def tag(self, frame: bytes) -> bytes:
-        """Tag of a frame."""
         keyed = self._keyed.copy()
         keyed.update(frame)
         return keyed.digest()
 
     def add(self, frame: bytes) -> bytes:
-        """Frame with its tag."""
         return frame + self.tag(frame)
 
     def is_on(self, tagged: bytes) -> bool:
-        """Whether a frame has the right tag."""
         return hmac.compare_digest(self.tag(tagged[:-TAG]), tagged[-TAG:])
 
 

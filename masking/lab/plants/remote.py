@@ -248,7 +248,6 @@ class RemotePlant(ABC):
             self.counters["unsent"] += 1
 
     def _part(self, kind: Kind, text: str = "") -> None:
-        """Send the last frame of a session, if there is one."""
         if self._line is not None:
             try:
                 self._line.send(wire.encode(kind, self._session, text=text[: wire.LONGEST_TEXT]))

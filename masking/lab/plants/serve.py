@@ -252,7 +252,6 @@ class _Server:
             del self.over[next(iter(self.over))]
 
     def hold(self, session: Session) -> None:
-        """Run a session from its first sample to its end."""
         rate = session.settings.rate
         try:
             self.plant.activate()
@@ -380,7 +379,6 @@ class _Server:
                 wait = 0.0
 
     def reply(self, session: Session, kind: Kind, text: str) -> None:
-        """Send a text to the session's controller."""
         self.send(session.number, session.address, kind, text=text)
 
     def send(
@@ -392,7 +390,6 @@ class _Server:
             self.line.send(frame, address)
 
     def tell_once(self, note: str) -> None:
-        """Report what was not reported before."""
         if note and note not in self.reported:
             self.reported.add(note)
             self.tell(note)

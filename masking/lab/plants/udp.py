@@ -42,11 +42,9 @@ class _Datagrams:
         self._socket.setblocking(False)
 
     def waits(self, seconds: float) -> bool:
-        """Whether a datagram waits to be read, or comes within a time."""
         return bool(select.select([self._socket], [], [], seconds)[0])
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
     def __enter__(self) -> Self:

@@ -59,7 +59,6 @@ def _say(error: RecordError) -> None:
 
 
 def _record(reader: RingReader, folder: str) -> None:
-    """Record rows until none follows."""
     writer = stream.StreamWriter(folder)
     reader.next = writer.next
     print(_READY, flush=True)

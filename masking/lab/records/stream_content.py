@@ -62,7 +62,6 @@ class _Reader:
         self.chain: bytes | None = None
 
     def read(self) -> Stream:
-        """All that is sound."""
         self.chain = hash_of(self.content)
         self._part(self.folder / ROWS, 0)
         if not self.is_proven and self.tables:
@@ -89,7 +88,6 @@ class _Reader:
         )
 
     def _part(self, path: Path, number: int) -> None:
-        """Read one part."""
         try:
             with path.open("rb") as file:
                 if os.fstat(file.fileno()).st_size < PART_HEAD:

@@ -31,8 +31,6 @@ _REMARKS = ("%", "//")
 
 @dataclass(frozen=True)
 class _Table:
-    """A text in its parts."""
-
     names: Sequence[str]  # of its columns; an empty one is left out
     separator: str | None  # between cells; None for blanks
     start: int  # number of the first line of the body, from 1

@@ -71,7 +71,6 @@ def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...
 
 
 def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
-    """Faults in the numbers of a plan."""
     if plan.repeats < 1:
         yield Problem(plan.place("repeats"), "repeats", "must be at least 1, not 0")
     if plan.budget.trips == 0:

@@ -115,19 +115,12 @@ _NOTHING = {
 
 @dataclass(frozen=True)
 class Feasibility:
-    """What the ideal motion of an experiment asks of its rig, and what to change where that is too much.
+    """What the ideal motion of an experiment asks of its rig, and what to change where that is too much."""
 
-    Args:
-        name: of the experiment.
-        uses: each limit and how much of it is used.
-        mends: what was tried where a limit is passed; empty where the motion fits.
-        notes: what could not be determined.
-    """
-
-    name: str
-    uses: tuple[Use, ...]
-    mends: tuple[Mend, ...] = ()
-    notes: tuple[str, ...] = ()
+    name: str  # of the experiment
+    uses: tuple[Use, ...]  # each limit and how much of it is used
+    mends: tuple[Mend, ...] = ()  # what was tried where a limit is passed; empty where the motion fits
+    notes: tuple[str, ...] = ()  # what could not be determined
 
     @property
     def fits(self) -> bool:

@@ -191,7 +191,6 @@ class _Run:
             )
 
     def on(self, plant: Plant) -> RigRun:
-        """Run it on a plant."""
         keeper, settings, operator = self.keeper, self.settings, self.settings.operator
         if operator is not None:
             operator.begin(self.experiment, keeper.controller, self.rules)
@@ -302,7 +301,6 @@ class _Keeper:
 
     @property
     def is_released(self) -> bool:
-        """Whether there is a sample since the release."""
         return self.last >= 0
 
     @property

@@ -154,7 +154,6 @@ class _Builder:
         return _Linear(zero, slopes)
 
     def _declared(self) -> None:
-        """Fill in what the plant file says of its sensors."""
         for row, (name, sensor) in zip(self.table, self.instruments.plant.sensors.items(), strict=True):
             if sensor.range is not None:
                 row[safety_tables.LEAST], row[safety_tables.MOST] = sensor.range

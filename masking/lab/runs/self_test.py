@@ -191,7 +191,6 @@ def _is_still(last: Array, first: Array, answer: Array) -> bool:
 
 
 def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Answer]:
-    """Answer of each sensor."""
     begin = round(len(read) * _QUIET / (_QUIET + _PULSE + _AFTER))
     for i, sensor in enumerate(twin.sensors):
         wanted = predicted[begin:, i] - predicted[begin - 1, i]

@@ -68,11 +68,9 @@ class _Period:
         self._at, self._sums, self._differences = h, h[:, None] + h, h[:, None] - h
 
     def values(self, amplitudes: Complex) -> Array:
-        """Re sum_k c_k exp(i w_k t) at the samples (size,)."""
         return wave(self.harmonics, amplitudes, self.size)
 
     def means(self, weights: Array) -> Complex:
-        """Means of weights exp(i w_k t) (lines,)."""
         return np.asarray(self._spectrum(weights)[self._at], dtype=np.complex128)
 
     def products(self, weights: Array) -> tuple[Complex, Complex]:
