@@ -4,7 +4,7 @@ import shutil
 import subprocess
 
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.example_programs import programs
+from masking.control.exports.unit_files import programs
 from tests.support.cortex_m4 import EMULATOR, FLAGS, LINKED, MACHINE
 
 COMPILER = shutil.which("arm-none-eabi-g++")

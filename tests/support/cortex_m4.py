@@ -12,7 +12,7 @@ import subprocess
 import numpy as np
 
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.example_programs import programs
+from masking.control.exports.unit_files import programs
 
 COMPILER, EMULATOR = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
 MISSING = "there is no arm-none-eabi-gcc" if COMPILER is None else "there is no qemu-system-arm"

@@ -17,7 +17,6 @@ from masking.control.exports.calls import filled
 from masking.control.exports.unit import Channel, Operation, Unit
 from masking.errors import ModelError
 
-REALS = ("double", "float")
 LARGEST_FLOAT = 3.4028234663852886e38
 STATUS = "0 while it runs; 2: a matrix became singular; 3: not finite; 7: the watchdog"
 

@@ -6,7 +6,6 @@ This module alone touches h5py, so that whoever reads no such file does not pay 
 from __future__ import annotations
 
 import math
-import zlib
 from pathlib import Path
 
 import h5py
@@ -15,13 +14,11 @@ from numpy.typing import NDArray
 
 from masking.errors import RecordError
 from masking.lab.records import unpacked_size
-from masking.lab.records.nested_data import MOST_COLUMNS, vectors
+from masking.lab.records.nested_data import MOST_COLUMNS, parsed, vectors
 
 # What MATLAB calls numbers. Text, tables and objects are kept as integers, too, with another class beside them.
 _MATLAB = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _MOST_INFLATED = 1032  # times as many bytes as are stored
-# What h5py raises for files that are cut off or damaged.
-_DAMAGED = (OSError, RuntimeError, ValueError, TypeError, KeyError, UnicodeError, MemoryError, SystemError, zlib.error)
 
 
 def is_hdf5(file: Path) -> bool:
@@ -57,15 +54,10 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     def outside(path: str, held: object) -> str | None:
         return path if isinstance(held, h5py.ExternalLink) else None
 
-    try:
-        with h5py.File(file, "r") as opened:
-            if (path := opened.visititems_links(outside)) is not None:
-                raise _elsewhere(file, path, "an external link")
-            opened.visititems(visit)
-    except RecordError:
-        raise
-    except _DAMAGED as error:
-        raise RecordError(f"{file}: the HDF5 file cannot be read ({error})") from error
+    with parsed(file, "the HDF5 file"), h5py.File(file, "r") as opened:
+        if (path := opened.visititems_links(outside)) is not None:
+            raise _elsewhere(file, path, "an external link")
+        opened.visititems(visit)
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found

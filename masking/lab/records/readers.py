@@ -170,10 +170,6 @@ def _hdf5(file: Path) -> dict[str, Column]:
     return hdf5.read(file)  # h5py loads here, and only here
 
 
-def _npz(file: Path) -> dict[str, Column]:
-    return _nested(file, numpy_files.read(file))
-
-
 def _json(file: Path) -> dict[str, Column]:
     """Read lists of numbers, or a list of samples that are objects with the same keys."""
     if file.stat().st_size > _LARGEST_JSON:
@@ -236,7 +232,7 @@ def _clock(columns: Mapping[str, Column]) -> str:
 
 _NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
     ".mat": _mat,
-    ".npz": _npz,
+    ".npz": lambda file: _nested(file, numpy_files.read(file)),
     ".json": _json,
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
     **dict.fromkeys((".tdms", ".mf4", ".mcap"), loggers.read),

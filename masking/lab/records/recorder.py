@@ -65,7 +65,7 @@ def _record(reader: RingReader, folder: str) -> None:
     most, synced, lost = max(1, MOST // (8 * len(reader.columns))), time.monotonic(), 0
     while True:
         # Asked before the rows are taken: none follows those then.
-        is_closed, is_killed = reader.is_closed, not _is_writing(reader.process)
+        is_closed, is_killed = reader.is_closed, os.getppid() != reader.process
         while len((rows := reader.take(most)).table):
             writer.append(rows.first, rows.table)
             lost += rows.missed
@@ -78,10 +78,6 @@ def _record(reader: RingReader, folder: str) -> None:
     writer.end({"why": CLOSED if is_closed else KILLED, "rows": writer.next, "lost": lost, "moved": writer.moved})
     if not is_closed:
         reader.path.unlink(missing_ok=True)
-
-
-def _is_writing(process: int) -> bool:
-    return os.getppid() == process
 
 
 @final

@@ -17,7 +17,7 @@ from masking.control.closed_loop import ClosedLoop
 from masking.control.known_instruments import Instruments
 from masking.control.law import Controller
 from masking.control.observer import Differences, Kalman, Observer
-from masking.control.rig.twin import PlacedEffect, Twin
+from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController, SampledLoop
 from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.errors import DeclarationError, ModelError, Problem
@@ -398,10 +398,8 @@ class Experiment:
         """
         live = live_inputs(self.sampled, run, self.inputs) if isinstance(run, TwinRun) else {}
         states, reached = self.ideal.along(run.times, live, reached or (0.0, self.virtual_start))
-        columns, inputs = (
-            Columns(self.assembly, self.plant, self.virtual),
-            self.inputs.columns(run.times / self.time_scale, live),
-        )
+        columns = Columns(self.assembly, self.plant, self.virtual)
+        inputs = self.inputs.columns(run.times / self.time_scale, live)
         if isinstance(run, Run):
             columns.add_motion(run.times, run.rig, run.virtual, states).add_inputs(inputs)
             return columns.add_actuators("input", run.inputs @ self.instruments.allocation_inverse.T), reached
@@ -442,11 +440,12 @@ class Experiment:
         `timing` has the seconds that each stage took; `is_stopped` says whether its stop condition ended it.
         """
         at = summary.last / self.time_scale if is_stopped else None
+        acts = {e.label: e.enabled and (self.has_observer or e.entry.where == "element") for e in self.twin.effects}
         entries = {
             "columns": dict(made.units),
             "time_scale": self.time_scale,
             "limits": manifest.limits(self.assembly.plant, self.instruments),
-            "effects": {effect.label: effect.enabled and self._acts(effect) for effect in self.twin.effects},
+            "effects": acts,
             "observer": manifest.observer(self.sampled, self.observer_settings.kind) if self.has_observer else None,
             "masking_error": summary.masking_error,
             "timing": dict(timing),
@@ -459,6 +458,3 @@ class Experiment:
             entries["start"] = manifest.start(self.virtual_start, summary.first)
         entries |= {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
         return manifest.content(self.assembly, self.virtual, entries)
-
-    def _acts(self, effect: PlacedEffect) -> bool:
-        return self.has_observer or effect.entry.where == "element"

@@ -48,7 +48,9 @@ class VirtualInputs:
     def _read(self, name: str, source: InputSource) -> Series:
         try:
             times, values = _file(self.path(name), source, name) if source.file else _signal(source)
-            return Series(times, values * self._size(name), source.interpolation or "linear")
+            unit, size = self._unit(name)
+            own = self.virtual.units.conversions[unit].factor / size
+            return Series(times, values * own, source.interpolation or "linear")
         except MaskingError as error:
             path = f"inputs.{name}"
             raise DeclarationError(Problem(self.experiment.key_place(path), path, str(error))) from None
@@ -59,15 +61,11 @@ class VirtualInputs:
         folder = registry.refer(self.experiment, f"inputs.{name}.file").folder
         return file if folder is None else folder / file
 
-    def _size(self, name: str) -> float:
-        """Virtual system's own units per declared unit of an input."""
-        unit = self.virtual.declaration.parameters[cell(name, "c0")].unit
-        factor = self.virtual.units.conversions[unit].factor
-        return factor / self.virtual.units.size(unit, self.virtual.overrides) if self._is_scaled else factor
-
-    @property
-    def _is_scaled(self) -> bool:
-        return self.virtual.is_dimensionless and not self.virtual.units.is_plain
+    def _unit(self, name: str) -> tuple[str, float]:
+        """Declared unit of an input, and the size in it of what the virtual system counts in: 1 but for its scales."""
+        unit, units = self.virtual.declaration.parameters[cell(name, "c0")].unit, self.virtual.units
+        is_scaled = self.virtual.is_dimensionless and not units.is_plain
+        return unit, units.size(unit, self.virtual.overrides) if is_scaled else 1.0
 
     def _cells(self, name: str) -> list[int]:
         return [self.virtual.parameters.index(cell(name, part)) for part in CELLS]
@@ -99,9 +97,7 @@ class VirtualInputs:
         for name, one in sources.items():
             if not one.is_live:
                 continue
-            unit = self.virtual.declaration.parameters[cell(name, "c0")].unit
-            size = self.virtual.units.size(unit, self.virtual.overrides) if self._is_scaled else 1.0
-            factor = one.factor / size
+            factor = one.factor / self._unit(name)[1]
             if one.sensor is not None:
                 sensor = instruments.sensors.index(one.sensor)
                 sensors.append(FromSensor(first[name], sensor, factor / gains[one.sensor]))

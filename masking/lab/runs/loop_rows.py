@@ -41,24 +41,19 @@ class RowLayout:
         coordinates = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
         states = [*coordinates, *(f"state {i}" for i in range(1, sizes.states - len(coordinates) + 1))]
         disturbed = model.coordinates[: sizes.coordinates] if sizes.order else ()
-        lasting = sampled.feed.lasting(sampled.values())
-        return {
-            "loop": dict(LOOP),
-            "sensor": {f"sensor.{n}": {"unit": s.unit, "meaning": s.meaning} for n, s in plant.sensors.items()},
-            "input": {f"input.{n}": {"unit": a.unit, "meaning": a.meaning} for n, a in actuators.items()},
-            "power": {f"power.{n}": {"unit": "W", "meaning": f"mean power of {n}"} for n in actuators},
-            "estimate": {f"estimate.{n}": {"unit": "SI", "meaning": f"estimate of {n}"} for n in states},
-            "disturbance": {
-                f"disturbance.{n}": {"unit": "SI", "meaning": f"acceleration of {n} that the model lacks"}
-                for n in disturbed
-            },
-            "demanded": {
-                f"demanded.{n}": {"unit": a.unit, "meaning": f"demanded of {n}"} for n, a in actuators.items()
-            },
-            "lasting": {
-                f"lasting.{i}": {"unit": "SI", "meaning": "what lasted of a push at the release"}
-                for i in range(lasting.size)
-            },
+        pushes = range(sampled.feed.lasting(sampled.values()).size)
+        found = {
+            "sensor": {n: (s.unit, s.meaning) for n, s in plant.sensors.items()},
+            "input": {n: (a.unit, a.meaning) for n, a in actuators.items()},
+            "power": {n: ("W", f"mean power of {n}") for n in actuators},
+            "estimate": {n: ("SI", f"estimate of {n}") for n in states},
+            "disturbance": {n: ("SI", f"acceleration of {n} that the model lacks") for n in disturbed},
+            "demanded": {n: (a.unit, f"demanded of {n}") for n, a in actuators.items()},
+            "lasting": {str(i): ("SI", "what lasted of a push at the release") for i in pushes},
+        }
+        return {"loop": dict(LOOP)} | {
+            group: {f"{group}.{n}": {"unit": unit, "meaning": meaning} for n, (unit, meaning) in entries.items()}
+            for group, entries in found.items()
         }
 
     @cached_property
