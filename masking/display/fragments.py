@@ -29,23 +29,14 @@ _WIDTH, _HEIGHT = 160, 20  # pixels of a small line
 
 
 def card(title: str, subtitle: str, *parts: Markup) -> str:
-    """Title, a line below it, and parts.
-
-    Args:
-        title: what is shown.
-        subtitle: its size, or the like.
-        parts: tables and other markup.
-    """
+    """Title, a line below it such as its size, and parts."""
     return str(_CARD.format(title, subtitle, Markup().join(parts)))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[int] = ()) -> Markup:
     """Table; nothing where there are no rows.
 
-    Args:
-        head: a title for each column.
-        rows: cells, which are escaped unless they are markup.
-        numbers: columns that are set to the right.
+    Cells are escaped unless they are markup; columns whose places are `numbers` are set to the right.
     """
     rows = [*rows]
     sides = ["right" if i in numbers else "left" for i in range(len(head))]
@@ -57,11 +48,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequen
 
 
 def line(series: Series) -> Markup:
-    """Series as a small picture of its envelope.
-
-    Args:
-        series: samples (m,), equally spaced.
-    """
+    """Equally spaced samples (m,) as a small picture of their envelope."""
     x, low, high = envelope(np.arange(len(series), dtype=float), series, _WIDTH)
     least, most = float(series.min()), float(series.max())
     size = (most - least) or 1.0

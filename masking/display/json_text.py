@@ -31,24 +31,16 @@ class Result:
 def json_text(content: Any) -> str:  # noqa: ANN401  # a tree of values
     """JSON of a tree of values; numbers that are not finite are written as text.
 
-    Args:
-        content: results, mappings, sequences, text, numbers, numpy values and paths.
-
-    Raises:
-        RecordError: it holds something else; says where.
+    The tree is one of results, mappings, sequences, text, numbers, numpy values and paths; a `RecordError` says where
+    it holds something else.
     """
     return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tree of values
-    """A tree of values as JSON can hold it: results and named tuples as mappings, arrays and complex numbers as lists.
+    """A tree of values, as that of `json_text`, as JSON can hold it: results as mappings, arrays as lists.
 
-    Args:
-        value: as that of `json_text`.
-        path: of keys that lead to it, for the message.
-
-    Raises:
-        RecordError: it holds something else; says where.
+    Named tuples are mappings, complex numbers lists; `path` is that of keys that lead to the tree, for the message.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

@@ -14,13 +14,7 @@ BINS: Final = 700  # across a whole record: about one for every two pixels
 
 
 def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Series]:
-    """Middle, least and greatest of each of at most `bins` stretches of equally many samples.
-
-    Args:
-        tau: times (m,).
-        series: samples (m,).
-        bins: number of stretches, at most.
-    """
+    """Middle, least and greatest of each of at most `bins` stretches of equally many samples (m,) at times `tau`."""
     starts = np.unique(np.linspace(0, len(tau), max(1, min(bins, len(tau))), endpoint=False).astype(int))
     last = np.append(starts[1:], len(tau)) - 1
     middle = (tau[starts] + tau[last]) / 2
@@ -29,13 +23,7 @@ def envelope(tau: Series, series: Series, bins: int) -> tuple[Series, Series, Se
 
 
 def thin(tau: Series, series: Series, bins: int = BINS) -> tuple[Series, Series]:
-    """Series with its ends and, of each stretch, the least and the greatest sample in their order.
-
-    Args:
-        tau: times (m,).
-        series: samples (m,).
-        bins: number of stretches.
-    """
+    """Series (m,) with its ends and, of each of `bins` stretches, the least and the greatest sample in their order."""
     if len(tau) <= 4 * bins:
         return tau, series
     length = len(tau) // bins
@@ -57,12 +45,8 @@ def step_for(samples: int, most: int) -> int:
 def thinned(chunks: Iterable[Mapping[str, Series]], step: int, sampled: Collection[str]) -> dict[str, Series]:
     """Columns with two samples of each stretch of 2 `step`: the first and the middle one, at their times.
 
-    Columns that are not sampled have the least and the greatest of the stretch there, in the order in which they come.
-
-    Args:
-        chunks: columns by name, one stretch of time after the other.
-        step: samples from one that is kept to the next.
-        sampled: names of the columns that are sampled, the clock among them.
+    Columns that are not sampled have the least and the greatest of the stretch there, in the order in which they come;
+    the clock is sampled. Chunks are columns by name, one stretch of time after the other.
     """
     parts, rest = list[dict[str, Series]](), dict[str, Series]()
     for chunk in chunks:

@@ -61,9 +61,8 @@ class Animation:
     def scenes(self) -> tuple[Scene, ...]:
         """Rig and the virtual system, as far as they were recorded.
 
-        Raises:
-            RecordError: the recording holds no motion.
-            DeclarationError: an expression of a drawing has no value.
+        Raises a `RecordError` where the recording holds no motion, and a `DeclarationError` where an expression of a
+        drawing has no value.
         """
         words = {"rig": "The rig", "virtual": "The virtual system"}
         found = tuple(self._scene(prefix, what) for prefix, what in words.items() if self.recording.names(prefix))
@@ -151,14 +150,9 @@ class Animation:
 
 
 def save(made: Animation, page: Path) -> None:
-    """Write an animation as one HTML file.
+    """Write an animation as one HTML file, whose folder is made if need be.
 
-    Args:
-        made: the animation.
-        page: the file; its folder is made if need be.
-
-    Raises:
-        RecordError: the recording holds no motion, or the file cannot be written.
+    Raises a `RecordError` where the recording holds no motion, or the file cannot be written.
     """
     text = html.render(
         "animation",

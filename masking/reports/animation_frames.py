@@ -34,28 +34,16 @@ Numbers = Sequence[float]
 
 
 def picture(shown: Animation, t: float, file: Path) -> None:
-    """Write one instant as a PNG or SVG file.
-
-    Args:
-        shown: the animation.
-        t: the instant, s.
-        file: whose ending is the format.
-    """
+    """Write the instant t, in s, as a PNG or SVG file, by its ending."""
     figure, draw = _sheet(shown)
     draw(t)
     figure.savefig(file)
 
 
 def film(shown: Animation, file: Path, progress: Callable[[float], None]) -> None:
-    """Write a film, of 12 s at most, at the speed of the animation.
+    """Write a film, of 12 s at most, at the speed of the animation, in the format of the file's ending.
 
-    Args:
-        shown: the animation.
-        file: whose ending is the format.
-        progress: called with the part done.
-
-    Raises:
-        RecordError: ffmpeg is needed and not there.
+    Raises a `RecordError` where ffmpeg is needed and not there.
     """
     writer = films.FFMpegWriter(fps=_RATE)
     if file.suffix != ".gif" and not writer.isAvailable():

@@ -31,15 +31,7 @@ def _cell(value: object) -> str:
 def save(name: str, sentence: str, rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, Any], folder: Path) -> Path:
     """Write `batch.html`, `batch.csv` and `batch.json` into a folder; return the page.
 
-    Args:
-        name: of the batch.
-        sentence: how many runs ended as planned, and why others did not.
-        rows: of the runs, at least one, all with the same columns.
-        numbers: what `batch.json` holds.
-        folder: of the results.
-
-    Raises:
-        RecordError: a file cannot be written.
+    There is one row at least, all with the same columns. Raises a `RecordError` where a file cannot be written.
     """
     page, written = folder / PAGE, io.StringIO()
     table = csv.DictWriter(written, [*rows[0]])

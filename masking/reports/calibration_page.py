@@ -33,11 +33,7 @@ _LIBRARIES = ("masking", "numpy", "scipy", "numba", "sympy")
 
 
 def save(found: Calibration) -> None:
-    """Write the page and its figures into the calibration's folder.
-
-    Raises:
-        RecordError: the folder cannot be written.
-    """
+    """Write the page and its figures into the calibration's folder; a `RecordError` says that it cannot be written."""
     twin, figures = found.twin, calibration_figures.figures(found)
     rows = _parameters(found)
     has_document = _AUTHOR in (twin.declaration.source or "") and len(found.floor) == len(_DOCUMENT[0]) - 2

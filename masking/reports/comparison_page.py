@@ -26,8 +26,7 @@ TWO: Final = (COLOURS[0], COLOURS[1])
 def save(compared: Comparison, folder: Path) -> Path:
     """Write `comparison.html`, its picture and `comparison.json` into a folder; return the page.
 
-    Raises:
-        RecordError: a file cannot be written.
+    Raises a `RecordError` where a file cannot be written.
     """
     more = len(compared.declarations) - _MOST_DECLARED
     html.save(

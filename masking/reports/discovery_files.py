@@ -69,15 +69,8 @@ def save(
 ) -> Files:
     """Write a discovery into a folder, made if need be; nothing is left half written.
 
-    Those of an earlier discovery there that are not written again are deleted.
-
-    Args:
-        found: the discovery.
-        folder: where to write.
-        origin: of the records.
-        page: the HTML page.
-        figures: those that are drawn are written as PNG files.
-        lies: the folder to which all will be moved, where that is another.
+    Those of an earlier discovery there that are not written again are deleted. `lies` is the folder to which all will
+    be moved, where that is another.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -125,13 +118,7 @@ def paths(found: Discovery, out: Path) -> Files:
 
 
 def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
-    """Discovery and where its files lie, as JSON can hold it.
-
-    Args:
-        found: the discovery.
-        out: folder of its files.
-        origin: of the records.
-    """
+    """Discovery, and where in the folder `out` its files lie, as JSON can hold it."""
     files, facts = paths(found, out), found.as_dict()
     facts.setdefault("next_experiment", None)
     facts["model"] = None if files.model is None else str(files.model)
@@ -155,13 +142,7 @@ def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
 
 
 def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
-    """Content of a model file in a folder that extends the model by the causes in its equations.
-
-    Args:
-        found: the discovery.
-        folder: of the model file.
-        origin: of the records.
-    """
+    """Content of a model file in a folder that extends the model by the causes in its equations."""
     twin, whole = found.twin, found.written_rig.twin.base
     for instance, label in labels(found).items():
         whole = _attached(found, whole, instance, label)
@@ -201,11 +182,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
 def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> dict[str, Any]:
     """Content of a plant file in a folder, with a model and with the causes outside of its equations.
 
-    Args:
-        found: the discovery.
-        model_file: path of the model file from the folder.
-        origin: of the records.
-        folder: of the plant file.
+    `model_file` is the path of the model from that folder.
     """
     twin = found.twin
     before = twin.declaration.canonical().get("effects", {})

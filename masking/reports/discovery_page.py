@@ -30,28 +30,14 @@ TITLES = {
 
 
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
-    """Draw a discovery and write all its files into a folder; see `discovery_files.save`.
-
-    Args:
-        found: the discovery.
-        folder: where to write.
-        origin: of the records.
-        lies: the folder to which all will be moved, if that is another.
-    """
+    """Draw a discovery and write all its files into a folder; see `discovery_files.save`."""
     figures = discovery_figures.figures(found)
     text = page(found, figures, origin, lies or Path(folder))
     return discovery_files.save(found, folder, origin, text, figures, lies=lies)
 
 
 def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, folder: Path) -> str:
-    """Page of a discovery.
-
-    Args:
-        found: the discovery.
-        figures: of it; of those without a picture the page shows the caption.
-        origin: of the records.
-        folder: where its files will lie.
-    """
+    """Page of a discovery whose files will lie in a folder; of figures without a picture it shows the caption."""
     open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
     places = (place for place in discovery_text.model_error(found).places if place.share > LEAST)
     return html.render(

@@ -310,13 +310,7 @@ def noise_remark(found: Discovery) -> str:
 
 
 def cause_name(found: Discovery, name: str, on: str) -> str:
-    """Cause with its place: 'dry friction in spring1', 'an added mass on x1'.
-
-    Args:
-        found: the discovery.
-        name: of the effect, or of a parameter.
-        on: its place.
-    """
+    """An effect or a parameter with its place: 'dry friction in spring1', 'an added mass on x1'."""
     effect = found.dictionary.get(name)
     if effect is None:
         return f"another {name}"
@@ -330,13 +324,7 @@ def cause_name(found: Discovery, name: str, on: str) -> str:
 
 
 def cause_label(found: Discovery, name: str, on: str) -> str:
-    """Cause with its place as a label: 'Delay of V1'.
-
-    Args:
-        found: the discovery.
-        name: of the effect, or of a parameter.
-        on: its place.
-    """
+    """An effect or a parameter with its place as a label: 'Delay of V1'."""
     return capital(cause_name(found, name, on).removeprefix("an ").removeprefix("a "))
 
 

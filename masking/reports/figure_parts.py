@@ -13,12 +13,7 @@ LEAST = 0.1  # of the largest value that is drawn, in its unit
 
 
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
-    """Factor and unit in which values are drawn: small metres, volts and newtons in mm, µm or nm.
-
-    Args:
-        unit: of the values, as it is shown.
-        values: those that are drawn together.
-    """
+    """Factor and unit in which values of a unit are drawn together: small metres, volts and newtons in mm, µm or nm."""
     largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
     if not largest or unit.partition("/")[0] not in {"m", "V", "N"}:
         return 1.0, unit
@@ -27,27 +22,14 @@ def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
 
 
 def first_of(count: int, total: int, what: str = "") -> str:
-    """Remark that only some are shown; "" if all are.
-
-    Args:
-        count: number that are shown.
-        total: number of all.
-        what: what is counted, in the plural.
-    """
+    """Remark that only some are shown, of what is counted, in the plural; "" if all are."""
     return f" The first {count} of {total}{what and f' {what}'} are shown." if total > count else ""
 
 
 def spectral_density(values: Array, rate: float, segments: int = 8, bins: int = 24) -> tuple[Array, Array]:
-    """Frequencies, evenly over their logarithm, and the root of the power spectral density there.
+    """Frequencies in Hz, evenly over their logarithm, and the root of the power spectral density there (bins,).
 
-    Args:
-        values: (samples,).
-        rate: in Hz.
-        segments: that the record is cut into, half of each in the next (Welch).
-        bins: per decade.
-
-    Returns:
-        frequencies in Hz (bins,), and the density in units of the values per root of Hz (bins,).
+    Of values (samples,), in their unit per root of Hz; `segments` overlap by half (Welch), and `bins` are per decade.
     """
     from scipy import signal  # noqa: PLC0415  # takes longer to load than all else here, and few figures need it
 

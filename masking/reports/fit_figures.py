@@ -40,13 +40,7 @@ _FIGURES: Final[dict[Which, tuple[str, str]]] = {
 
 
 def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data]) -> tuple[list[CaptionedFigure], str]:
-    """Figures of a fit and their finding; without a record whose simulation is not finite.
-
-    Args:
-        found: the fit.
-        train: records that were fitted, of which the first is drawn.
-        unseen: validation records, of which the first is drawn.
-    """
+    """Figures of a fit and their finding, of the first record of each kind; without one whose simulation diverges."""
     made_figures, sentence = [], "The simulation with the fitted values is not finite"
     records: list[tuple[Data, Which]] = [(train[0], "fitted"), *((record, "validation") for record in unseen[:1])]
     for record, which in records:
@@ -78,14 +72,7 @@ def overview(made: Simulated) -> CaptionedFigure:
 
 
 def comparison(before: Simulated, after: Simulated, labels: tuple[str, str], heading: str) -> CaptionedFigure:
-    """Record beside two simulations of it: the whole, and enlarged where the first is furthest off.
-
-    Args:
-        before: the record and a simulation of it.
-        after: another simulation.
-        labels: of these.
-        heading: what is to be seen.
-    """
+    """Record beside two simulations of it: the whole, and enlarged where the first is furthest off."""
     lines = [
         ("measured", after.record.readings, COLOURS[0], 2.2),
         (labels[0], before.readings, COLOURS[1], 1.0),
@@ -139,12 +126,7 @@ def _over_time(
 
 
 def fit(made: Simulated, which: Which) -> CaptionedFigure:
-    """Record beside its simulation.
-
-    Args:
-        made: the record and its simulation.
-        which: whether its values were fitted to this record, validated on it, or neither.
-    """
+    """Record beside its simulation, whose values were fitted to it, validated on it, or neither."""
     seconds, rows = _span(made), []
     part = made.times <= seconds
     t = made.times[part]

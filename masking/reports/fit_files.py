@@ -15,10 +15,8 @@ from masking.reports import html, model_files
 def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
     """Write `model.yaml`, `plant.yaml` and `fit.json` into a folder; return their paths.
 
-    The model extends the one that was fitted; the plant has it, and the fitted values of effects.
-
-    Raises:
-        RecordError: the folder cannot be written.
+    The model extends the one that was fitted; the plant has it, and the fitted values of effects. Raises a
+    `RecordError` where the folder cannot be written.
     """
     out = Path(folder)
     texts = {

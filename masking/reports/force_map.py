@@ -106,13 +106,7 @@ def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectIn
 
 
 def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:
-    """Sum of the causes at the place in view (m,): force, command or reading.
-
-    Args:
-        found: the discovery.
-        latent: the latent force, at the place in view.
-        instances: effect instances there.
-    """
+    """Sum of the causes at the place in view (m,): force, command or reading; of its latent force and its instances."""
     law = np.zeros_like(latent.before)
     motion, names = found.smoothed.before, [place.name for place in found.rig.places]
     for instance in instances:

@@ -51,12 +51,9 @@ class Tile(NamedTuple):
 
 
 def render(template: str, **facts: object) -> str:
-    """Page.
+    """Page of a template, by its name without `.html`.
 
-    Args:
-        template: name of a file in `templates`, without `.html`.
-        facts: what the template shows; of these `names`, of coordinates, parameters, sensors and actuators, are typeset
-            if they are symbols.
+    Of the facts, `names` (coordinates, parameters, sensors and actuators) are typeset if they are symbols.
     """
     return environment().get_template(f"{template}.html").render(**facts)
 
@@ -68,17 +65,9 @@ def save(
     numbers: Mapping[str, Any] | None = None,
     **facts: object,
 ) -> None:
-    """Write a page with its figures as PNG files beside it, and its numbers as JSON.
+    """Write a page with its figures, those that are drawn, as PNG files beside it, and its numbers, if any, as JSON.
 
-    Args:
-        page: file of the page; its folder is made if need be.
-        template: of the page.
-        figures: those that are drawn are written.
-        numbers: written to a file of the page's name, if given.
-        facts: see `render`.
-
-    Raises:
-        RecordError: a file cannot be written.
+    Facts are as for `render`. Raises a `RecordError` where a file cannot be written.
     """
     contents: dict[Path, bytes | str] = {**images(figures, page.parent)}
     if numbers is not None:
@@ -92,11 +81,7 @@ def images(figures: Iterable[CaptionedFigure], folder: Path) -> dict[Path, bytes
 
 
 def write(contents: Mapping[Path, bytes | str]) -> None:
-    """Write files, texts as UTF-8, and their folders if need be.
-
-    Raises:
-        RecordError: a file cannot be written.
-    """
+    """Write files, texts as UTF-8, and their folders if need be; a `RecordError` says that one cannot be written."""
     for path, content in contents.items():
         with writing(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -105,11 +90,7 @@ def write(contents: Mapping[Path, bytes | str]) -> None:
 
 @contextlib.contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Context in which an error of the system says that a folder cannot be written.
-
-    Raises:
-        RecordError: an OSError was raised.
-    """
+    """Context in which an error of the system is a `RecordError` that says that a folder cannot be written."""
     try:
         yield
     except OSError as error:
@@ -120,12 +101,8 @@ def writing(folder: Path) -> Iterator[None]:
 def staged(folder: Path | None) -> Iterator[Path]:
     """Folder to write into, whose files are moved to another one at the end, unless an error is raised.
 
-    Args:
-        folder: to which files are moved. The other lies beside it, so that paths from both to other files are the same;
-            if None, it lies anywhere, and its files are deleted.
-
-    Raises:
-        RecordError: one of them cannot be written.
+    It lies beside the other, so that paths from both to other files are the same. Without another, it lies anywhere,
+    and its files are deleted. Raises a `RecordError` where one of them cannot be written.
     """
     with writing(folder or Path(tempfile.gettempdir())):
         there = None if folder is None else folder.resolve()

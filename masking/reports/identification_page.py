@@ -33,8 +33,7 @@ _TITLES = {
 def save(measured: Measurement[Any], folder: str | Path) -> None:
     """Write `<procedure>.html`, `<procedure>.json` and PNG files into a folder, made if need be.
 
-    Raises:
-        RecordError: the folder cannot be written.
+    Raises a `RecordError` where the folder cannot be written.
     """
     name = measured.procedure
     first = [next((row for row in measured.rows if row.key.startswith(key)), None) for key in _FIRST[name]]
@@ -58,14 +57,7 @@ def save(measured: Measurement[Any], folder: str | Path) -> None:
 def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
     """Write `fit.html`, and the figures of a fit as PNG files, into a folder; `fit.json` is there already.
 
-    Args:
-        found: the fit.
-        figures: of it.
-        sentence: the finding.
-        folder: made if need be.
-
-    Raises:
-        RecordError: the folder cannot be written.
+    The sentence is the finding. Raises a `RecordError` where the folder cannot be written.
     """
     content = found.as_dict()
     chi = content["chi"]
@@ -85,14 +77,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
 def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
     """Write `simulation.html`, `simulation.json` and the figures of a simulated record into a folder, made if need be.
 
-    Args:
-        made: the record and its simulation.
-        figures: of it.
-        sentence: the finding.
-        folder: made if need be.
-
-    Raises:
-        RecordError: the folder cannot be written.
+    The sentence is the finding. Raises a `RecordError` where the folder cannot be written.
     """
     html.save(
         Path(folder, "simulation.html"),

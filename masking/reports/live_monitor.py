@@ -119,11 +119,7 @@ class Monitor:
         self._phases: list[tuple[float, float]] = []
 
     def look(self, now: float) -> None:
-        """See the rows since the last call.
-
-        Args:
-            now: s of any clock that goes on.
-        """
+        """See the rows since the last call; `now` is in s of any clock that goes on."""
         taken = self.reader.take()
         if not len(taken.table):
             self._changed = now if self._changed == -math.inf else self._changed
@@ -325,11 +321,6 @@ def phase_between(t: Array, a: Array, b: Array) -> float:
     """Phase of a minus that of b over the last period of a, rad in (-pi, pi]; NaN where a has no period.
 
     Both are fitted by a sine of that period about a constant.
-
-    Args:
-        t: (m,).
-        a: (m,).
-        b: (m,).
     """
     length = period(t, a) if len(t) >= _LEAST and np.ptp(a) > 0.0 else math.nan
     if not math.isfinite(length):

@@ -30,17 +30,11 @@ def drawn(recording: Recording) -> Recording:
 
 
 def deviation(recording: Recording, names: tuple[str, str], fit: AntiPhase, start: float, scale: float) -> float:
-    """Eps of definition 5.3 over all samples of the end of a recording.
+    """Eps of definition 5.3 over all samples of the end of a recording, from `start` in s on.
 
         eps = max |a(t) - alpha b(t + T/2)|
 
-    Args:
-        recording: of a motion in anti-phase.
-        names: of the columns a and b.
-        fit: with alpha and T.
-        start: where the end begins, s.
-        scale: seconds per unit of time of T.
-
+    `names` are those of the columns a and b, `fit` has alpha and T, and `scale` is seconds per unit of time of T.
     Source: Rijlaarsdam (2008), (5.3).
     """
     (first, last), shift, largest = recording.span, 0.5 * fit.period * scale, 0.0

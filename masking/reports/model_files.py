@@ -20,13 +20,7 @@ def rounded(value: float, digits: int = DIGITS) -> float:
 
 
 def parameter(value: float, std: float, digits: int = DIGITS) -> dict[str, float]:
-    """Parameter as a file has it: value, and standard deviation in a number of digits, if any.
-
-    Args:
-        value: of the parameter, in its unit.
-        std: standard deviation, in the same unit; left out if 0.
-        digits: significant digits of the deviation.
-    """
+    """Parameter as a file has it: value, and standard deviation, if that is not 0, in a number of digits."""
     return {"value": rounded(value)} | ({"std": rounded(std, digits)} if std > 0.0 else {})
 
 
@@ -37,14 +31,9 @@ def plant(
     fitted: Collection[str],
     effects: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Content of a plant file with a found model.
+    """Content of a plant file in a folder with a found model; `heading` is its name, its model and its source, if any.
 
-    Args:
-        twin: whose plant file is copied.
-        folder: where the file will lie.
-        heading: its name, its model, and its source if there is one.
-        fitted: parameters that are the model's or the effects' now, and that the plant no longer sets.
-        effects: of the plant, by their labels.
+    `fitted` are parameters that are the model's or the effects' now, and that the plant no longer sets.
     """
     declared: dict[str, Any] = twin.declaration.canonical()
     made = {n: v for n, v in declared.items() if n not in {"effects", "own_effects"}} | dict(heading)

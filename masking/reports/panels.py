@@ -296,12 +296,8 @@ def spectrum(
 ) -> Panel:
     """Amplitude densities over frequency, and that of white noise as a dashed line.
 
-    Args:
-        signals: values (m,), colour and width in points of each.
-        rate: of sampling, Hz.
-        noise: standard deviation of the noise, None for no line.
-        unit: of the values, as it is shown.
-        key: entry of the noise in the legend.
+    Signals are values (m,), colour and width in points of each, sampled at a rate in Hz; `noise` is the standard
+    deviation of the noise, None for no line, and `key` its entry in the legend.
     """
     lines = []
     for values, colour, width in signals:
@@ -327,13 +323,7 @@ def logarithmic(axes: Axes, which: str, count: int = 6) -> None:
 
 
 def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
-    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`.
-
-    Args:
-        axis: to change.
-        unit: written behind each number.
-        few: ratio of the ends below which there are numbers between the powers of ten.
-    """
+    """Give a logarithmic axis numbers without exponents, at 1, 2 and 5 if its ends have a ratio below `few`."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < few * low else (1.0,)))
     axis.set_major_formatter(StrMethodFormatter(f"{{x:g}}{unit}"))

@@ -97,12 +97,7 @@ def taken(place: LocatedForce) -> str:
 
 
 def symmetry(odd: float, of: str) -> str:
-    """Symmetry of a force, by the part of it that turns round with the motion.
-
-    Args:
-        odd: that part of its energy.
-        of: what it follows most.
-    """
+    """Symmetry of a force, by the part of its energy that turns round with the motion that it follows most."""
     sides = "sides" if of == "the displacement" else "directions"
     if ALIKE >= odd >= 1.0 - ALIKE:
         return f"different {'on' if sides == 'sides' else 'in'} the two {sides}"

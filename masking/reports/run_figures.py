@@ -257,14 +257,9 @@ def _over_record(
 def trace(
     study: Study, series: Series, colour: str, ideal: Series | None = None, *, thin_line: bool = False
 ) -> list[Part]:
-    """Series over the whole record, as a band from trough to crest where its periods are too many to be seen.
+    """Series (m,) over the whole record, as a band from trough to crest where its periods are too many to be seen.
 
-    Args:
-        study: of the record.
-        series: samples (m,).
-        colour: of the line.
-        ideal: drawn over it as a dashed line, if there is one.
-        thin_line: whether the line is thin, without a filled band.
+    The ideal, if there is one, is drawn over it as a dashed line.
     """
     cycles = _cycles(study)
     if cycles <= _ENVELOPE_PERIODS:
@@ -327,11 +322,7 @@ def _keys(study: Study, names: Sequence[str], colours: Iterable[str]) -> list[Li
 
 
 def symmetric(series: Sequence[Series]) -> Range:
-    """Range of an axis about zero, or about the data where they lie far from it.
-
-    Args:
-        series: that are drawn on it.
-    """
+    """Range of an axis about zero, or about the data where they lie far from it."""
     low, high = min(float(one.min()) for one in series), max(float(one.max()) for one in series)
     reach = max(abs(low), abs(high))
     if high - low < 0.2 * reach:  # an offset with little motion about it

@@ -110,18 +110,7 @@ def defaults(oscillators: Sequence[str], *, has_rig: bool) -> tuple[str, ...]:
 def check(
     names: Sequence[str], oscillators: Sequence[str], states: Sequence[str], inputs: Sequence[str], *, has_rig: bool
 ) -> None:
-    """Refuse measures that a run has not.
-
-    Args:
-        names: of the measures.
-        oscillators: of the virtual system.
-        states: of the virtual system.
-        inputs: of the rig.
-        has_rig: whether a rig runs, or the virtual system by itself.
-
-    Raises:
-        DeclarationError: there is no measure of a name, or no rig for it.
-    """
+    """Refuse measures that a run has not: a `DeclarationError` says that there is none of a name, or no rig for it."""
     allowed = [name for name in _MEASURES if has_rig or name not in _ONLY_WITH_A_RIG]
     allowed += [f"maxima.{n}" for n in states] + [f"section.{a}@{b}" for a in states for b in states if a != b]
     if has_rig:
@@ -146,12 +135,7 @@ def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
 
 
 def measure_each(motions: Sequence[Array], names: Sequence[str]) -> dict[str, list[str]] | None:
-    """Measures of many runs by name, if those of all runs can be taken together.
-
-    Args:
-        motions: of the oscillators, each (runs, m).
-        names: of the measures.
-    """
+    """Measures of many runs by name, if all can be taken together; motions of the oscillators are each (runs, m)."""
     if not all(name in _OF_MANY for name in names):
         return None
     return {name: _OF_MANY[name](*motions[:2]) for name in names}

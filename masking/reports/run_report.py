@@ -35,8 +35,7 @@ class Report:
 def report(recording: Recording, folder: str | Path) -> Report:
     """Write `report.html`, which needs no other file, and its figures as PNG files into a folder, made if need be.
 
-    Raises:
-        RecordError: the folder cannot be written.
+    Raises a `RecordError` where the folder cannot be written.
     """
     folder, study = Path(folder), Study(recording)
     virtual, figures = parameters(recording), run_figures.figures(study)

@@ -157,11 +157,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Study:
-    """Everything the figures, the tables and the summary say about one recording, each worked out when it is asked for.
-
-    Args:
-        whole: recording that is studied.
-    """
+    """All that the figures, the tables and the summary say about one recording, worked out when it is asked for."""
 
     whole: Recording
 

@@ -357,12 +357,7 @@ def worth(row: BudgetRow, whole: BudgetRow) -> list[str]:
 
 
 def provenance(facts: Study, files: Sequence[str]) -> list[tuple[str, object]]:
-    """Names and values of where a record comes from.
-
-    Args:
-        facts: of the record.
-        files: of the record and its report.
-    """
+    """Names and values of where a record comes from; `files` are those of the record and its report."""
     manifest = facts.recording.manifest
     scale = manifest.get("time_scale")
     return [

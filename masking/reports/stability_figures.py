@@ -88,13 +88,10 @@ def _shape(found: Stability, mode: Mode) -> Panel:
 def sweep_figure(
     name: str, values: Array, curves: Mapping[str, tuple[Series, float]], words: tuple[str, str, str]
 ) -> CaptionedFigure:
-    """Measures that are never negative over a parameter, one below the other, as in examples/12_stability.py.
+    """Measures that are never negative over a parameter (m,), one below the other, as in examples/12_stability.py.
 
-    Args:
-        name: of the parameter.
-        values: of it (m,).
-        curves: label, and measure (m,) with the value of the parameter that is marked, of each row.
-        words: name of the figure, title and caption.
+    Of each row, `curves` has the label, the measure (m,) and the value of the parameter that is marked; `words` are the
+    name of the figure, title and caption.
     """
     rows, ends = [], (values[0], values[-1])
     for (label, (series, marked)), colour in zip(curves.items(), COLOURS, strict=False):
@@ -112,12 +109,7 @@ def _marked(axes: Axes, at: tuple[float, float]) -> None:
 
 
 def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure:
-    """Ends of the motions from each initial state, as in examples/12_stability.py.
-
-    Args:
-        found: the basins.
-        words: name of the figure, title and caption.
-    """
+    """Ends of the motions from each initial state, as in examples/12_stability.py; words as for `sweep_figure`."""
 
     def finish(axes: Axes) -> None:
         cells = edges(found.first), edges(found.second), found.ends.T

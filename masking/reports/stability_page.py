@@ -11,8 +11,7 @@ from masking.reports import html, stability_figures
 def save(found: Stability, folder: str | Path) -> None:
     """Write `stability.html`, `stability.json` and PNG files into a folder, made if need be.
 
-    Raises:
-        RecordError: the folder cannot be written.
+    Raises a `RecordError` where the folder cannot be written.
     """
     html.save(
         Path(folder, "stability.html"),

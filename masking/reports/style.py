@@ -55,23 +55,12 @@ class CaptionedFigure:
 
 
 def absent(name: str, title: str, why: str) -> CaptionedFigure:
-    """Caption of a figure that cannot be drawn, which says why.
-
-    Args:
-        name: of the figure's file.
-        title: of the figure.
-        why: reason, without a full stop.
-    """
+    """Caption of a figure that cannot be drawn, which says why, without a full stop."""
     return CaptionedFigure(name, title, f"Not shown: {why}.", None)
 
 
 def sheet(heights: Sequence[float], *, top: float = LEGEND) -> tuple[Figure, list[Axes]]:
-    """Figure of stacked axes with one axis of x, and these axes from above.
-
-    Args:
-        heights: of the axes, in inches.
-        top: room above them, in inches.
-    """
+    """Figure of stacked axes with one axis of x, and these axes from above; heights and the room on top in inches."""
     figure, rows = grid(heights, [[WIDTH - LEFT - RIGHT]] * len(heights), [GAP] * (len(heights) - 1), top)
     stacked = [axes for (axes,) in rows]
     for axes in stacked[:-1]:

@@ -35,12 +35,7 @@ _SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
 def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]:
-    """Measures of a sweep over the parameters that it varied.
-
-    Args:
-        facts: of the sweep: `over`, `measures`.
-        columns: of its rows.
-    """
+    """Measures of a sweep over the parameters that it varied; of its facts, `over` and `measures` count."""
     grid = [one["name"] for one in facts["over"] if one["grid"] is not None and len(one["grid"]) > 1]
     factors = {one["name"] for one in facts["over"] if one["factor"]}
     units = {one["name"]: one.get("unit", "") for one in facts["over"]}

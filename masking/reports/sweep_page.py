@@ -19,12 +19,7 @@ _NAMED: Final = 4  # of what varies, that the sentence names
 
 
 def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
-    """Number of runs and their outcome in a sentence.
-
-    Args:
-        facts: of the sweep, as its file has them.
-        columns: of its rows.
-    """
+    """Number of runs and their outcome in a sentence."""
     done, failed = len(columns["run"]), sum(bool(text) for text in columns["error"])
     said = (
         f"{facts['name']}: {done} of {facts['rows']} runs" if done < facts["rows"] else f"{facts['name']}: {done} runs"
@@ -62,16 +57,9 @@ def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any ki
 
 
 def save(facts: Mapping[str, Any], columns: Columns, said: str, folder: Path) -> Path:
-    """Write `sweep.html` and its pictures into a folder; return the page.
+    """Write `sweep.html` and its pictures into a folder, with a sentence on top; return the page.
 
-    Args:
-        facts: of the sweep.
-        columns: of its rows.
-        said: the sentence on top.
-        folder: of the results.
-
-    Raises:
-        RecordError: a file cannot be written.
+    Raises a `RecordError` where a file cannot be written.
     """
     failures = [(str(run), text) for run, text in zip(columns["run"], columns["error"], strict=True) if text]
     html.save(

@@ -64,14 +64,9 @@ class Drawing:
         return COLOURS[moved[0] % len(COLOURS)] if moved else MUTED
 
     def numbers(self, t: float, q: Sequence[float]) -> list[list[float]]:
-        """Numbers of each shape, in the order of its fields.
+        """Numbers of each shape, in the order of its fields, at the time t in s and coordinates q (n,).
 
-        Args:
-            t: time in s.
-            q: coordinates (n,).
-
-        Raises:
-            DeclarationError: an expression has no value there.
+        Raises a `DeclarationError` where an expression has no value.
         """
         values = {**self.parameters, **dict(zip(self.coordinates, map(float, q), strict=True)), "t": t}
         return [[x.evaluate(values) for _, x in shape.formulas] for shape in self.shapes]
@@ -86,9 +81,7 @@ class Drawing:
     def view(self, times: Array, motion: Array) -> tuple[tuple[float, float, float, float], int]:
         """Extent of the drawing (left, right, bottom, top), and by how much its motion is magnified.
 
-        Args:
-            times: (m,), s.
-            motion: coordinates (m, n).
+        Times are (m,), in s, and the motion of the coordinates (m, n).
         """
         rows = np.unique(np.linspace(0, len(times) - 1, _LOOKED).astype(int))
         at_rest = self._corners(0.0, np.zeros(len(self.coordinates)))
@@ -111,15 +104,9 @@ class Drawing:
 
 
 def generic(title: str, names: Sequence[str], reach: Array) -> Drawing:
-    """Drawing of a system that declares none: a body on a line for each coordinate.
+    """Drawing of a system that declares none: a body on a line for each coordinate, with its largest size (n,).
 
-    Args:
-        title: of the system.
-        names: of its coordinates.
-        reach: the largest size of each coordinate (n,).
-
-    Raises:
-        RecordError: a name cannot stand in an expression.
+    Raises a `RecordError` where a name cannot stand in an expression.
     """
     note = "No drawing is declared: each coordinate moves a body on a line, its largest value by one unit."
     try:

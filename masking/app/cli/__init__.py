@@ -13,14 +13,7 @@ from masking.app.cli.progress import end_at_interrupts
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        arguments: behind the name of the program; those of the process by default.
-
-    Returns:
-        its exit status, see `parser.main`.
-    """
+    """Run the command line, given behind the name of the program; its exit status is that of `parser.main`."""
     if arguments is None:  # in a process of its own
         end_at_interrupts()
     from masking.app.cli import parser

@@ -28,11 +28,7 @@ def add(
 ) -> None:
     """Add the arguments of a verb to its parser, which keeps only what is written.
 
-    Args:
-        sub: parser of the verb.
-        parameters: of the function that does it.
-        metavars: placeholders of arguments in place of the names of their parameters.
-        defaults: of options that are parameters without a default.
+    `metavars` are placeholders in place of the names of parameters; `defaults`, of options that are parameters without.
     """
     for name, parameter in parameters.items():
         kinds = _kinds(parameter)
@@ -71,8 +67,7 @@ def value(parameter: Parameter, written: Any) -> Any:  # noqa: ANN401  # as the 
 def columns(written: Mapping[str, Any]) -> dict[str, Any]:
     """Columns by the names that they get, of `--map`; nothing where that is not written.
 
-    Raises:
-        RecordError: `--columns` is written, too, or a part has no equals sign.
+    Raises a `RecordError` where `--columns` is written, too, or a part has no equals sign.
     """
     if "map" not in written:
         return {}

@@ -98,12 +98,7 @@ def _add_arguments(sub: argparse.ArgumentParser, verb: Verb) -> None:
 
 @dataclass(frozen=True)
 class Call:
-    """Call of a verb from the command line.
-
-    Args:
-        verb: the verb.
-        written: its arguments that are written, by their parameters.
-    """
+    """Call of a verb from the command line, with the arguments that are written, by their parameters."""
 
     verb: Verb
     written: Mapping[str, Any]
@@ -117,9 +112,7 @@ class Call:
     def do(self, *first: object, **more: object) -> Any:  # noqa: ANN401  # what the function returns
         """Call the function of the verb, with a progress bar.
 
-        Args:
-            first: arguments before those that are written.
-            more: arguments in place of those that are written.
+        Arguments by position stand before those that are written, others in place of those.
         """
         known = self.verb.parameters()
         given, positional = dict[str, Any](arguments.columns(self.written)), [*first]
@@ -160,9 +153,7 @@ class Call:
     def answer(self, content: object, text: object) -> int:
         """Print the result of a verb, and return the exit status 0.
 
-        Args:
-            content: for programs, as JSON or as JSON can hold it.
-            text: for people.
+        For programs it is `content`, as JSON or as JSON can hold it; for people, `text`.
         """
         from masking.display.json_text import json_text
 

@@ -129,18 +129,7 @@ def run(
 
 @final
 class _Worker:
-    """Makes the runs of a batch.
-
-    Args:
-        plan: its file.
-        declared: its content.
-        folder: of the results.
-        journal: of the batch.
-        found: what is known of each run, which is kept up to date.
-        experiment: that it runs.
-        plant, key: as `run` takes them.
-        say: called with a sentence for each run.
-    """
+    """Makes the runs of a batch, and keeps up to date what is known of each."""
 
     def __init__(
         self,
@@ -234,9 +223,7 @@ class _Worker:
     def _left(self, place: Path, end: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Outcome of a try from its folder, with what its stream holds.
 
-        Args:
-            place: its folder.
-            end: how it ended, unless it had ended as planned and was saved before.
+        `end` is how it ended, unless it had ended as planned and was saved before.
         """
         found = self._kept(place)
         return found if end is None or found["end"] in batch_plan.PLANNED else {**found, **end}

@@ -130,8 +130,7 @@ def _at_rest(
 ) -> dict[str, float]:
     """Wait until a rig is at rest; return the readings there by sensor.
 
-    Raises:
-        PlantError: it did not come to rest, or a sensor's zero has moved.
+    Raises a `PlantError` where it did not come to rest, or a sensor's zero has moved.
     """
     rate, twin = made.sampled.rate, made.twin
     held = safety_limits.without_model(safety_limits.rules(made.instruments, rate, twin))

@@ -56,17 +56,7 @@ def make(
     say: Say,
     progress: Progress,
 ) -> Records:
-    """Make the records that are not in a folder yet, and read them all.
-
-    Args:
-        twin: what the plant file says of the rig.
-        plant: the rig.
-        folder: of the records.
-        seconds: length of each.
-        lockstep: run as fast as both sides can.
-        seed: of the phases.
-        say: called with what is done.
-        progress: called with the part done.
+    """Make the records that are not in a folder yet, of some seconds each, and read them all.
 
     Raises:
         ModelError: the plant file has no limits to stay within.

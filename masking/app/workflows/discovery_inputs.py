@@ -38,17 +38,10 @@ class Inputs:
 
 
 def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
-    """Read and check the records of a rig.
+    """Read and check the records of a rig, a path or `FILE@10:20`, its part from 10 s to 20 s; the settings say how.
 
-    Args:
-        twin: the rig as its model declares it.
-        record: folder of a recording, or a parquet, csv, mat, h5, npz or json file; `FILE@10:20` is its part from
-            10 s to 20 s.
-        settings: which record validates, and how to read both.
-
-    Raises:
-        RecordError: a record cannot be read, lacks a channel, is too short, or the two have different rates or share
-            samples.
+    Raises a `RecordError` where one cannot be read, lacks a channel, is too short, or the two have different rates or
+    share samples.
     """
 
     def one(path: str | Path) -> Data:
@@ -80,11 +73,7 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
 
 
 def _check_unseen(train: Data, held_out: Data, origin: Origin) -> None:
-    """Refuse for validation what is searched: the same record, or parts of one file that overlap.
-
-    Raises:
-        RecordError: the two share samples.
-    """
+    """Refuse for validation what is searched: the same record, or parts of one file that overlap."""
     (record, content), (validation, other) = origin.records["record"], origin.records["validation"]
     mend = "leave --validate out, and the last 30 % of the record are held out, or give another record"
     if np.array_equal(train.readings, held_out.readings) and np.array_equal(train.commands, held_out.commands):
@@ -109,9 +98,7 @@ def _between(start: float, end: float) -> str:
 def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
     """Rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
 
-    Raises:
-        DeclarationError: neither is given, or one is wrong.
-        ModelError: a mass is 0.
+    Raises a `DeclarationError` where neither is given, or one is wrong, and a `ModelError` where a mass is 0.
     """
     if plant is not None:
         twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
@@ -130,11 +117,7 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
 
 
 def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
-    """Rig that knows the effects of a dictionary, too; the rig itself where none is named.
-
-    Raises:
-        DeclarationError: there is no such dictionary, or it is wrong.
-    """
+    """Rig that knows the effects of a dictionary, too; the rig itself where none is named."""
     if effects is None:
         return twin
     made = replace(twin, declaration=registry.with_dictionary(twin.declaration, effects))
@@ -143,11 +126,7 @@ def with_effects(twin: Twin, effects: str | Path | None) -> Twin:
 
 
 def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
-    """Parameters that may be off: where none are named, all of the equations that are not known.
-
-    Raises:
-        DeclarationError: there is no such parameter in the equations.
-    """
+    """Parameters of the equations that may be off: where none are named, all that are not known."""
     known = twin.equation_parameters()
     for name in names:
         if name not in known:

@@ -31,12 +31,7 @@ _LOOK: Final = 0.02  # s between looks at the rows
 
 @dataclass
 class Attendant:
-    """The process beside a loop.
-
-    Args:
-        page: the address of the page; empty where there is none.
-        process: that serves it.
-    """
+    """The process beside a loop, and the address of its page, empty where there is none."""
 
     page: str
     process: Child
@@ -47,16 +42,10 @@ class Attendant:
 
 
 def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None = None) -> Attendant:
-    """Start a process beside a loop.
+    """Start a process beside a loop with these files of its rows and its switch.
 
-    Args:
-        ring: file of the loop's rows.
-        switch: file of the loop's switch.
-        page: port of a page on this machine, 0 for a free one; None for no page.
-        stream: `host:port` that gets the rows as JSON over UDP; None for none.
-
-    Raises:
-        OperatorError: the port is taken, or the address is none.
+    `page` is the port of a page on this machine, 0 for a free one, `stream` the `host:port` that gets the rows as JSON
+    over UDP. Raises an `OperatorError` where the port is taken, or the address is none.
     """
     options = [] if page is None else ["--page", str(page)]
     options += [] if stream is None else ["--stream", stream]

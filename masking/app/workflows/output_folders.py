@@ -23,13 +23,8 @@ def beside(record: str | Path) -> Path:
 def check_folder(out: str | Path | None, *files: str, overwrite: bool = True) -> None:
     """Refuse a folder that cannot be written, or one that holds an earlier result, before anything is run.
 
-    Args:
-        out: folder; None where nothing is saved.
-        files: paths below the folder that every result of the verb has.
-        overwrite: whether an earlier result may be replaced.
-
-    Raises:
-        RecordError: it is a file, may not be written, or holds one of `files` that may not be replaced.
+    `files` are paths below the folder that every result of the verb has. A `RecordError` says that it is a file, may
+    not be written, or holds one of these that may not be replaced.
     """
     if out is None:
         return

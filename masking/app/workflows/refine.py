@@ -230,11 +230,7 @@ def assumed(experiment: Experiment) -> Twin:
 def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
     """Experiment whose controller assumes what was found.
 
-    Args:
-        experiment: as it was.
-        found: the discovery.
-        files: of the discovery, where they lie now.
-        folder: where they will lie.
+    `files` are those of the discovery, where they lie now; `folder` is where they will lie.
     """
     settings = experiment.declaration.controller
     values = {name: value for name, value, *_ in discovery_files.refitted(found)}

@@ -52,16 +52,10 @@ def record(
     budget: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
-    """Recording of a run; one that is long goes into its folder while it runs.
+    """Recording of a run; one that is long goes into its folder while it runs, in which it replaces an earlier one.
 
-    Args:
-        experiment: to run.
-        out: folder, in which an earlier recording is replaced; None where nothing is saved.
-        budget: whether to make an error budget, by further runs; by default if these take a few seconds.
-        progress: called with the fraction done.
-
-    Raises:
-        MaskingError: the run could not go on, or a budget is wanted of a long one.
+    The budget is as that of `run`. Raises a `MaskingError` where the run could not go on, or a budget is wanted of a
+    long one.
     """
     if out is None or not long_run.is_long(experiment):
         return error_budget.run(experiment, budget, progress)
@@ -76,12 +70,7 @@ def record(
 def save(recording: Recording, folder: Path) -> run_report.Report:
     """Save a recording with its report; an animation of an earlier run in the folder, and a stream, are removed.
 
-    Args:
-        recording: of a run.
-        folder: made if need be; what it holds of an earlier run is replaced.
-
-    Raises:
-        RecordError: the folder cannot be written.
+    Raises a `RecordError` where the folder, made if need be, cannot be written.
     """
     if recording.path != folder / TABLE:
         recording.save(folder, overwrite=True)

@@ -24,14 +24,9 @@ _ENTRY = re.compile(r"^ {8}(\w+(?:, \w+)*): (.*(?:\n {12,}.*)*)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a verb.
+    """A parameter of a verb, with the text of the docstring.
 
-    Args:
-        name: of the parameter.
-        kind: as `inspect.Parameter` has it.
-        type: of its values.
-        default: `inspect.Parameter.empty` where there is none.
-        text: of the docstring.
+    `kind` and `default` are as `inspect.Parameter` has them.
     """
 
     name: str
@@ -68,12 +63,9 @@ def parameters(function: Callable[..., Any]) -> dict[str, Parameter]:
 def with_fields_of(
     settings: Callable[P, S],
 ) -> Callable[[Callable[[N, S], R]], Callable[Concatenate[N, P], R]]:
-    """Decorator: a verb of one object and its settings takes the fields of the settings as keywords.
+    """Decorator: a verb of one object and its settings takes the fields of these, a frozen dataclass, as keywords.
 
     `help` and type checkers see the fields; in the docstring, their lines take the place of that of the settings.
-
-    Args:
-        settings: a frozen dataclass whose fields have defaults or are given by keyword.
     """
 
     def decorated(verb: Callable[[N, S], R]) -> Callable[Concatenate[N, P], R]:
@@ -96,11 +88,7 @@ def with_fields_of(
 
 
 def showing(settings: Callable[..., Any]) -> Callable[[V], V]:
-    """Decorator: the signature and the docstring of a verb have the fields of its settings in place of them.
-
-    Args:
-        settings: a frozen dataclass, which the verb makes of its keywords.
-    """
+    """Decorator: the signature and the docstring of a verb have the fields of its settings in place of them."""
 
     def decorated(verb: V) -> V:
         show(verb, parameters(settings), _arguments(settings))
@@ -110,13 +98,7 @@ def showing(settings: Callable[..., Any]) -> Callable[[V], V]:
 
 
 def show(verb: Callable[..., Any], fields: Mapping[str, Parameter], lines: str) -> None:
-    """Let the signature and the docstring of a verb have fields in place of its last parameter, `settings`.
-
-    Args:
-        verb: whose signature and docstring are replaced.
-        fields: by name.
-        lines: that explain them.
-    """
+    """Let the signature and the docstring of a verb have fields in place of its last parameter, `settings`."""
     signature = inspect.signature(verb)
     *first, _ = signature.parameters.values()
     shown = [

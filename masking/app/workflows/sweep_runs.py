@@ -87,11 +87,7 @@ class Plan:
         return int(np.random.SeedSequence([self.design.seed, row]).generate_state(1)[0] >> 1)
 
     def check(self) -> None:
-        """Refuse what no run can be made of, and compile what runs need.
-
-        Raises:
-            MaskingError: a name, a measure or the experiment is wrong.
-        """
+        """Refuse what no run can be made of, and compile what runs need."""
         model, names = self.experiment.virtual, [one for one in self.measures if isinstance(one, str)]
         inputs = [] if self.virtual else [*self.experiment.twin.actuators]
         oscillators = model.declaration.oscillators or ()

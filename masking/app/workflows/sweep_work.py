@@ -60,15 +60,9 @@ def _made_here(first: int, last: int) -> Made:
 
 
 def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int) -> Iterator[Made]:
-    """Make rows, as chunks that take a second or two each.
+    """Make ranges of rows, each of whole chains, as chunks that take a second or two each.
 
-    Args:
-        plan: of the sweep.
-        missing: ranges of rows, each of whole chains.
-        workers: processes; this one alone for 1.
-
-    Raises:
-        MaskingError: a process ended.
+    With one worker, this process makes them. Raises a `MaskingError` where another has ended.
     """
     if workers == 1:
         yield from _one_after_the_other(plan, missing)

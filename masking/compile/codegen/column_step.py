@@ -28,12 +28,9 @@ def link(states: int, coordinates: int, more: int = 0) -> dict[str, NativeFuncti
     """Function by its signature, as `compiled_functions.linked` takes it.
 
     It moves `columns` (n, width) over a step of length h, with the derivatives of its stages by the state (4 n, n or
-    more), those of coordinates left out, and by the columns (4 n, width), `rates`.
-
-    Args:
-        states: n, for which there is code of its own size unless it is too large; others run in loops.
-        coordinates: how many of the states are coordinates, whose rates are the states that follow them.
-        more: that there may be, with code of their own size.
+    more), those of coordinates left out, and by the columns (4 n, width), `rates`. For n `states`, of which the first
+    `coordinates` have rates that are the states behind them, and for `more`, there is code of their own size unless
+    that is too large; others run in loops.
     """
     made = _text([n for n in range(states, states + more + 1) if n <= LARGEST], coordinates)
     stem = store.directory() / "objects" / digest(versions(), made)

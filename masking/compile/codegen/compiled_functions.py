@@ -165,18 +165,11 @@ class Kernels:
         tolerance: float,
         threads: int,
     ) -> Trajectory:
-        """Integrate dynamics without delays and events from several initial states, each with its own parameters.
+        """Integrate dynamics without delays and events over times (m,), each run from its own state at the first.
 
-        Args:
-            times: monotone (m,); the states are those at the first.
-            states: (runs, 2 n + k).
-            inputs: (k,), held constant.
-            parameters: (runs, parameters).
-            tolerance: local relative error of a step.
-            threads: that share the runs.
-
-        Raises:
-            IntegrationError: times are none, or not in order.
+        States are (runs, 2 n + k), inputs (k,), held constant, and parameters (runs, parameters); `tolerance` is the
+        local relative error of a step, and `threads` share the runs. Raises an `IntegrationError` where times are none,
+        or not in order.
         """
         times, y = in_order(times), np.array(states, dtype=float, order="C")
         p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
@@ -203,17 +196,10 @@ class Kernels:
         return Trajectory(times, out, names, int(found[:, 2].sum()), internal, errors=errors)
 
     def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
-        """Raise the error that a kernel's status stands for.
+        """Raise the error that a kernel's status, one of `stop_codes`, stands for, with the time and the state there.
 
-        Args:
-            status: one of `masking.compile.numerics.stop_codes`.
-            time: at which it stopped.
-            state: at that time.
-            mend: what to do about a singular matrix.
-
-        Raises:
-            SingularityError: a matrix became singular.
-            IntegrationError: the kernel could not go on for another reason.
+        A `SingularityError` holds the state and `mend`, what to do about a singular matrix; all else is an
+        `IntegrationError`.
         """
         names = self.meta["coordinates"]
         internal = self.meta.get("states", ())
@@ -225,11 +211,7 @@ class Kernels:
 
 
 def in_order(times: Array) -> Array:
-    """Times as the kernels take them.
-
-    Raises:
-        IntegrationError: they are none, or not in order.
-    """
+    """Times as the kernels take them; raises an `IntegrationError` if they are none, or not in order."""
     times = np.ascontiguousarray(times, dtype=float)
     steps = np.diff(times)
     if times.ndim != 1 or len(times) == 0 or not (np.all(steps >= 0.0) or np.all(steps <= 0.0)):
@@ -269,12 +251,8 @@ def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: 
     """Steps of the classical Runge-Kutta method between samples that resolve the fastest motion at a state.
 
     What is over long before the next sample, such as the slip of a contact that sticks, takes steps that are stable.
-
-    Args:
-        slope: writes dy/dt of a state into its second argument.
-        state: y (n,).
-        lengths: a size of each state (n,), for differences.
-        rate: samples per second.
+    `slope` writes dy/dt of a state (n,) into its second argument; `lengths` (n,) are sizes of the states, for
+    differences; `rate` is samples per second.
     """
     size = len(state)
     if not size:

@@ -41,12 +41,7 @@ def sources() -> str:
 
 
 def contents(text: str, names: Iterable[str]) -> dict[str, str]:
-    """Content hash of functions of a generated module.
-
-    Args:
-        text: the source of the module.
-        names: of the functions.
-    """
+    """Content hash of functions of a generated module, by their names, from its text."""
     lines = text.splitlines()
     parts: dict[str, list[str]] = {}
     uses: dict[str, set[str]] = {}

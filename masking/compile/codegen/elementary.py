@@ -59,10 +59,8 @@ Number = Callable[[float], str]
 def sine_and_cosine(apply: Apply, number: Number, x: str) -> tuple[str, str]:
     """Sin x and cos x, to 1e6 right to two units in the last place or 1e-20; beyond, to two units of that of x.
 
-    Args:
-        apply: returns the value of an operation, of its name and values.
-        number: returns the value of a constant.
-        x: the value of the angle; beyond 1e15 rounding leaves nothing of it but its bounds.
+    Beyond 1e15 rounding leaves nothing of the angle x but its bounds. `apply` returns the value of an operation, of its
+    name and values, and `number` that of a constant.
     """
     turned = apply("floor", apply("add", apply("mul", x, number(QUARTERS_IN_ONE)), number(0.5)))
     angle = x

@@ -59,11 +59,7 @@ class Jumps:
         self._latest = dict.fromkeys(self.names, -math.inf)
 
     def follow(self, status: int, t: float) -> bool:
-        """Jump if an integration stopped at an event, and tell whether it did.
-
-        Args:
-            status: with which it stopped.
-            t: time at which it stopped.
+        """Jump if an integration stopped at an event, at time t, and tell whether it did.
 
         Raises:
             IntegrationError: an event comes again and again at one instant.

@@ -47,11 +47,7 @@ class Graph:
         return self._node(("symbol", name), varying)
 
     def number(self, value: float) -> Node:
-        """Node of a finite constant.
-
-        Raises:
-            ModelError: it is not finite.
-        """
+        """Node of a constant; raises a `ModelError` if it is not finite."""
         if not math.isfinite(value):
             raise ModelError(f"the equations contain the constant {value}; constants must be finite")
         return self._node(("number", float(value)), False)
@@ -98,14 +94,9 @@ class Graph:
         return result
 
     def lower(self, expression: sp.Expr, symbols: Mapping[sp.Symbol, Node]) -> Node:
-        """Node of a sympy expression in which each symbol stands for a node.
+        """Node of a sympy expression, with a node for each of its free symbols.
 
-        Args:
-            expression: any expression of the functions that declarations allow.
-            symbols: a node for every free symbol of `expression`.
-
-        Raises:
-            ModelError: the expression holds a function that cannot be compiled.
+        Raises a `ModelError` where the expression holds a function that cannot be compiled.
         """
         return _Lowering(self, symbols).node(expression)
 

@@ -67,13 +67,8 @@ def solve(
     five unknowns is solved by Cramer's rule, whose only division is by the determinant, so that a vanishing
     entry of a regular block does no harm; a larger one is eliminated in the same order.
 
-    Args:
-        algebra: the operations.
-        matrix: n rows of n entries.
-        right: n rows of k entries, one column for each right-hand side.
-
-    Raises:
-        ModelError: the matrix is singular by its structure, whatever the values.
+    `matrix` has n rows of n entries; `right` has n rows of k, one column for each right-hand side. Raises a
+    `ModelError` where the matrix is singular by its structure, whatever the values.
 
     Source: Duff, Erisman and Reid (2017), Direct Methods for Sparse Matrices, chapters 5 (blocks) and 7 (Markowitz).
     """
@@ -215,14 +210,10 @@ def _determinant(algebra: Algebra[X], columns: list[list[X]]) -> X:
 def health(graph: Graph, divisors: Sequence[Divisor[Node]]) -> Node:
     """Node that vanishes, or changes its sign, where a matrix becomes singular during a run.
 
-    It is the smallest magnitude among the divisors that vary, without their constant factors, with the sign of their
-    product; 1 where none varies, and 0 where one that does not vary is 0. It neither overflows nor falls with the
-    number of unknowns. Where several vary, a pivot p in the place of the entry a counts in proportion to the terms that
-    it is the sum of, |a| + |p - a|, so that pivots of different units can be compared.
-
-    Args:
-        graph: the graph to add to.
-        divisors: as `solve` returns them.
+    Of divisors as `solve` returns them, it is the smallest magnitude among those that vary, without their constant
+    factors, with the sign of their product; 1 where none varies, and 0 where one that does not vary is 0. It neither
+    overflows nor falls with the number of unknowns. Where several vary, a pivot p in the place of the entry a counts in
+    proportion to the terms that it is the sum of, |a| + |p - a|, so that pivots of different units can be compared.
     """
     varying = [one for one in divisors if graph.varies(one.value)]
     factors = [one.value for one in divisors if not graph.varies(one.value)]

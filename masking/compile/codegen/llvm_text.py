@@ -44,11 +44,7 @@ ALIGNED = 8  # bytes of an element of an array
 
 
 def parameters(types: Mapping[str, str]) -> list[str]:
-    """Parameters of a function in LLVM: an array is its address and its shape.
-
-    Args:
-        types: of its arguments by their names, such as `float` or `Matrix`.
-    """
+    """Parameters of a function in LLVM, by types such as `float` or `Matrix`: an array is its address and its shape."""
     found = []
     for name, kind in types.items():
         axes = range(AXES.get(kind.removeprefix("Int"), 0))
@@ -57,7 +53,7 @@ def parameters(types: Mapping[str, str]) -> list[str]:
     return found
 
 
-def function(  # noqa: D417, PLR0917  (it is made of what `Module.add` takes)
+def function(  # noqa: PLR0917  (it is made of what `Module.add` takes)
     symbol: str,
     types: Mapping[str, str],
     graph: Graph,
@@ -69,10 +65,7 @@ def function(  # noqa: D417, PLR0917  (it is made of what `Module.add` takes)
 ) -> str:
     """Definition of a function that computes nodes: it reads all that it needs, and then writes results.
 
-    Args:
-        symbol: its name.
-        types: of its arguments by their names.
-        graph, results, loads, returns, free, lanes: as `source.Module.add` takes them.
+    It has the types of its arguments by their names; all else is as `source.Module.add` takes it.
     """
     body = _Body(types, free, lanes)
     body.compute(graph, results, loads, [] if returns is None else [returns])
@@ -86,13 +79,10 @@ def choice(
     zeros: Sequence[str],
     cases: Sequence[tuple[Graph, Results, Mapping[str, str]]],
 ) -> str:
-    """Definition of a function that computes the nodes of one of several graphs, whose number it is given.
+    """Definition of a function that computes the nodes of one of several graphs, whose number is its first argument.
 
-    Args:
-        symbol: what it is called.
-        types: of its arguments by their names; the first is the number, from 0 on.
-        zeros: elements of arrays that are 0 where the graph has no result for them, or where there is no such graph.
-        cases: of each graph what `function` takes of it.
+    `zeros` are elements of arrays that are 0 where the graph has no result for them, or where there is no such graph;
+    `cases` has of each graph what `function` takes of it.
     """
     body = _Body(types, "", 1)
     body.store((target, body.number(0.0)) for target in zeros)

@@ -97,8 +97,7 @@ class NativeFunction:
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
         """Call the machine code; arrays are read and written in place.
 
-        Raises:
-            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        Raises a `TypeError` where an array is not C-contiguous, of the right type and dimension, or one is missing.
         """
         call, values, found = self.prepare(), self._completed(given), (ctypes.c_double * RESULTS)()
         call(*self._passed(values), found)
@@ -106,18 +105,10 @@ class NativeFunction:
         return None if not read else read[0] if len(read) == 1 else tuple(read)
 
     def each(self, runs: int, *given: Any, threads: int = 1) -> np.ndarray:  # noqa: ANN401
-        """Call the machine code once for each of several runs; measured: 3 us of Python a run.
+        """Call the machine code once for each of several runs, which threads share; measured: 3 us of Python a run.
 
-        Args:
-            runs: how many.
-            given: arguments; an array with one axis more than the function takes is passed row by row, a row a run.
-            threads: that share the runs; machine code holds no lock.
-
-        Returns:
-            results (runs, RESULTS).
-
-        Raises:
-            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        An array with one axis more than the function takes is passed row by row, a row a run. Results are (runs,
+        RESULTS); errors are those of a call.
         """
         call, results = self.prepare(), np.zeros((runs, RESULTS))
 
@@ -137,8 +128,7 @@ class NativeFunction:
     def bind(self, *given: np.ndarray | tuple[Any, ...]) -> BoundFunction:
         """Function with arrays that it reads and writes at each call; a number is an array of one.
 
-        Raises:
-            TypeError: an array is not C-contiguous, of the right type and dimension, or one is missing.
+        Raises a `TypeError` as a call does.
         """
         results, passed, lines = (ctypes.c_double * RESULTS)(), list[str](), list[str]()
         arrays = self._completed(given)
@@ -163,10 +153,8 @@ class NativeFunction:
     def _passed(self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None) -> list[Any]:
         """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds.
 
-        Args:
-            values: all arguments.
-            moved: gets the place, address and stride of each array with one axis more than the function takes, whose
-                rows are passed one by one; by default no array may have one.
+        `moved` gets the place, address and stride of each array with one axis more than the function takes, whose rows
+        are passed one by one; without it no array may have one.
         """
         passed = list[Any]()
         for (name, kind), value in zip(self.arguments.items(), values, strict=True):
@@ -252,13 +240,7 @@ def _aligned(shape: tuple[int, int]) -> np.ndarray:
 
 
 def compiled_by_numba(interface: Callable[..., None], arguments: Iterable[str], symbols: Iterable[str]) -> Any:  # noqa: ANN401
-    """LLVM code of a function's C interface, as `ENTRY`.
-
-    Args:
-        interface: as `interface` prints it.
-        arguments: types of the function's arguments.
-        symbols: that are linked later.
-    """
+    """LLVM code of a function's C interface, as `ENTRY`; `symbols` are linked later."""
     signature = f"void({', '.join(NUMBA_TYPES[kind] for kind in arguments)}, CPointer(f8))"
     for name in symbols:  # numba links what it compiles at once, although it is not called there
         llvm.add_symbol(name, _stop())
@@ -301,13 +283,7 @@ def linked_template(bitcode: bytes, text: str) -> Any:  # noqa: ANN401
 
 
 def interface(name: str, arguments: Mapping[str, Any], results: Sequence[str]) -> str:
-    """Source of a function's C interface: pointers and sizes in, results through a pointer.
-
-    Args:
-        name: of the function.
-        arguments: their types by their names, those of structs as classes.
-        results: their types.
-    """
+    """Source of a function's C interface: pointers and sizes in, results through a pointer; structs are classes."""
     parameters, passed = [], []
     for argument, kind in arguments.items():
         texts = []
@@ -340,12 +316,7 @@ def passed(arguments: Mapping[str, str]) -> tuple[list[str], list[str]]:
 
 
 def link(name: str, arguments: Mapping[str, str]) -> str:
-    """Source of a function that calls machine code of its own, which is linked when it is loaded.
-
-    Args:
-        name: of the function.
-        arguments: their types by their names; one at least is an array.
-    """
+    """Source of a function that calls machine code of its own, linked when it is loaded; one argument is an array."""
     types, given = passed(arguments)
     unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
     signature = f"numba.void({', '.join(types)}, numba.types.CPointer(numba.f8))"
@@ -375,12 +346,9 @@ def _without_aliases(text: str) -> str:
 
 
 def optimise(module: Any, entry: str, machine: Callable[[], Any]) -> None:  # noqa: ANN401
-    """Optimise LLVM code once more, now that all of it is known to be one function.
+    """Optimise LLVM code once more, now that all of it is known to be one function, `entry`.
 
-    Args:
-        module: the code.
-        entry: name of the function.
-        machine: returns a new description of the processor that the code is for.
+    `machine` returns a new description of the processor that the code is for.
     """
     # Names are kept inside: numba gives functions of different processes the same ones.
     for value in (*module.functions, *module.global_variables):

@@ -52,14 +52,9 @@ INFIX = {"add": (SUM, "+"), "sub": (SUM, "-"), "mul": (PRODUCT, "*"), "div": (PR
 
 
 def statements(graph: Graph, results: Sequence[tuple[str, Node]], language: Language) -> list[str]:
-    """Statements that compute nodes and assign them.
+    """Statements that compute nodes and assign each to a text, such as `out[0]`.
 
     A node that is used more than once becomes a local variable; all others are written in place.
-
-    Args:
-        graph: the graph that holds the nodes.
-        results: pairs of an assignable text, such as `out[0]`, and the node whose value it gets.
-        language: the language to print.
     """
     return _Statements(graph, language).write(results)
 

@@ -153,20 +153,11 @@ class Module:
         loads: Mapping[str, str],
         order: int,
     ) -> None:
-        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` of order k of state i.
+        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` up to `order` k of state i.
 
         For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
         `lane_terms(c, tolerance, terms)` writes what `codegen.taylor_coefficients.step_terms` gives, a row each, and
-        `lane_states(x, c, y)` the states at the times x from there.
-
-        Args:
-            graph: the graph that holds all nodes.
-            states: symbols of the states.
-            derivatives: of the states.
-            time: symbol of the time.
-            health: node of the returned health.
-            loads: how each symbol is read.
-            order: highest k.
+        `lane_states(x, c, y)` the states at the times x from there. `health` is what `coefficients` returns.
         """
         rows = coefficients(graph, states, derivatives, time, order)
         results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
@@ -231,9 +222,8 @@ class Module:
     def add_link(self, signature: str) -> None:
         """Add a function that is machine code of its own: those that call it do not depend on what it is made of.
 
-        Args:
-            signature: as for `add`, with arrays that are not empty; the function returns nothing. Its machine code is
-                that of the function of this name in the `links` of `store.load`.
+        Its signature is as for `add`, with arrays that are not empty, and it returns nothing. Its machine code is that
+        of the function of this name in the `links` of `store.load`.
         """
         name, types = _read(signature)
         self.functions.append(native.link(name, types))
@@ -284,14 +274,7 @@ def _read(signature: str) -> tuple[str, dict[str, str]]:
 
 
 def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language) -> list[str]:
-    """Statements that read the symbols which nodes use.
-
-    Args:
-        graph: the graph that holds the nodes.
-        nodes: that are to be computed.
-        loads: for each symbol text, the text that reads it.
-        language: the language to print.
-    """
+    """Statements that read the symbols which nodes use, each by the text that `loads` has for it."""
     used = {str(graph.operations[n][1]) for n in needed(graph, nodes) if graph.operations[n][0] == "symbol"}
     return [
         f"{language.declare}{symbol} = {text}{language.end}"

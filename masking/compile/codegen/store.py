@@ -168,11 +168,8 @@ def load(
 ) -> Generated:
     """Generated module of a key; `build` makes it if it is not on disk yet, or not as it was written.
 
-    Args:
-        name: the key.
-        build: prints the module.
-        links: functions of other modules, by the names that `Module.add_link` gives them.
-        work: the shape of the work space of functions that do not say it.
+    `links` are functions of other modules, by the names that `Module.add_link` gives them; `work` is the shape of the
+    work space of functions that do not say it.
     """
     found = _read(name) or _made(name, build)
     return replace(found, links=links or {}, work=work)

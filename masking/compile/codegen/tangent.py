@@ -78,15 +78,10 @@ SWITCHES: dict[str, Callable[[Graph, tuple[Node, ...]], tuple[Node, Node, Node]]
 
 
 def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) -> list[list[Node]]:
-    """D node / d symbol for each node (rows) and symbol (columns).
+    """D node / d symbol for each node (rows) and symbol (columns), added to the graph.
 
     At a switch, such as the corner of `abs` or the step of `sign`, they are those of one side. A stair (`floor`) counts
     as the line through it.
-
-    Args:
-        graph: the graph, to which they are added.
-        nodes: what is differentiated.
-        symbols: nodes of symbols.
     """
     order = needed(graph, nodes)
     zero = graph.number(0.0)
@@ -118,14 +113,6 @@ def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) ->
 def jacobian(
     graph: Graph, name: str, nodes: Sequence[Node], symbols: Sequence[Node], columns: Sequence[int]
 ) -> list[tuple[str, Node]]:
-    """D node / d symbol as entries `name[row, column]` of a matrix.
-
-    Args:
-        graph: the graph, to which they are added.
-        name: of the matrix.
-        nodes: what is differentiated, one in each row.
-        symbols: nodes of symbols.
-        columns: of the symbols.
-    """
+    """D node / d symbol, added to the graph, as entries `name[row, column]` of a matrix with columns of symbols."""
     rows = derivatives(graph, nodes, symbols)
     return [(f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)]

@@ -69,12 +69,7 @@ def coefficients(
 ) -> list[list[Node]]:
     """Taylor coefficients 0 ... `order` of each state, one row for each order, as new nodes of the graph.
 
-    Args:
-        graph: the graph that holds all nodes.
-        states: the symbols of the n states.
-        derivatives: the nodes of their n derivatives.
-        time: the symbol of the time.
-        order: highest order.
+    `states` and `time` are symbols, `derivatives` nodes of the graph.
     """
     return _Series(graph, states, derivatives, time).rows(order)
 
@@ -82,14 +77,10 @@ def coefficients(
 def step_terms(graph: Graph, rows: Sequence[Sequence[Node]], tolerance: Node) -> list[Node]:
     """Terms that the length of a step follows from by the rule of `masking.compile.numerics.taylor_integrator`.
 
-    It is the sum of the sizes of the last two terms of all states, which is finite where the series is one; the largest
-    state; the length at which the larger of these terms are the tolerance times that; and the largest term of each
-    second order from half the highest on, at most these two excepted.
-
-    Args:
-        graph: to add to.
-        rows: Taylor coefficients 0 ... order of the states.
-        tolerance: local error of a step relative to the largest state.
+    Of the Taylor coefficients 0 ... order of the states, a row each, it is the sum of the sizes of the last two terms
+    of all states, which is finite where the series is one; the largest state; the length at which the larger of these
+    terms are the tolerance times that; and the largest term of each second order from half the highest on, at most
+    these two excepted.
     """
     order = len(rows) - 1
 

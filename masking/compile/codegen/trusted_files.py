@@ -53,11 +53,7 @@ def elsewhere(target: Path) -> Path:
 
 
 def write_whole(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all; a reader sees the old file or the new one, also after a power cut.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a file whole or not at all; a reader sees the old file or the new one, also after a power cut."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as file:  # of mode 0600
         try:
@@ -71,11 +67,7 @@ def write_whole(target: Path, content: bytes) -> None:
 
 
 def write_sealed(target: Path, content: bytes) -> None:
-    """Write a file behind a checksum of its name and content.
-
-    Raises:
-        OSError: it cannot be written, or the folder is not this user's own.
-    """
+    """Write a file behind a checksum of its name and content; an `OSError` says that the folder is not this user's."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _check_folder(target.parent)
     write_whole(target, _seal(target, content) + content)
@@ -103,9 +95,7 @@ def read_sealed(source: Path) -> bytes | None:
 def _read(source: Path) -> bytes:
     """Read a regular file that this user owns and nobody else may write, in such a folder.
 
-    Raises:
-        UntrustedError: it is something else.
-        OSError: it is not there, or cannot be read.
+    Raises an `UntrustedError` for anything else, an `OSError` where it is not there or cannot be read.
     """
     if os.name != "posix":
         return source.read_bytes()

@@ -173,15 +173,8 @@ def add_law(i, z, by, given, target, o):
 def add_motion(seat, by, r, extent, ports, readings, target, o):
     """Add to derivatives what a law gives (row r of `by`) by what it follows: a place, a command or a reading.
 
-    Args:
-        seat: kind and index of what the effect follows.
-        by: value and derivatives of the law.
-        r: row of these.
-        extent: numbers of states and of columns.
-        ports: what acts at the ports.
-        readings: derivatives of readings.
-        target: derivatives that are added to.
-        o: row of these.
+    `seat` is the kind and the index of that, `extent` the numbers of states and of columns, `ports` what acts at the
+    ports, `readings` derivatives of readings, and row o of `target` what is added to.
     """
     kind, at = seat
     n, places = extent[0], ports.inertias.by_state.shape[0]
@@ -223,10 +216,8 @@ def clear_row(target, o, n):
 def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
     """Make the action of effects at an instant.
 
-    Args:
-        law: writes what a law gives, and its derivatives.
-        placed: `placed(t, y, u, p, d, by_state)` writes displacements, then rates, of places, and their derivatives.
-        sensed: writes readings, and their derivatives.
+    `law` writes what a law gives, `sensed` readings, and `placed(t, y, u, p, d, by_state)` displacements, then rates,
+    of places, each with derivatives.
 
     Returns:
         `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
@@ -290,11 +281,7 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
 
 
 def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
-    """Make the flow of a rig with effects.
-
-    Args:
-        act: writes what effects do, as that of `effects_at_ports`.
-        slopes: writes the rates of the rig's state, and their derivatives.
+    """Make the flow of a rig with effects: `act` is that of `effects_at_ports`, `slopes` writes the rates of its state.
 
     Returns:
         `flow(t, y, u, given, rate, made, work)`, as that of `motion_sensitivities.motion_with_derivatives`; `work` has
@@ -329,12 +316,7 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
 
 
 def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
-    """Make the readings of a rig with effects, and their derivatives.
-
-    Args:
-        law: writes what a law gives, and its derivatives.
-        act: writes what effects do, as that of `effects_at_ports`.
-        sensed: writes readings, and their derivatives.
+    """Make the readings of a rig with effects, and their derivatives, of kernels as those of `effects_at_ports`.
 
     Returns:
         `read`, as that of `motion_sensitivities.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
@@ -376,14 +358,7 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
 
 
 def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
-    """Make the normal equations of an augmented model over a record.
-
-    Args:
-        law: writes what a law gives, and its derivatives.
-        placed: writes displacements and rates of places, with derivatives.
-        slopes: writes the rates of the rig's state, and their derivatives.
-        sensed: writes readings, and their derivatives.
-        carry: moves columns over a step.
+    """Make the normal equations of an augmented model over a record, of kernels as those of `effects_at_ports`.
 
     Returns:
         `normal(steps, interval, shooting, given, record, sums, work) -> status`, as

@@ -17,11 +17,7 @@ from masking.errors import IntegrationError
 
 @contextmanager
 def decomposed() -> Iterator[None]:
-    """Raise an IntegrationError where a decomposition inside fails.
-
-    Raises:
-        IntegrationError: a matrix is singular, not finite, or its decomposition does not converge.
-    """
+    """Raise an `IntegrationError` where a matrix is singular, not finite, or its decomposition does not converge."""
     try:
         yield
     except (np.linalg.LinAlgError, ValueError) as error:
@@ -29,47 +25,29 @@ def decomposed() -> Iterator[None]:
 
 
 def svd(matrix: Array) -> tuple[Array, Array, Array]:
-    """Singular value decomposition u (m, k), s (k,), v (k, n) of a matrix (m, n); k = min(m, n).
-
-    Raises:
-        IntegrationError: it does not converge, or the matrix is not finite.
-    """
+    """Singular values: u (m, k), s (k,), v (k, n) of a matrix (m, n), k = min(m, n); fails as `decomposed` says."""
     with decomposed():
         u, s, v = np.linalg.svd(_finite(matrix), full_matrices=False)
     return u, s, v
 
 
 def eigenvalues(matrix: Array) -> Complex:
-    """Eigenvalues (n,) of a matrix (n, n).
-
-    Raises:
-        IntegrationError: they do not converge, or the matrix is not finite.
-    """
+    """Eigenvalues (n,) of a matrix (n, n); fails as `decomposed` says."""
     with decomposed():
         return np.asarray(np.linalg.eigvals(_finite(matrix)), dtype=np.complex128)
 
 
 def symmetric(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues (n,), in rising order, and eigenvectors (n, n) of a symmetric matrix (n, n).
-
-    Raises:
-        IntegrationError: they do not converge, or the matrix is not finite.
-    """
+    """Eigenvalues (n,), rising, and eigenvectors (n, n) of a symmetric matrix (n, n); fails as `decomposed` says."""
     with decomposed():
         values, vectors = np.linalg.eigh(_finite(matrix))
     return values, vectors
 
 
 def inverse(matrix: Array, rcond: float | None = None, *, hermitian: bool = False) -> Array:
-    """Pseudoinverse (n, m) of a matrix (m, n).
+    """Pseudoinverse (n, m) of a real or complex matrix (m, n), symmetric if `hermitian`; fails as `decomposed` says.
 
-    Args:
-        matrix: to invert, real or complex.
-        rcond: singular values below this part of the largest are taken as 0; by default those that rounding makes.
-        hermitian: whether it is symmetric.
-
-    Raises:
-        IntegrationError: its decomposition does not converge, or the matrix is not finite.
+    Singular values below the part `rcond` of the largest are taken as 0; by default those that rounding makes.
     """
     with decomposed():
         if rcond is None:
@@ -78,15 +56,9 @@ def inverse(matrix: Array, rcond: float | None = None, *, hermitian: bool = Fals
 
 
 def least_squares(matrix: Array, right: Array, rcond: float | None = None) -> Array:
-    """X (n, ...) of least norm that makes |matrix x - right| least.
+    """X (n, ...) of least norm that makes |matrix x - right| least, of (m, n) and (m, ...); fails as `decomposed` says.
 
-    Args:
-        matrix: (m, n).
-        right: (m, ...).
-        rcond: singular values below this part of the largest are taken as 0; by default those that rounding makes.
-
-    Raises:
-        IntegrationError: the decomposition does not converge, or a number is not finite.
+    Singular values below the part `rcond` of the largest are taken as 0; by default those that rounding makes.
     """
     with decomposed():
         return np.asarray(np.linalg.lstsq(_finite(matrix), _finite(right), rcond=rcond)[0])

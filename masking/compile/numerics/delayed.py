@@ -27,26 +27,15 @@ ROWS = 9
 
 
 def history_shape(size: int, lags: int, inputs: int) -> tuple[int, int]:
-    """Shape of the work space of `runge_kutta`.
-
-    Args:
-        size: number of states that are integrated.
-        lags: number of delayed expressions.
-        inputs: number of inputs.
-    """
+    """Shape of the work space of `runge_kutta`, by the numbers of integrated states, delayed expressions and inputs."""
     return 24 + FIRST + ROWS * STEPS, max(size + lags, inputs, 2)
 
 
 def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, lags: int, inputs: int) -> Kernel:
     """Make the integrator of `integrators.runge_kutta` for equations with delays.
 
-    Args:
-        derivative: writes the derivatives of y = [q, v, s, w].
-        lagged: `lagged(t, y, p, w)` writes what the delayed expressions are now.
-        delays: `delays(p, w)` writes their delays.
-        size: number of states that are integrated.
-        lags: number of delayed expressions.
-        inputs: number of inputs.
+    `derivative` writes the derivatives of y = [q, v, s, w], whose first `size` are integrated; `lagged(t, y, p, w)`
+    what the delayed expressions are now, and `delays(p, w)` their delays.
 
     Returns:
         `solve`, as that of `integrators.runge_kutta`, with states [q, v, s, w] and the work space of `history_shape`.

@@ -41,23 +41,12 @@ class Step(NamedTuple):
 
 
 def work_shape(size: int, values: int, inputs: int) -> tuple[int, int]:
-    """Shape of the work space of `runge_kutta`.
-
-    Args:
-        size: number of states.
-        values: number of conditions and of values that jump.
-        inputs: number of inputs.
-    """
+    """Shape of the work space of `runge_kutta`; `values` counts conditions and what jumps."""
     return 24 + 8, max(size, values, inputs, 2)
 
 
 def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
-    """Make the search of a step for its first event.
-
-    Args:
-        conditions: writes conditions, and values that jump.
-        size: number of states.
-        events: number of conditions.
+    """Make the search of a step for its first event; `conditions` writes `events` conditions, and values that jump.
 
     Returns:
         `crossing(t, y, f, length, known, p)`, as `integrators.embedded_steps` takes it, with the work space `known`.
@@ -159,13 +148,6 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
 def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, inputs: int) -> Kernel:
     """Make the integrator of `integrators.runge_kutta` for equations with events: it stops at each of them.
 
-    Args:
-        derivative: writes the derivatives.
-        conditions: writes conditions, and values that jump.
-        size: number of states.
-        events: number of conditions.
-        inputs: number of inputs.
-
     Returns:
         `solve`, as that of `integrators.runge_kutta`, with `y` (size + events + 1,): the state, for each condition 1
         where it has been below zero and else 0, and the longest first step. At an event it returns `EVENT`, with the
@@ -220,13 +202,8 @@ def jumps(conditions: Kernel, events: int, targets: tuple[tuple[int, int], ...],
     """Make the jumps at an instant at which conditions have crossed zero.
 
     The first event, in declared order, whose condition was below zero and is no longer makes its jump. This is
-    repeated, with the state as it has become, until there is none.
-
-    Args:
-        conditions: writes conditions, and values that jump.
-        events: number of conditions.
-        targets: for each value, the index of its event and that of the state which jumps.
-        most: events that may happen.
+    repeated, with the state as it has become, until there is none, or `most` have happened. `targets` has for each
+    value the index of its event and that of the state which jumps.
 
     Returns:
         `jump(t, y, p, below, counts, w) -> has_ended`, which writes the state y after all jumps; `below` and `counts`

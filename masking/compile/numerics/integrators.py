@@ -56,15 +56,10 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
 
     For dynamics that have no Taylor series: friction, stops, backlash. The local error is measured relative to
     each state plus a thousandth of the largest.
-
     Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section II.10, DOP853.
 
-    Args:
-        derivative: writes the derivatives.
-        size: number n of states.
-
     Returns:
-        `solve`, with arguments and results as those of `taylor`, and `work` (24, n).
+        `solve`, for n = `size` states, with arguments and results as those of `taylor`, and `work` (24, n).
     """
     return embedded_steps(derivative, unbounded, forget, size, False, no_event, False)
 
@@ -356,14 +351,9 @@ def steps_of_runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
 def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Kernel:
     """Make the loop of a controller at a fixed rate, its outputs held between samples, and a plant.
 
-    At sample k, at time k dt, the controller reads the state and writes u; the plant then moves for dt under that
-    u, in Runge-Kutta steps of order 4. Samples 0, every, 2 every ... are recorded.
-
-    Args:
-        step: the controller; returns the health of what it had to invert.
-        derivative: the plant.
-        size: number n of the plant's states.
-        coordinates: how many of them are coordinates.
+    At sample k, at time k dt, the controller reads the state and writes u; the plant then moves for dt under that u, in
+    Runge-Kutta steps of order 4. Samples 0, every, 2 every ... are recorded. `step` is the controller, which returns
+    the health of what it had to invert; the first `coordinates` of the plant's n states are these.
 
     Returns:
         `run(samples, y, u, p, first, recorded, work) -> (status, samples done, first)`, where `y` is the state (n,),

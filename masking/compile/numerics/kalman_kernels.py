@@ -221,11 +221,8 @@ ROOT = Covariance(carry_root, correct_root, variance_root)
 def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covariance) -> Kernel:
     """Make the extended Kalman filter of a twin's state and parameters.
 
-    Args:
-        slopes: writes the rates of the twin's state, and their derivatives.
-        sensed: writes readings, and their derivatives.
-        carry: moves derivatives of the state over a step.
-        form: of the covariance.
+    `slopes` writes the rates of the state, `sensed` readings, both with derivatives, and `carry` moves derivatives of
+    the state over a step; `form` is that of the covariance.
 
     Returns:
         `follow(steps, twin, matrix, columns, record, filtered, work) -> (status, next sample)`, which follows samples
@@ -364,10 +361,6 @@ def root_extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kerne
 
 def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     """Make the filter of a rig's state and of latent forces, which walk at random, with a constant gain.
-
-    Args:
-        derivative: writes the rates of the rig's state.
-        sensed: writes readings, and their derivatives.
 
     Returns:
         `follow(steps, rig, commands, readings, filtered, predicted, work) -> status` for x = (y, forces), which is

@@ -162,10 +162,6 @@ def transition(by_state, h, phi, product):
 def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the first-order response of the sensors to forces and to initial states, along a motion.
 
-    Args:
-        slopes: writes rates, and their derivatives.
-        sensed: writes readings, and their derivatives.
-
     Returns:
         `respond(blocks, is_direct, sources, motion, p, features, means, work)` for M responses: to the force
         `features` (count, M) at the entry of its source, or from its initial state at 1 at the begin of each interval.

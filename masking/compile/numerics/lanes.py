@@ -30,15 +30,9 @@ def taylor(
 ) -> Kernel:
     """Make the integrator of many runs, with the steps of `masking.compile.numerics.taylor_integrator`.
 
-    Args:
-        coefficients: `coefficients(t, y, u, p, c, health)` writes Taylor coefficients.
-        measure: `measure(c, tolerance, terms)` writes what `codegen.taylor_coefficients.step_terms` gives.
-        evaluate: `evaluate(x, c, y)` writes the states at times x from where the coefficients hold.
-        order: their highest order.
-        size: number n of states.
-        inputs: number of inputs.
-        parameters: number k of parameters.
-        lanes: number of lanes, which are the columns of what the three functions read and write.
+    `coefficients(t, y, u, p, c, health)` writes Taylor coefficients up to `order`, `measure(c, tolerance, terms)` what
+    `codegen.taylor_coefficients.step_terms` gives, and `evaluate(x, c, y)` the states at times x from where they hold,
+    for as many runs side by side as there are `lanes`, a column each.
 
     Returns:
         `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but for

@@ -54,9 +54,7 @@ class System:
     def with_prior(self, off: Array, deviation: Array) -> System:
         """Equations with a normal prior.
 
-        Args:
-            off: mean less value (n,).
-            deviation: standard deviations (n,); infinite for unknowns without a prior.
+        `off` is mean less value (n,), `deviation` (n,) infinite for unknowns without a prior.
         """
         weights = deviation**-2.0
         return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
@@ -64,9 +62,8 @@ class System:
     def step(self, damping: float, held: Array | None = None) -> tuple[Array, float]:
         """Step of all unknowns (n,), and the reduction of the cost that it should give.
 
-        Args:
-            damping: relative to the diagonal.
-            held: steps of the first unknowns that bounds determine (b,); not a number where they do not.
+        `damping` is relative to the diagonal; `held` (b,) are steps of the first unknowns that bounds determine, not a
+        number where they do not.
         """
         step = np.full(len(self.gradient), np.nan)
         if held is not None:
@@ -109,8 +106,7 @@ T = TypeVar("T")
 class Linearised(Generic[T]):
     """A problem at values of its unknowns: the cost, the normal equations, and by-products of these.
 
-    Raises:
-        IntegrationError: the equations are not finite.
+    Making it raises an `IntegrationError` where the equations are not finite.
     """
 
     cost: float
@@ -148,9 +144,7 @@ class Box:
     def held(self, step: Array, taken: Array) -> Array | None:
         """Steps of the first unknowns that bounds determine (b,), not a number for others; None if none are.
 
-        Args:
-            step: without bounds (n,).
-            taken: within them (n,).
+        `step` is that without bounds (n,), `taken` that within them (n,).
         """
         count = len(self.low)
         is_held = np.abs(taken - step)[:count] > HELD * np.abs(step[:count])
@@ -282,12 +276,8 @@ def minimise_residuals(
 ) -> Minimum[Array]:
     """Minimum of a sum of squares whose derivatives are differences; the residuals come along.
 
-    Args:
-        residuals: (r,) at values of the unknowns.
-        x: values to begin from (n,).
-        box: bounds.
-        sizes: of changes of the unknowns (n,); differences are taken over a small part of them.
-        rounds: most steps that are tried.
+    `residuals` gives them (r,) at values of the unknowns (n,), from `x` on; `sizes` (n,) are those of changes of the
+    unknowns, over a small part of which differences are taken; `rounds` is how many steps are tried at most.
     """
     steps = DIFFERENCE * sizes
 

@@ -97,14 +97,10 @@ def rows_in(work, rows):
 
 @inlined
 def put_entries(by_entry, terms, values, first, out):
-    """Write (df/dp) B into the rows of a table from the first on, which are 0 where there is no term.
+    """Write (df/dp) B into the rows of a table from `first` on, which are 0 where there is no term.
 
-    Args:
-        by_entry: df/dp (rows, affected).
-        first: row of the table.
-        out: the table.
-        terms: rows, entries and columns whose products are not 0 (3, terms), integers.
-        values: of B in each term (terms,).
+    `by_entry` is df/dp (rows, affected); `terms` (3, terms) are integers: rows, entries and columns whose products are
+    not 0, with `values` (terms,) of B.
     """
     cleared(out, first, out.shape[0])
     for m in range(values.size):
@@ -168,10 +164,7 @@ def of_stage(stages, stage, n):
 
 
 def runge_kutta_4(flow: Kernel) -> Kernel:
-    """Make one step of the classical Runge-Kutta method for a motion.
-
-    Args:
-        flow: writes the rates, and their derivatives.
+    """Make one step of the classical Runge-Kutta method for a motion, whose rates and their derivatives `flow` writes.
 
     Returns:
         `advance(t, y, u, end, given, h, stages, work)`, which moves y (n,) over h, while the commands go linearly from
@@ -199,11 +192,7 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
 
 
 def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
-    """Make the simulation of readings without derivatives.
-
-    Args:
-        sensed: `sensed(t, y, u, p, noise, s)` writes readings.
-        derivative: writes y'.
+    """Make the simulation of readings without derivatives, which `sensed(t, y, u, p, noise, s)` writes.
 
     Returns:
         `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y on,
@@ -265,11 +254,8 @@ def add(at, width, rows, weighted, residuals, products, matrix, gradient):
 def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -> Kernel:
     """Make the accumulation of normal equations over a record.
 
-    Args:
-        read: writes readings and their derivatives, as that of `readings_with_derivatives`.
-        drive: writes the commands of an integration step, as `drive`.
-        flow: writes the rates of motion, and their derivatives.
-        carry: moves columns over a step.
+    `read` writes readings, `drive` the commands of an integration step, `flow` the rates of motion; `carry` moves
+    columns over a step.
 
     Returns:
         `accumulate(steps, interval, shooting, given, record, sums, read_work, work) -> status`, which is 1 if the

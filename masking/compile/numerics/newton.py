@@ -67,27 +67,16 @@ def root(
 
 
 def jacobian(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """Slope (m, n) of a function (m,) of (n,), by central differences.
-
-    Args:
-        function: of (n,).
-        at: where (n,).
-        steps: on both sides, by argument (n,).
-    """
+    """Slope (m, n) of a function (m,) at (n,), by central differences with steps (n,) on both sides."""
     shifts = np.diag(steps)
     columns = [(function(at + d) - function(at - d)) / (2.0 * step) for d, step in zip(shifts, steps, strict=True)]
     return np.array(columns).T
 
 
 def equilibrium(accelerations: Callable[[Array], Array], lengths: Array) -> Array:
-    """Coordinates (n,) without accelerations that Newton's method reaches from 0.
+    """Coordinates (n,) whose accelerations at rest (n,) are 0, that Newton's method reaches from 0.
 
-    Args:
-        accelerations: of coordinates (n,) at rest (n,).
-        lengths: a size of each coordinate (n,).
-
-    Raises:
-        RootError: it reaches none.
+    `lengths` are sizes of the coordinates (n,). Raises a `RootError` if it reaches none.
     """
 
     def system(q: Array) -> tuple[Array, Array]:

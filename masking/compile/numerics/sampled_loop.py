@@ -379,13 +379,8 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
     """Make the loop of a sampled controller and a simulated rig.
 
     At sample k, at time k h, the sensors are read, the controller answers, and its command joins those under way; the
-    rig then moves for h.
-
-    Args:
-        sense: `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`.
-        control: the controller.
-        move: moves the rig under the commands under way, as that of `integrators.steps_under_way`.
-        size: number of the rig's states.
+    rig then moves for h. `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`;
+    `move` moves the rig of `size` states under the commands under way, as that of `integrators.steps_under_way`.
 
     Returns:
         `run(samples, rig, unit, noise, first, recorded, work) -> (status, samples done, first)`; `noise`
@@ -430,11 +425,9 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
 
 
 def transforms(transform: Kernel, count: int) -> Kernel:
-    """Make `transforms(times, states, p, virtual)`, which transforms each state [q, v, s] of a rig with n coordinates.
+    """Make `transforms(times, states, p, virtual)`, which transforms each state [q, v, s] of a rig.
 
-    Args:
-        transform: `transform(t, q, v, p, out)` writes the virtual state.
-        count: number n of coordinates.
+    `transform(t, q, v, p, out)` writes the virtual state of one with `count` coordinates.
     """
 
     @compiled
@@ -448,10 +441,7 @@ def transforms(transform: Kernel, count: int) -> Kernel:
 def along(transform: Kernel, step: Kernel, count: int) -> Kernel:
     """Make `along(times, states, p, virtual, inputs)`: virtual states and inputs of a controller along a motion.
 
-    Args:
-        transform: as for `transforms`.
-        step: `step(t, q, v, u, p)` writes the inputs.
-        count: number n of coordinates.
+    `transform` is as for `transforms`, and `step(t, q, v, u, p)` writes the inputs.
     """
 
     @compiled

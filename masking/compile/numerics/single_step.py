@@ -27,11 +27,7 @@ def status_of(health, first, commands):
 
 
 def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
-    """Make the step of a sampled controller.
-
-    Args:
-        control: the controller, as `masking.compile.numerics.sampled_loop` makes it.
-        sizes: of the controller.
+    """Make the step of a sampled controller, as `masking.compile.numerics.sampled_loop` makes it.
 
     Returns:
         `answer(index, h, s, unit, demanded, applied, first, work) -> status` for the readings s of a sample, as
@@ -50,12 +46,7 @@ def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
 
 
 def law_step(step: Kernel, coordinates: int, inputs: int) -> Kernel:
-    """Make the step of a control law that is given the rig's state.
-
-    Args:
-        step: `step(t, q, v, u, p) -> health` writes the inputs.
-        coordinates: n.
-        inputs: m.
+    """Make the step of a control law that is given the rig's state; `step(t, q, v, u, p) -> health` writes m inputs.
 
     Returns:
         `answer(t, y, p, inverse, u, commands, first) -> status`, which writes the inputs u (m,) for a state y and, by

@@ -44,12 +44,9 @@ class SteadyFilter:
 
 
 def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Array]:
-    """Transition over a sample (n, n), and the covariance of the noise over it (n, n).
+    """Transition over a sample of a period (n, n), and the covariance of the noise over it (n, n).
 
-    Args:
-        flow: dx/dt = flow x + white noise (n, n).
-        density: of the noise of each state, per unit of time (n,).
-        period: time between samples.
+    Of dx/dt = `flow` x + white noise (n, n), with the density of the noise of each state, per unit of time (n,).
     """
     n = len(flow)
     size = min(max(1.0, float(np.linalg.norm(flow, 1)) * period), MOST_SIZE)  # 1 of what is no number
@@ -65,15 +62,10 @@ def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Arra
 
 
 def steady_filter(step: Array, noise: Array, reading: Array) -> SteadyFilter:
-    """Steady Kalman filter.
+    """Steady Kalman filter of a transition over a sample (n, n), with the covariance of the noise over it (n, n).
 
-    Args:
-        step: transition over a sample (n, n).
-        noise: covariance of the noise over it (n, n).
-        reading: readings of unit variance per unit of state (sensors, n).
-
-    Raises:
-        ValueError: the covariance grows from sample to sample: the readings do not determine the state.
+    `reading` (sensors, n) gives readings of unit variance per unit of state. Raises a `ValueError` where they do not
+    determine the state: its covariance grows from sample to sample.
     """
     predicted = _predicted(step, reading, noise)
     innovation = reading @ predicted @ reading.T + np.eye(len(reading))

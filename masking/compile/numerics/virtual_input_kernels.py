@@ -65,12 +65,10 @@ def tables(cells: tuple[int, ...], scale: int) -> Kernel:
 
 
 def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
-    """Make a control law that reads its series at each instant.
+    """Make a control law that reads its series at each instant; `bare` is that of `sampled_loop`.
 
-    Args:
-        bare: `law` of `masking.compile.numerics.sampled_loop`.
-        cells: where the polynomial of each series is among the parameters.
-        scale: where the seconds per unit of virtual time are.
+    `cells` says where the polynomial of each series is among the parameters, `scale` where the seconds per unit of
+    virtual time are.
     """
     set_cells = tables(cells, scale)
 
@@ -103,8 +101,7 @@ def unread(s, p, at):
 def reading(sensors: tuple[tuple[int, int], ...]) -> Kernel:
     """Make `read(s, p, at)`, which sets the cells of all inputs from sensors; it returns the index behind.
 
-    Args:
-        sensors: for each input from a sensor, its cell and the index of the sensor.
+    `sensors` has for each of these inputs its cell and the index of the sensor.
     """
     if not sensors:
         return unread
@@ -145,7 +142,7 @@ def feeling(cells: tuple[int, ...]) -> Kernel:
 def control(
     bare: Kernel, push: Kernel, series: int, sensors: tuple[tuple[int, int], ...], pushes: tuple[int, ...], sizes: Sizes
 ) -> Kernel:
-    """Make the step of a controller whose virtual system has inputs from sensors and pushes.
+    """Make the step of a controller whose virtual system has inputs from sensors and pushes; `bare` is that without.
 
     Args:
         bare: the step without.

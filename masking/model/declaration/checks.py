@@ -80,10 +80,8 @@ def beyond_ordinary(model: ModelDeclaration) -> list[str]:
 def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[str] = ()) -> list[Problem]:
     """List everything that is wrong with a model; of one that is not whole, only names and symbols.
 
-    Args:
-        model: that was read.
-        whole: whether the schema refused nothing of it.
-        lost: names in a section whose key is not known, which pass for anything.
+    It is whole if the schema refused nothing of it; `lost` are names in a section whose key is not known, which pass
+    for anything.
     """
     problems = [*_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
     problems += [
@@ -103,15 +101,7 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
 
 
 def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
-    """Describe what is wrong with one value of a declaration, or with its key.
-
-    Args:
-        declaration: that was read.
-        path: of the value.
-        message: what is wrong.
-        mend: what to do about it.
-        at_key: whether it is at the key.
-    """
+    """Describe what is wrong with one value of a declaration, or with its key."""
     place = declaration.key_place(path) if at_key else declaration.place(path)
     return Problem(place, path, message, mend)
 
@@ -205,11 +195,7 @@ def check_symbols(
 ) -> Iterator[Problem]:
     """Yield a problem for each symbol that is not allowed: derivative of no coordinate, not for here, or unknown.
 
-    Args:
-        expression: in which they stand.
-        allowed: symbols.
-        coordinates: names that have derivatives.
-        known: symbols that are allowed elsewhere.
+    Coordinates are names that have derivatives; `known` are symbols that are allowed elsewhere.
     """
     for problem, symbol in zip(expression.check_symbols(allowed), expression.unknown(allowed), strict=True):
         name = symbol.rstrip("'")
@@ -322,13 +308,7 @@ def _events(model: ModelDeclaration) -> Iterator[Problem]:
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
-    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it.
-
-    Args:
-        model: with the equations.
-        coordinate: on which a force is to act.
-        path: where that is written.
-    """
+    """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it."""
     message = f"no equation has {coordinate}'' and no other acceleration on its left side"
     mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
     return problem_at(model, path, message, mend, at_key=True)
@@ -479,14 +459,9 @@ def _is_coherent(unit: str) -> bool:
 def bounded(
     declaration: Declaration, path: str, shown: str, value: float | None, bounds: tuple[float | None, float | None]
 ) -> Iterator[Problem]:
-    """Check the bounds of a parameter, and that its value lies within them.
+    """Check the bounds of a parameter, and that its value lies within them; None for no value or bound.
 
-    Args:
-        declaration: that holds the parameter.
-        path: of the parameter.
-        shown: the value in words, such as "w = 2 rad/s".
-        value: None if it has none.
-        bounds: the lower and the upper one; None for none.
+    `shown` is the value in words, such as "w = 2 rad/s".
     """
     low, high = bounds
     if value is not None and not math.isfinite(value):

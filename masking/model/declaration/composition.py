@@ -22,13 +22,7 @@ _SUMMED = ("lagrangian", "dissipation", "energy")
 
 @dataclass(frozen=True)
 class Part:
-    """One of several plants.
-
-    Args:
-        name: that stands before its names.
-        plant: its declaration.
-        model: that of its model.
-    """
+    """One of several plants, with its model; `name` stands before its names."""
 
     name: str
     plant: PlantDeclaration
@@ -129,11 +123,7 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
 
 
 def _check_actuators(parts: list[Part]) -> None:
-    """Refuse a plant that commands the inputs of its model beside one that declares actuators.
-
-    Raises:
-        DeclarationError: names both.
-    """
+    """Refuse a plant that commands the inputs of its model beside one that declares actuators."""
     with_own = [part for part in parts if part.plant.actuators]
     for part in parts if with_own else ():
         if not part.plant.actuators and part.model.inputs:
@@ -184,11 +174,7 @@ def _element(part: Part, entry: Mapping[str, Any]) -> dict[str, Any]:
 def _joined(
     parts: list[Part], section: str, given: Mapping[str, Mapping[str, Any]], change: Callable[[Part, Any], Any]
 ) -> dict[str, Any]:
-    """Section with the entries of all parts.
-
-    Raises:
-        DeclarationError: a name of one part is that of another.
-    """
+    """Section with the entries of all parts, no two of which have one name."""
     made: dict[str, Any] = {}
     for part in parts:
         for name, entry in given[part.name].items():
@@ -201,11 +187,7 @@ def _joined(
 
 
 def _shared(parts: list[Part], what: str, given: list[Any]) -> Any:  # noqa: ANN401
-    """Return what is the same in all parts.
-
-    Raises:
-        DeclarationError: it is not.
-    """
+    """Return what must be the same in all parts."""
     for part, one in zip(parts[1:], given[1:], strict=True):
         if one != given[0]:
             message = f"{what}: not those of {parts[0].name}; plants in one loop share them"
@@ -215,11 +197,7 @@ def _shared(parts: list[Part], what: str, given: list[Any]) -> Any:  # noqa: ANN
 
 
 def _check_kind(parts: list[Part]) -> None:
-    """Refuse to join a Lagrangian to equations of motion.
-
-    Raises:
-        DeclarationError: some models have the one, some the other.
-    """
+    """Refuse to join a Lagrangian to equations of motion."""
     first = parts[0].model.lagrangian is None
     for part in parts:
         if (part.model.lagrangian is None) != first:

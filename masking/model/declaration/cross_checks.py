@@ -101,12 +101,7 @@ def check_experiment(
 ) -> list[Problem]:
     """List what does not fit where an experiment, its plant and its models meet.
 
-    Args:
-        experiment: what is checked.
-        plant: that it names.
-        plant_model: that the plant names.
-        virtual_model: what the rig is to move as.
-        believed_model: that `controller.model` names, if it names one.
+    `believed_model` is that which `controller.model` names, if it names one.
     """
     problems = check_plant(plant, plant_model)
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
@@ -152,10 +147,8 @@ def _jumps(
 def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per_unit: float) -> float:
     """Give the rows of an experiment's recording.
 
-    Args:
-        experiment: the declaration.
-        time_scale: seconds of the rig per unit of virtual time.
-        rows_per_unit: rows per unit of virtual time where neither a controller nor a record has a rate.
+    `time_scale` is seconds of the rig per unit of virtual time, `rows_per_unit` the rows per unit of virtual time where
+    neither a controller nor a record has a rate.
     """
     rate = experiment.record.rate if experiment.record else experiment.controller.rate
     return experiment.duration * (rows_per_unit if rate is None else time_scale * rate) + 1.0
@@ -170,14 +163,7 @@ def count_columns(rig: ModelDeclaration, virtual: ModelDeclaration) -> int:
 def check_size(
     experiment: ExperimentDeclaration, rows: float, columns: int, largest: float = LARGEST_RECORDING
 ) -> list[Problem]:
-    """Refuse a duration whose recording, of 8 bytes a number, would be too large.
-
-    Args:
-        experiment: what is recorded.
-        rows: of the recording.
-        columns: of the recording.
-        largest: size that is not refused, in bytes; by default 2 GiB.
-    """
+    """Refuse a duration whose recording, of 8 bytes a number, would be larger than `largest`, in bytes."""
     size = rows * columns * 8.0
     if size <= largest:
         return []

@@ -44,10 +44,7 @@ _UNITS = {
 def check_dictionary(declaration: DictionaryDeclaration, whole: bool, lost: Collection[str]) -> list[Problem]:
     """List everything that is wrong with a dictionary; of one that is not whole, only names and symbols.
 
-    Args:
-        declaration: that was read.
-        whole: whether the schema refused nothing of it.
-        lost: not needed: a dictionary has one section.
+    It is whole if the schema refused nothing of it; `lost` is not needed, since a dictionary has one section.
     """
     problems: list[Problem] = []
     if not declaration.dictionary:

@@ -42,10 +42,8 @@ class _Text:
 def rate_of(expression: Expression, coordinates: Collection[str]) -> str:
     """Give the rate of an expression of coordinates and of what is constant, such as "x1' - x3'" of "x1 - x3".
 
-    Velocities that are named among the coordinates count as these: the rate of "x1'" is "x1''".
-
-    Raises:
-        DeclarationError: the expression contains what has no derivative, such as abs.
+    Velocities that are named among the coordinates count as these: the rate of "x1'" is "x1''". Raises a
+    `DeclarationError` where the expression contains what has no derivative, such as abs.
     """
     rate = expression.walk(_Rates(expression, coordinates))[1]
     return "0" if rate is None else rate.text

@@ -83,10 +83,8 @@ def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | 
 def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
     """Give the dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
 
-    That on an internal state is of its rate, and that on an output that elements act on of the output itself.
-
-    Raises:
-        DeclarationError: a unit or an expression of the model has no dimension.
+    That on an internal state is of its rate, and that on an output that elements act on of the output itself. Raises a
+    `DeclarationError` where a unit or an expression of the model has no dimension.
     """
     units, problems = _dimensions(model)
     checker = _Checker(model, units, problems=problems)
@@ -113,13 +111,7 @@ def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | N
 
 
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
-    """Describe a unit that is none, at its place in a declaration.
-
-    Args:
-        declaration: that was read.
-        path: of the unit.
-        error: what reading the unit raised.
-    """
+    """Describe a unit that is none, at its place in a declaration, by what reading it raised."""
     problem = error.problems[0]
     return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
 

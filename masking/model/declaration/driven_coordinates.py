@@ -11,10 +11,6 @@ def selected(rig: Sequence[str], virtual: Sequence[str]) -> tuple[int, ...] | No
     """Indices of the rig coordinates that the identity takes; None where it cannot tell.
 
     Virtual coordinates that have the names of rig coordinates are these; others are all of the rig's, in order.
-
-    Args:
-        rig: names of the rig's coordinates.
-        virtual: names of the virtual coordinates.
     """
     if all(name in rig for name in virtual):
         return tuple(rig.index(name) for name in virtual)
@@ -26,11 +22,6 @@ def passive(transform: Transform, rig: Sequence[str], virtual: Sequence[str]) ->
 
     They are those that the transform does not name; where it names more coordinates than it has rows, the last of these
     are passive, too.
-
-    Args:
-        transform: the map from rig to virtual coordinates.
-        rig: names of the rig's coordinates.
-        virtual: names of the virtual coordinates.
     """
     count = len(rig) - len(virtual)
     if count <= 0:

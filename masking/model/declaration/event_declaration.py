@@ -37,9 +37,7 @@ class Event(BaseModel):
     def problems(self, states: Collection[str], moving: Collection[str]) -> Iterator[tuple[str, str, str]]:
         """Yield what is wrong with it, beside its symbols: part, message, mend.
 
-        Args:
-            states: what may jump.
-            moving: the names that may change with the time.
+        Only `states` may jump; `moving` are the names that may change with the time.
         """
         if not self.jumps:
             first = next(iter(states), "s")

@@ -15,11 +15,9 @@ from masking.model.declaration.syntax import LARGEST
 def oversized(
     formulas: Iterable[tuple[str, Expression]], definitions: Mapping[str, Expression]
 ) -> Iterator[tuple[str, int]]:
-    """Yield the path and size of the first definition that is too large, or of each other expression that is.
+    """Yield the path and size of the first definition that is too large, or of each other formula that is.
 
-    Args:
-        formulas: all expressions by their paths.
-        definitions: those that others may hold; cycles are reported elsewhere.
+    Cycles of definitions are reported elsewhere.
     """
     uses = {name: expression.names & definitions.keys() for name, expression in definitions.items()}
     try:

@@ -83,10 +83,7 @@ class Expression:
     def problem(self, span: Step | tuple[int, int], message: str, mend: str = "") -> Problem:
         """Describe what is wrong with one part of the text, with the source line and a caret below it.
 
-        Args:
-            span: the step, or first and last index in the text.
-            message: what is wrong.
-            mend: what to do about it.
+        The span is a step, or first and last index in the text.
         """
         start, end = (span.start, span.end) if isinstance(span, Step) else span
         window = max(0, start - 60)
@@ -132,8 +129,7 @@ class Expression:
     def evaluate(self, values: Mapping[str, float]) -> float:
         """Compute the value with floats; `values` are given by symbol, primes included.
 
-        Raises:
-            DeclarationError: a symbol has no value, or the result is not finite.
+        Raises a `DeclarationError` where a symbol has no value, or the result is not finite.
         """
         result = self.walk(_Floats(self, values))
         if isinstance(result, Problem):

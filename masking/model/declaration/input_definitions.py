@@ -21,11 +21,7 @@ def check_inputs(
 ) -> Iterator[Problem]:
     """Yield what is wrong with the sources of the inputs of a virtual system; one that has none is wrong, too.
 
-    Args:
-        experiment: with the sources.
-        plant: whose sensors may be sources.
-        rig: the model of the plant.
-        virtual: the virtual system as it was declared.
+    The plant's sensors may be sources, and `rig` is its model; the virtual system is as it was declared.
     """
     missing = [name for name in virtual.inputs if name not in experiment.inputs]
     if missing:
@@ -94,10 +90,6 @@ def with_inputs(model: ModelDeclaration, sources: Mapping[str, InputSource]) -> 
     What is known point by point, or in the run, is c0 + c1 (t - at) + c2 (t - at)^2 + c3 (t - at)^3 between two
     instants, with parameters that the run sets. An expression of numbers and t is in the declared unit of the input,
     with t in the model's unit of time; one that holds parameters of the model has their units.
-
-    Args:
-        model: as it was declared.
-        sources: by the names of its inputs.
     """
     given = {name: source for name, source in sources.items() if name in model.inputs}
     if not given:

@@ -42,13 +42,7 @@ def percent(part: float, digits: int = 2) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Write a value with a unit, which gets a prefix if it is one that takes them: 32 kN.
-
-    Args:
-        value: in the unit.
-        unit: as declared.
-        digits: of the value.
-    """
+    """Write a value with a unit, which gets a prefix if it is one that takes them: 32 kN."""
     scale = 3 * math.floor(math.log10(abs(float(f"{value:.{digits}g}"))) / 3.0) if value else 0
     if scale in _PREFIXES and (unit in _PREFIXED or (unit in _SMALL and abs(value) < 1e-3)):
         return f"{number(value / 10.0**scale, digits)} {_PREFIXES[scale]}{pretty(unit)}"
@@ -58,9 +52,7 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 def power(value: float, units: Sequence[str]) -> str:
     """Write a power in W, or in W/kg of a force per mass; '' where force times rate is neither.
 
-    Args:
-        value: of it, in the units of the force and the rate.
-        units: of the force, of the displacement and of its rate.
+    The value is in the units of the force and the rate; `units` are those of the force, the displacement and its rate.
     """
     return _as_one_of(("W", "W/kg"), value, combined("F*V", {"F": units[0] or "1", "V": units[2] or "1"}))
 
@@ -68,9 +60,7 @@ def power(value: float, units: Sequence[str]) -> str:
 def work(value: float, units: Sequence[str]) -> str:
     """Write an energy in J, or in J/kg of a force per mass; '' where force times rate and seconds is neither.
 
-    Args:
-        value: of it, in the units of the force and the rate, times s.
-        units: of the force, of the displacement and of its rate.
+    The value is in the units of the force and the rate, times s; `units` are as those of `power`.
     """
     return _as_one_of(("J", "J/kg"), value, combined("F*V*s", {"F": units[0] or "1", "V": units[2] or "1", "s": "s"}))
 
@@ -84,10 +74,7 @@ def _as_one_of(shown: Sequence[str], value: float, unit: str) -> str:
 def with_deviation(value: float, std: float, unit: str) -> str:
     """Write a value and its standard deviation, which has two digits, with a unit: 5.47 ± 0.12 mm/s².
 
-    Args:
-        value: in the unit.
-        std: its standard deviation; not finite, 0 or below rounding if it is not known.
-        unit: as it is shown.
+    The deviation is not finite, 0 or below rounding if it is not known.
     """
     if not (std > ROUNDING * abs(value) and math.isfinite(std)):
         return f"{number(value, 5)} {unit}".rstrip()

@@ -53,8 +53,7 @@ class Assembly:
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
     """Load a model with everything it extends, merged into one declaration whose places point into the right files.
 
-    Raises:
-        DeclarationError: lists every problem with its place.
+    Raises a `DeclarationError` that lists every problem with its place.
     """
     chain: list[tuple[Path, Node, dict[str, Any]]] = []
     files: dict[str, str] = {}
@@ -104,13 +103,7 @@ def load_dictionary(name_or_path: str | Path, reference: Reference = NOWHERE) ->
 def with_dictionary(
     plant: PlantDeclaration, name_or_path: str | Path, reference: Reference = NOWHERE
 ) -> PlantDeclaration:
-    """Plant that names one more dictionary of own effects; one that it has read already is not read anew.
-
-    Args:
-        plant: that was read.
-        name_or_path: of the dictionary.
-        reference: where that was written.
-    """
+    """Plant that names one more dictionary of own effects; one that it has read already is not read anew."""
     file = find("dictionary", name_or_path, reference).resolve()
     if any(Path(known).resolve() == file for own in plant.dictionaries for known in own.files):
         return plant
@@ -120,8 +113,7 @@ def with_dictionary(
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
     """Load a plant and check it against the model that it names, the units of both included.
 
-    Raises:
-        DeclarationError: lists every problem with its place.
+    Raises a `DeclarationError` that lists every problem with its place.
     """
     plant = load_plant(name_or_path)
     model = load_model(plant.model, refer(plant, "model"))
@@ -156,10 +148,7 @@ def _check_plants(experiment: ExperimentDeclaration, is_whole: bool, lost: Colle
 
 
 def name_from(declaration: Declaration, start: Path | None = None) -> str:
-    """How a file in a folder names a declaration: by its packaged name, or by its path from there.
-
-    Without a folder to start from it is the whole path.
-    """
+    """How a file in a folder names a declaration: by its packaged name, or by its path, whole without a folder."""
     file = Path(next(iter(declaration.files), declaration.name)).resolve()
     packaged = files(declaration.kind_name).get(file.stem)
     if packaged is not None and packaged.resolve() == file:
@@ -196,8 +185,7 @@ def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str,
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
     """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own.
 
-    Raises:
-        DeclarationError: lists every problem with its place.
+    Raises a `DeclarationError` that lists every problem with its place.
     """
     rig, plant_model = _rig(experiment, plant)
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))

@@ -38,14 +38,9 @@ _MEND = "write 'repeat: i = 1..50', or 'repeat: [N = 50, i = 1..N]'"
 
 
 def repeated(node: Node, given: Mapping[str, int]) -> tuple[Node, dict[str, int]]:
-    """File with all its repeated entries made, and its counts.
+    """File with all its repeated entries made, and its counts, in place of which others may be given by name.
 
-    Args:
-        node: the whole file.
-        given: counts that replace those of the same names in the file.
-
-    Raises:
-        DeclarationError: an index or a range is wrong, or an entry is made twice.
+    Raises a `DeclarationError` where an index or a range is wrong, or an entry is made twice.
     """
     if not isinstance(node.value, dict) or "repeat" not in node.value:
         return node, {}
@@ -189,11 +184,7 @@ class _Repetition:
         return replace(node, path=path, value=value, text=text, pieces=())
 
     def count(self, node: Node, characters: int = 0) -> None:
-        """Count one more thing that is made, and its characters.
-
-        Raises:
-            DeclarationError: the file makes too much.
-        """
+        """Count one more thing that is made, and its characters; refuse a file that makes too much."""
         self.things += 1
         self.characters += characters
         if self.things > LARGEST_MADE or self.characters > LONGEST_MADE:

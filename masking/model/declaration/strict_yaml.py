@@ -116,11 +116,7 @@ def load(path: str | Path) -> Node:
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Read a file of bounded size.
-
-    Raises:
-        DeclarationError: it is not there, cannot be read, or is too large.
-    """
+    """Read a file; raises a `DeclarationError` if it is not there, cannot be read, or is too large."""
     path, start = Path(path), Place(str(path), 1, 1)
     if not path.is_file():
         raise DeclarationError(Problem(start, "", "there is no such file"))
@@ -135,16 +131,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node:
-    """Read YAML from the bytes of a file.
-
-    Args:
-        data: content of the file.
-        file: its name.
-        refused: as in `loads`.
-
-    Raises:
-        DeclarationError: it is not UTF-8, or as for `loads`.
-    """
+    """Read YAML from the bytes of a file, as `loads` does; raises a `DeclarationError`, too, if it is not UTF-8."""
     try:
         return loads(data.decode("utf-8"), file, refused)
     except UnicodeDecodeError as error:
@@ -154,16 +141,10 @@ def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node
 
 
 def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None) -> Node:
-    """Read YAML from a text.
+    """Read YAML from a text; a `DeclarationError` lists every problem with its place in a file of that name.
 
-    Args:
-        text: YAML.
-        file: its name in messages.
-        refused: takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
-            such a list they are raised as any other.
-
-    Raises:
-        DeclarationError: lists every problem with its place.
+    `refused` takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
+    such a list they are raised as any other.
     """
     text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
     if len(text) > LARGEST_FILE:

@@ -76,11 +76,7 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
 
 
 def parse(text: str, refuse: Refuse) -> tuple[Step, ...]:
-    """Read the text into its postfix program; raises what `refuse` makes of the first thing outside the language.
-
-    Raises:
-        DeclarationError: made by `refuse`.
-    """
+    """Read the text into its postfix program; raises what `refuse` makes of the first thing outside the language."""
     if not text.strip():
         raise refuse(0, 1, "the expression is empty", "")
     if (size := _scan(text, refuse)) > LARGEST:

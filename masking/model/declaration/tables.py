@@ -46,22 +46,12 @@ class Powers:
 
 
 def spline(x: float, *points: float) -> float:
-    """Natural cubic spline through points at x.
-
-    Args:
-        x: where.
-        points: abscissa and ordinate of each, in order.
-    """
+    """Natural cubic spline at x through points, given as abscissa and ordinate of each, in order."""
     return _value(_natural(points), x)
 
 
 def monotone(x: float, *points: float) -> float:
-    """Monotone cubic through points at x.
-
-    Args:
-        x: where.
-        points: abscissa and ordinate of each, in order.
-    """
+    """Monotone cubic at x through points, given as abscissa and ordinate of each, in order."""
     return _value(_monotone(points), x)
 
 

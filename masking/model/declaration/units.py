@@ -124,9 +124,7 @@ def describe(dimension: Dimension) -> str:
 def combined(template: str, known: Mapping[str, str]) -> str:
     """Put units in place of letters, and keep each name as it is written.
 
-    Args:
-        template: a unit in which letters may stand for others, such as F/D.
-        known: the unit of each letter, such as {"F": "m/s**2", "D": "m"}, which gives 1/s**2.
+    Of the template F/D and the units {"F": "m/s**2", "D": "m"} it gives 1/s**2.
     """
     powers: dict[str, Fraction] = {}
     for letter, power in _powers(template).items():
@@ -167,10 +165,8 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     """Resolve a unit into scales, given as name: unit.
 
     Solves unit = prod(scale_k**e_k) dimension by dimension in rationals. Scales that are not needed get the exponent 0.
-    Without any scales only the factor to SI is found.
-
-    Raises:
-        DeclarationError: it is no unit, or the scales do not span it.
+    Without any scales only the factor to SI is found. Raises a `DeclarationError` where it is no unit, or the scales do
+    not span it.
     """
     factor, wanted = _unit(unit)
     si = unit if factor == 1.0 else describe(wanted)
@@ -204,8 +200,7 @@ def _named(name: str) -> tuple[float, dict[str, Fraction]]:
 def named_by_pint(name: str) -> tuple[float, dict[str, Fraction]]:
     """Factor of a unit to SI, and its powers of `BASES`, as pint has them.
 
-    Raises:
-        LookupError: pint does not know it, or it is no multiple of an SI unit.
+    Raises a `LookupError` where pint does not know it, or it is no multiple of an SI unit.
     """
     registry = _registry()
     try:

@@ -29,7 +29,7 @@ def read(
     *,
     refused: Sequence[Problem] = (),
 ) -> D:
-    """Make a declaration of plain data.
+    """Make a declaration of plain data, read from `files` with their SHA-256.
 
     Args:
         kind: of the declaration.
@@ -102,11 +102,7 @@ def _is_unknown_section(error: ErrorDetails) -> bool:
 
 
 def plain_mapping(node: Node) -> dict[str, Any]:
-    """Give the plain data of a whole file, named after the file if it has no name.
-
-    Raises:
-        DeclarationError: the file is no mapping.
-    """
+    """Give the plain data of a whole file, named after the file if it has no name; refuses what is no mapping."""
     if not isinstance(node.value, dict):
         raise DeclarationError(Problem(node.place, "", "the file is not a mapping", "write 'key: value' lines"))
     data: dict[str, Any] = plain(node)

@@ -34,11 +34,7 @@ _SUBJECTS = {"sensor": "s", "actuator": "u"}
 
 
 def find(name: str | Effect) -> Effect:
-    """Effect by its name in the dictionary; an entry is returned as it is.
-
-    Raises:
-        DeclarationError: there is none; names the nearest.
-    """
+    """Effect by its name in the dictionary, or an entry as it is; a `DeclarationError` names the nearest."""
     if isinstance(name, Effect):
         return name
     if name not in EFFECTS:
@@ -50,10 +46,8 @@ def expressions(name: str | Effect) -> tuple[Expression, dict[str, Expression]]:
     """Expression of an effect, switch included, and the rates of its states.
 
     The symbols are those of the dictionary and `on`, the switch: on * f in an element, s + on * (g - s) in a sensor
-    whose effect is g, and in an actuator the same with u.
-
-    Raises:
-        DeclarationError: there is no such effect, or it has no expression.
+    whose effect is g, and in an actuator the same with u. Raises a `DeclarationError` where there is no such effect, or
+    it has no expression.
     """
     effect = find(name)
     if not effect.expression:
@@ -65,12 +59,7 @@ def expressions(name: str | Effect) -> tuple[Expression, dict[str, Expression]]:
 
 
 def unit_of(template: str, units: Mapping[str, str]) -> str:
-    """Coherent SI unit of a template.
-
-    Args:
-        template: a unit of the dictionary, such as `F/D`.
-        units: the units that stand for its letters, such as `{"F": "m/s**2", "D": "m"}`.
-    """
+    """Coherent SI unit of a template such as `F/D`, with units such as `{"F": "m/s**2", "D": "m"}` for its letters."""
     return describe(dimension_of(Expression(template).renamed({name: f"({u})" for name, u in units.items()})))
 
 
@@ -79,14 +68,8 @@ def parameters(
 ) -> dict[str, Parameter]:
     """Parameters of an effect as a model declares them, named `<label>_<parameter>`, with `<label>_on`.
 
-    Args:
-        name: the effect, or its name in the dictionary.
-        label: stands before each name.
-        given: values of the effect's parameters by their short names; a number is in coherent SI units.
-        units: the units of the place, as those of `unit_of`.
-
-    Raises:
-        DeclarationError: a parameter is not known, is missing or has a wrong unit or value; lists all.
+    Values are given by short names, numbers in coherent SI units; `units` are those of the place, as for `unit_of`. A
+    `DeclarationError` lists all parameters that are not known, are missing or have a wrong unit or value.
     """
     effect = find(name)
     problems = [
@@ -149,11 +132,7 @@ class Attachment:
 
 
 def attach_all(declaration: ModelDeclaration, attachments: Iterable[Attachment]) -> ModelDeclaration:
-    """Model with effects in its elements, one after the other; see `attach`.
-
-    Raises:
-        DeclarationError: as `attach`.
-    """
+    """Model with effects in its elements, one after the other; see `attach`."""
     dimensions, result = symbol_dimensions(declaration), declaration
     if dimensions is None:
         raise DeclarationError(check_dimensions(declaration))
@@ -240,11 +219,7 @@ def _in_series(declaration: ModelDeclaration, effect: Effect, at: str, label: st
 def _motion(
     declaration: ModelDeclaration, effect: Effect, at: str, label: str, used: Set[str]
 ) -> dict[str, Expression]:
-    """Motion that an effect follows in an element: displacement, rate and acceleration, as far as used.
-
-    Raises:
-        DeclarationError: the element does not have one of them; says how to give it.
-    """
+    """Motion that an effect follows in an element: displacement, rate and acceleration, as far as used."""
     element, found = declaration.elements[at], dict[str, Expression]()
     what = f"the effect '{effect.name}' follows"
     if element.displacement is not None:

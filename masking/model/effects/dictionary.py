@@ -30,20 +30,15 @@ LATE, DELAY, ROUNDING = EFFECTS["actuator_delay"], EFFECTS["delay"], EFFECTS["qu
 
 
 def load(name_or_path: str | Path) -> dict[str, Effect]:
-    """Effects of a dictionary, a packaged name or a file, by their names.
-
-    Raises:
-        DeclarationError: the file is wrong; lists all problems.
-    """
+    """Effects of a dictionary, a packaged name or a file, by their names; a `DeclarationError` lists all problems."""
     return own(registry.load_dictionary(name_or_path))
 
 
 def own(declaration: DictionaryDeclaration) -> dict[str, Effect]:
     """Effects that a dictionary declares, by their names.
 
-    Raises:
-        DeclarationError: one has the name of an effect that comes with the package, or names a family or an effect
-            that there is not; lists all.
+    A `DeclarationError` lists all that have the name of an effect that comes with the package, or name a family or an
+    effect that there is not.
     """
     problems = [problem for name in declaration.dictionary for problem in _problems(declaration, name)]
     if problems:
@@ -52,11 +47,7 @@ def own(declaration: DictionaryDeclaration) -> dict[str, Effect]:
 
 
 def dictionary(declarations: Iterable[DictionaryDeclaration]) -> Mapping[str, Effect]:
-    """Dictionary with the effects that others declare, by their names.
-
-    Raises:
-        DeclarationError: two effects have one name.
-    """
+    """Dictionary with the effects that others declare, by their names; refuses two effects of one name."""
     found = EFFECTS
     for declaration in declarations:
         more = own(declaration)

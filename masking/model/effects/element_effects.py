@@ -46,12 +46,10 @@ _BY_STEP = {"c": f"1/({_HOLDING})", "hold": "1/(1.75*step)"}
 
 
 def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
-    """Law of friction of a `level` as fields of its entry.
+    """Law of friction of a `level` of the force while it slides, as fields of its entry.
 
-    Args:
-        level: of the force while it slides.
-        smooth: the law with a smooth sign, which lets it creep.
-        first: how large the force may be where a record begins.
+    `smooth` is the law with a smooth sign, which lets it creep; `first`, how large the force may be where a record
+    begins.
     """
     s, level = "(z + c*d_rate)", f"({level})"
     target = f"min(min(max({s}, -2*{level} - {s}), max(2*{level} - {s}, -{level})), {level})"

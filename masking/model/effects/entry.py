@@ -42,8 +42,7 @@ class Span:
     """The range of a place, sensor or actuator in a record, from which fits of its effects start.
 
     Args:
-        low: least value.
-        high: largest value.
+        low, high: least and largest value.
         size: largest magnitude.
         rate: root mean square of its rate.
         time: of the motion of the rig in s: displacement over rate, both in rms.
@@ -101,14 +100,10 @@ class EffectParameter:
 
 @dataclass(frozen=True, slots=True)
 class EffectState:
-    """An internal state of an effect.
+    """An internal state of an effect: its rate, and a unit in those of the place.
 
-    Args:
-        rate: expression of its rate.
-        unit: template in the units of the place.
-        meaning: in a few words.
-        size: how far from 0 a record may begin, as an expression of the parameters; '' if the state forgets its
-            beginning. A simulation begins at 0.
+    A record may begin up to `size` from 0, an expression of the parameters; '' if the state forgets its beginning. A
+    simulation begins at 0.
     """
 
     rate: str

@@ -27,14 +27,8 @@ def simulate(
 ) -> Trajectory:
     """Integrate a model once for each run of an ensemble, as `Model.simulate` does.
 
-    Args:
-        model: the model.
-        times: monotone times (m,).
-        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
-        initial: values of states that all runs have.
-        inputs: of all runs.
-        tolerance: local relative error.
-        threads: that share the runs; by default as many as there are cores.
+    Times (m,) are monotone; `ensemble` has values of each run (runs,) by the name of a parameter or a state, in the
+    declared units, `initial` values of states that all runs have. Threads are as many as there are cores by default.
 
     Raises:
         ModelError: a name is no parameter or state, or the values are not as many for each.
@@ -61,12 +55,7 @@ def simulate(
 
 
 def refused(model: Simulated, ensemble: Mapping[str, Array]) -> Iterator[tuple[int, DeclarationError]]:
-    """Give the runs of an ensemble that cannot be made, by their number, and why: a parameter is out of its bounds.
-
-    Args:
-        model: the model.
-        ensemble: values of each run (runs,) by the name of a parameter or a state, in the declared units.
-    """
+    """Give the runs of an ensemble that cannot be made, by their number, and why: a parameter is out of its bounds."""
     columns = {name: values for name, values in ensemble.items() if name in model.parameters}
 
     def why(pick: Callable[[Array], float]) -> DeclarationError | None:

@@ -128,11 +128,7 @@ class Equations:
         return self._without_delays(expression.to_sympy(self.symbols.by_name | self.definitions))
 
     def _without_delays(self, expression: sp.Expr) -> sp.Expr:
-        """Expression with a symbol in place of each of its delayed expressions, which `lags` then has.
-
-        Raises:
-            ModelError: what is delayed, or the delay, holds what it may not.
-        """
+        """Expression with a symbol in place of each of its delayed expressions, which `lags` then has."""
         function = delay_function()
         delayed = sorted(expression.atoms(function), key=str) if expression.has(function) else []
         s = self.symbols
@@ -252,11 +248,7 @@ class Equations:
 
     @property
     def input_force(self) -> sp.ImmutableMatrix:
-        """Df/du (n, k).
-
-        Raises:
-            ModelError: an acceleration is not affine in the inputs.
-        """
+        """Df/du (n, k); raises a `ModelError` where an acceleration is not affine in the inputs."""
         slopes = sp.ImmutableMatrix(jacobian(self.force, self.symbols.u))
         for i, coordinate in enumerate(self.coordinates):
             bad = slopes[i, :].free_symbols & set(self.symbols.u)

@@ -30,11 +30,7 @@ FEWEST = {"linear": 1, "previous": 1, "cubic": 4}  # points
 
 
 def row_of_times(times: Array) -> Array:
-    """Times (m,) as floats.
-
-    Raises:
-        ModelError: they are none, or not finite.
-    """
+    """Times (m,) as floats; raises a `ModelError` if they are none, or not finite."""
     times = np.atleast_1d(np.asarray(times, dtype=float))
     if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
         raise ModelError(f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}")
@@ -111,11 +107,9 @@ class Schedule:
 
     @classmethod
     def of(cls, series: Sequence[tuple[Series, Sequence[int]]], time_scale: float = 1.0) -> Schedule:
-        """Schedule of series.
+        """Schedule of series, each with the indices of the five parameters of its polynomials.
 
-        Args:
-            series: each with the indices of the five parameters of its polynomials.
-            time_scale: units of time of the schedule per unit of time of the series.
+        `time_scale` is units of time of the schedule per unit of time of the series.
         """
         knots = [one.times for one, _ in series]
         instants = np.unique(np.concatenate(knots)) if knots else np.empty(0)
@@ -150,12 +144,9 @@ def integrate(
     tolerance: float,
     pieces: InPieces = WHOLE,
 ) -> Trajectory:
-    """Integrate compiled dynamics whose parameters change at instants, from one to the next.
+    """Integrate compiled dynamics whose parameters change at instants, as `Kernels.integrate` does others.
 
-    Args and errors are those of `Kernels.integrate`.
-
-    Raises:
-        ModelError: times go backwards along a schedule, or there are delays.
+    Raises a `ModelError`, too, where times go backwards along a schedule, or there are delays.
     """
     times = np.ascontiguousarray(times, dtype=float)
     if schedule is None or not len(schedule.where):
@@ -242,17 +233,10 @@ def driven(
     inputs: Mapping[str, float | Series | Sequence[float]],
     tolerance: float,
 ) -> Trajectory:
-    """Integrate a model whose inputs are given by name, as `Model.simulate` does.
+    """Integrate a model whose inputs are given by name, as `Model.simulate` does, over increasing times (m,).
 
-    Args:
-        model: that is driven.
-        times: increasing (m,).
-        initial: values of its states.
-        inputs: each a number, a series, or values at the times.
-        tolerance: local relative error.
-
-    Raises:
-        ModelError: an input is missing, or there is none of a name.
+    Each input is a number, a series, or values at the times. Raises a `ModelError` where one is missing, or there is
+    none of a name.
     """
     times = np.atleast_1d(np.asarray(times, dtype=float))
     unknown, missing = [n for n in inputs if n not in model.inputs], [n for n in model.inputs if n not in inputs]

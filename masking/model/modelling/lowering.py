@@ -56,11 +56,8 @@ class LoweredEquations:
     ) -> LoweredEquations:
         """Lower a model's equations into a graph.
 
-        Args:
-            equations: the equations.
-            graph: the graph to add to.
-            prefix: put before the text of each new symbol, so that several models share a graph.
-            known: nodes that stand for symbols of the model; the others become new symbols.
+        `prefix` is put before the text of each new symbol, so that several models share a graph; `known` are nodes that
+        stand for symbols of the model, and the others become new symbols.
         """
         s = equations.symbols
         nodes = dict(known or {})
@@ -91,14 +88,9 @@ class LoweredEquations:
         return self.graph.lower(expression, self.symbols)
 
     def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """How each symbol is read.
+        """How each symbol is read, by texts of q and v with `{i}` for an index, and names of inputs and parameters.
 
-        Args:
-            q: text of a coordinate, with `{i}` for its index.
-            v: text of a velocity, likewise.
-            u: name of the inputs.
-            p: name of the parameters.
-            offset: of the first parameter.
+        The first parameter has the index `offset`.
         """
         s = self.equations.symbols
         behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
@@ -106,14 +98,7 @@ class LoweredEquations:
         return self._read(parts)
 
     def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """How each symbol is read where `y` names the whole state vector [q, v, s], and what is delayed.
-
-        Args:
-            y: name of the state vector.
-            u: name of the inputs.
-            p: name of the parameters.
-            offset: of the first parameter.
-        """
+        """How each symbol is read where `y` names the state vector [q, v, s] and what is delayed; else as `loads`."""
         s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
         behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
         parts = ((s.q, y, 0), (s.v, y, n), (behind, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
@@ -225,12 +210,7 @@ def add_runge_kutta(
 ) -> None:
     """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays and events, if there are any.
 
-    Args:
-        module: to add to.
-        graph: that holds the nodes.
-        added: delays and events.
-        loads: how symbols are read from the state vector.
-        sizes: number of states that are integrated, and of inputs.
+    `loads` says how symbols are read from the state vector; `sizes` are the numbers of integrated states and of inputs.
     """
     size, inputs = sizes
 

@@ -138,11 +138,7 @@ class Model:
         return (*self.states, *(f"delayed_{i + 1}" for i in range(self.kernels.meta["lags"])))
 
     def delays(self) -> np.ndarray:
-        """Delays of the delayed expressions, in seconds or in units of the time scale.
-
-        Raises:
-            ModelError: one is not positive.
-        """
+        """Delays, in seconds or in units of the time scale; a `ModelError` says that one is not positive."""
         found = np.zeros(self.kernels.meta["lags"])
         if len(found):
             self.kernels.delays(self.values(), found)
@@ -153,11 +149,7 @@ class Model:
         return found
 
     def check_ordinary(self, what: str) -> None:
-        """Refuse a model with delays or events for what knows none.
-
-        Raises:
-            ModelError: it has them.
-        """
+        """Refuse a model with delays or events for what knows none."""
         self.check_no_delays(what)
         if self.declaration.events:
             raise ModelError(
@@ -166,11 +158,7 @@ class Model:
             )
 
     def check_no_delays(self, what: str) -> None:
-        """Refuse a model with delays for what knows none.
-
-        Raises:
-            ModelError: it has delays.
-        """
+        """Refuse a model with delays for what knows none."""
         if self.kernels.meta["lags"]:
             raise ModelError(
                 f"{self.name} has delays, which {what} does not take: its state is a piece of the past; simulate it, "

@@ -33,23 +33,14 @@ SECOND = "s"
 
 @dataclass(frozen=True)
 class Units:
-    """The conversions of a model's units, and its parameters converted.
-
-    Args:
-        declaration: the model's declaration.
-        conversions: by the text of each unit that the model uses.
-    """
+    """The conversions of a model's units, by the text of each that it uses, and its parameters converted."""
 
     declaration: schema.ModelDeclaration
     conversions: Mapping[str, Conversion]
 
     @classmethod
     def of(cls, declaration: schema.ModelDeclaration) -> Units:
-        """Derive the conversions of all units of a model.
-
-        Raises:
-            ModelError: the declared scales cannot express a unit that the model uses.
-        """
+        """Derive the conversions of all units of a model; a `ModelError` says which one its scales cannot express."""
         scales = {name: scale.unit for name, scale in declaration.scales.items()}
         found = {PLAIN: Conversion(1.0, {}, PLAIN)}
         with contextlib.suppress(DeclarationError):  # scales without a time leave it in seconds
@@ -77,14 +68,9 @@ class Units:
         return all(unit == PLAIN for what, unit in _units(self.declaration).items() if not what.startswith("scales."))
 
     def parameter_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, float]:
-        """Every parameter, in SI units or in the declared scales.
+        """Every parameter, in SI units or in the declared scales, with overrides in the declared units.
 
-        Args:
-            overrides: values that replace the declared ones, in the declared units.
-            dimensionless: whether to divide by the scales.
-
-        Raises:
-            DeclarationError: an override names no parameter, or a value is out of its bounds.
+        Raises a `DeclarationError` where an override names no parameter, or a value is out of its bounds.
         """
         values = self._si_values(overrides)
         values = {name: values[name] for name in self.declaration.parameters}
@@ -97,12 +83,7 @@ class Units:
         }
 
     def exact_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, sp.Expr]:
-        """Every parameter exactly: as the decimals that are written, and expressions of these.
-
-        Args:
-            overrides: values that replace the declared ones, in the declared units.
-            dimensionless: whether to divide by the scales.
-        """
+        """Every parameter exactly: as the decimals that are written, and expressions of these."""
         parameters, found = self.declaration.parameters, dict[str, sp.Expr]()
         for name in self._si_values(overrides):
             parameter = parameters[name]
@@ -115,11 +96,7 @@ class Units:
         return {name: found[name] for name in parameters}
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
-        """Declared scales in SI units; all must be positive.
-
-        Raises:
-            DeclarationError: one is not.
-        """
+        """Declared scales in SI units; raises a `DeclarationError` where one is not positive."""
         values = self._si_values(overrides)
         found = {}
         for name, scale in self.declaration.scales.items():
@@ -131,11 +108,7 @@ class Units:
         return found
 
     def check_names(self, names: Iterable[str]) -> None:
-        """Refuse names that are not parameters.
-
-        Raises:
-            DeclarationError: says which name was probably meant.
-        """
+        """Refuse names that are not parameters; a `DeclarationError` says which name was probably meant."""
         for name in names:
             if name not in self.declaration.parameters:
                 message = f"{self.declaration.name} has no parameter '{name}'"

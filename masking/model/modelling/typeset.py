@@ -21,11 +21,7 @@ _TABLE: Final = Markup(
 
 
 def equations(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> Markup:
-    """Equations below each other, aligned at their equals signs; derivatives of coordinates carry dots.
-
-    Args:
-        pairs: left-hand and right-hand sides.
-    """
+    """Equations, given by both sides, aligned at their equals signs; derivatives of coordinates carry dots."""
     rows = [
         Markup("<mtr>{}{}{}</mtr>").format(
             _CELL.format("right", side(left)),
