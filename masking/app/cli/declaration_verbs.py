@@ -6,12 +6,15 @@ import json
 from dataclasses import asdict
 
 from masking.app.cli.progress import say_compiling
-from masking.app.cli.verb import Call, Verb
+from masking.app.cli.verb import Call, verb
 
+_STATUS = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
 _PLURALS = {"dictionary": "dictionaries", "batch": "batches"}
 
 
+@verb("model.declaration.catalogue:catalogue")
 def _list(call: Call) -> int:
+    """List the packaged models, plants, experiments and dictionaries of effects."""
     from masking.model.declaration import catalogue
 
     entries = call.do()
@@ -27,46 +30,26 @@ def _list(call: Call) -> int:
     return 0
 
 
+@verb(metavars={"name_or_path": "NAME"})
 def _show(call: Call) -> int:
+    """Show a model, a plant, an experiment or physical effects."""
     description = call.do()
     return call.answer(f"{description.to_json()}\n", description)
 
 
+@verb(metavars={"files": "FILE"}, note=_STATUS)
 def _check(call: Call) -> int:
+    """Check declarations: each problem with its place, and whether an experiment fits its rig."""
     results = call.do(compiling=say_compiling)
     call.answer([result.as_dict() for result in results], "\n".join(map(str, results)))
     return max(int(result.exit_status) for result in results)
 
 
+@verb("model.declaration.json_schema:json_schema")
 def _schema(call: Call) -> int:
+    """Print the JSON Schema of a kind of declaration, for editors."""
     print(json.dumps(call.do(), indent=2))
     return 0
 
 
-VERBS = (
-    Verb(
-        "list",
-        "List the packaged models, plants, experiments and dictionaries of effects.",
-        "model.declaration.catalogue:catalogue",
-        _list,
-    ),
-    Verb(
-        "show",
-        "Show a model, a plant, an experiment or physical effects.",
-        act=_show,
-        metavars={"name_or_path": "NAME"},
-    ),
-    Verb(
-        "check",
-        "Check declarations: each problem with its place, and whether an experiment fits its rig.",
-        act=_check,
-        metavars={"files": "FILE"},
-        note="Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems.",
-    ),
-    Verb(
-        "schema",
-        "Print the JSON Schema of a kind of declaration, for editors.",
-        "model.declaration.json_schema:json_schema",
-        _schema,
-    ),
-)
+VERBS = (_list, _show, _check, _schema)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import inspect
 from functools import partial
 
-from masking.app.cli.verb import Call, Verb
+from masking.app.cli.verb import Call, Verb, verb
 from masking.app.workflows.settings_keywords import Parameter, parameters
 
+_EXPERIMENT = {"name_or_path": "EXPERIMENT"}
 
+
+@verb(out="results/identified", doing="fitting", metavars={"records": "RECORD"})
 def _identify(call: Call) -> int:
+    """Fit parameters of a plant to recordings of it."""
     found = call.do()
     files = {"model": "model.yaml", "plant": "plant.yaml", "page": "fit.html"}
     paths = {name: str(call.out / file) for name, file in files.items()}
@@ -17,7 +21,9 @@ def _identify(call: Call) -> int:
     return call.answer({**found.as_dict(), **paths}, text)
 
 
+@verb(out="results/simulated", doing="simulating", has_json_file=True)
 def _simulate(call: Call) -> int:
+    """Simulate a record with a model: measured against simulated."""
     from masking.reports import fit_figures
 
     made, page = call.do(), call.out / "simulation.html"
@@ -34,7 +40,9 @@ def _measure(call: Call) -> int:
     return call.answer(content, "\n".join([found.sentence, *notes, f"page: {page}"]))
 
 
+@verb(out="results/discovered", doing="reading the record", has_json_file=True)
 def _discover(call: Call) -> int:
+    """Find the physical effect that the model of a rig lacks, from a record, and add it."""
     from masking.reports import discovery_files, discovery_page
 
     found = call.do()
@@ -42,7 +50,9 @@ def _discover(call: Call) -> int:
     return call.answer(numbers, discovery_page.summary(found, discovery_files.paths(found, call.out)))
 
 
+@verb(out="results/{name_or_path}_refined", doing="reading the record", has_json_file=True, metavars=_EXPERIMENT)
 def _refine(call: Call) -> int:
+    """Find what the controller's model of an experiment lacks, and run it without and with that."""
     found = call.do()
     return call.answer((call.out / "refine.json").read_text(encoding="utf-8"), found)
 
@@ -64,55 +74,23 @@ _PROCEDURES = {
     "from a ramp: appendix C.6.2.",
     "response": "Frequency response from periods of a multisine, and distortion if lines are left free.",
 }
-VERBS = (
-    Verb(
-        "simulate",
-        "Simulate a record with a model: measured against simulated.",
-        act=_simulate,
-        out="results/simulated",
-        doing="simulating",
-        has_json_file=True,
-    ),
-    Verb(
-        "identify",
-        "Fit parameters of a plant to recordings of it.",
-        act=_identify,
-        out="results/identified",
-        doing="fitting",
-        metavars={"records": "RECORD"},
-    ),
-    Verb(
-        "measure",
-        "Do one procedure of the identification on a record made for it.",
-        verbs=tuple(
-            Verb(
-                name,
-                text,
-                "app.workflows.measure:measure",
-                _measure,
-                select=partial(_of_procedure, name),
-                out=f"results/{name}",
-                doing="measuring",
-                metavars={"records": "RECORD"},
-            )
-            for name, text in _PROCEDURES.items()
-        ),
-    ),
-    Verb(
-        "discover",
-        "Find the physical effect that the model of a rig lacks, from a record, and add it.",
-        act=_discover,
-        out="results/discovered",
-        doing="reading the record",
-        has_json_file=True,
-    ),
-    Verb(
-        "refine",
-        "Find what the controller's model of an experiment lacks, and run it without and with that.",
-        act=_refine,
-        out="results/{name_or_path}_refined",
-        doing="reading the record",
-        has_json_file=True,
-        metavars={"name_or_path": "EXPERIMENT"},
+
+
+_MEASURE = Verb(
+    "measure",
+    "Do one procedure of the identification on a record made for it.",
+    verbs=tuple(
+        Verb(
+            name,
+            text,
+            "app.workflows.measure:measure",
+            _measure,
+            select=partial(_of_procedure, name),
+            out=f"results/{name}",
+            doing="measuring",
+            metavars={"records": "RECORD"},
+        )
+        for name, text in _PROCEDURES.items()
     ),
 )
+VERBS = (_simulate, _identify, _MEASURE, _discover, _refine)

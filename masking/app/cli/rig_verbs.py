@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from masking.app.cli.progress import Bar
-from masking.app.cli.verb import Call, Verb
+from masking.app.cli.verb import Call, Verb, verb
 from masking.errors import OperatorError
 
 if TYPE_CHECKING:
@@ -26,7 +26,9 @@ def _key(file: str | None) -> Key | None:
     return Key.read(file) if file is not None else None
 
 
+@verb("app.workflows.rig_settings:CheckSettings")
 def _check(call: Call) -> int:
+    """Check that a plant keeps the rules of the interface, and that its rig answers; exit status 1 if not."""
     from masking.control.rig.twin import Twin
     from masking.lab.plants import adapters, conformance
     from masking.lab.plants.interface import Settings
@@ -56,7 +58,9 @@ def _check(call: Call) -> int:
     return int(broken > 0)
 
 
+@verb("app.workflows.rig_settings:ServeSettings")
 def _serve(call: Call) -> int:
+    """Serve a plant, or the twin of one, over UDP or a serial line, on a clock of its own."""
     from masking.lab.plants.serve import Serving
     from masking.lab.plants.session import Allowed
     from masking.lab.runs import hardware
@@ -81,7 +85,9 @@ def _serve(call: Call) -> int:
     return call.answer({"records": records}, "\n".join(f"record: {folder}" for folder in records))
 
 
+@verb("app.workflows.rig_settings:RunSettings", out="results/{experiment}_rig", metavars={"plant": "[NAME=]ADDRESS"})
 def _run(call: Call) -> int:
+    """Run an experiment on a plant that runs by itself, and write its report."""
     from masking.app.workflows.output_folders import RUN, check_folder
     from masking.app.workflows.run import save
     from masking.lab.plants.group import connect_each
@@ -132,7 +138,18 @@ def _run(call: Call) -> int:
     return int(not is_planned)
 
 
+@verb(
+    "app.workflows.batch:run",
+    out="results/{plan}",
+    doing="running",
+    interrupted="masking: interrupted; start the same again to go on with {out}",
+    metavars={"plant": "ADDRESS"},
+)
 def _batch(call: Call) -> int:
+    """Make the runs of a plan unattended; started again, go on with it.
+
+    Exit status 1 if one did not end as planned.
+    """
     found = call.do()
     call.answer(found.as_dict(), f"{found}\npage: {call.out / 'batch.html'}")
     return int(found.done < len(found.runs))
@@ -156,66 +173,30 @@ def _operator(chosen: RunSettings, bar: Bar) -> Operator:
     return Operator(begin if is_shown else None, is_attended=chosen.attended, stop_file=chosen.stop_file)
 
 
+@verb("app.workflows.emergency_stop:stop", metavars={"processes": "PROCESS"})
 def _stop(call: Call) -> int:
+    """Press the emergency stop of every run on this machine that this user started; exit status 1 if there is none."""
     stopped = call.do()
     text = f"stopped: {', '.join(f'process {process}' for process in stopped)}" if stopped else "no run to stop"
     call.answer({"stopped": stopped}, text)
     return int(not stopped)
 
 
+@verb(
+    "app.workflows.calibrate:calibrate_at",
+    out="results/{plant}_calibration",
+    doing="calibrating",
+    interrupted="masking: interrupted; the records stay in {out}/records: run the same again to go on from there",
+)
+def _calibrate(call: Call) -> int:
+    """Excite a rig, fit its plant file to the records, and validate the fit by a record held out."""
+    return call.answered()
+
+
 VERBS = (
     Verb(
         "rig",
         "Run on a plant that runs by itself, or serve a twin that stands in for one.",
-        verbs=(
-            Verb(
-                "check",
-                "Check that a plant keeps the rules of the interface, and that its rig answers; exit status 1 if not.",
-                "app.workflows.rig_settings:CheckSettings",
-                _check,
-            ),
-            Verb(
-                "serve",
-                "Serve a plant, or the twin of one, over UDP or a serial line, on a clock of its own.",
-                "app.workflows.rig_settings:ServeSettings",
-                _serve,
-            ),
-            Verb(
-                "run",
-                "Run an experiment on a plant that runs by itself, and write its report.",
-                "app.workflows.rig_settings:RunSettings",
-                _run,
-                out="results/{experiment}_rig",
-                metavars={"plant": "[NAME=]ADDRESS"},
-            ),
-            Verb(
-                "batch",
-                "Make the runs of a plan unattended; started again, go on with it. Exit status 1 if one did not end as "
-                "planned.",
-                "app.workflows.batch:run",
-                _batch,
-                out="results/{plan}",
-                doing="running",
-                interrupted="masking: interrupted; start the same again to go on with {out}",
-                metavars={"plant": "ADDRESS"},
-            ),
-            Verb(
-                "stop",
-                "Press the emergency stop of every run on this machine that this user started; exit status 1 if there "
-                "is none.",
-                "app.workflows.emergency_stop:stop",
-                _stop,
-                metavars={"processes": "PROCESS"},
-            ),
-            Verb(
-                "calibrate",
-                "Excite a rig, fit its plant file to the records, and validate the fit by a record held out.",
-                "app.workflows.calibrate:calibrate_at",
-                out="results/{plant}_calibration",
-                doing="calibrating",
-                interrupted="masking: interrupted; the records stay in {out}/records: run the same again to go on from "
-                "there",
-            ),
-        ),
+        verbs=(_check, _serve, _run, _batch, _stop, _calibrate),
     ),
 )

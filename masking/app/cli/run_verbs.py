@@ -7,11 +7,15 @@ import sys
 from pathlib import Path
 
 from masking.app.cli.progress import Bar, raise_interrupts, say_compiling
-from masking.app.cli.verb import Call, Verb
+from masking.app.cli.verb import Call, verb
 from masking.errors import MaskingError
 
+_EITHER = {"name_or_path": "MODEL_OR_EXPERIMENT"}
 
+
+@verb(out="results/{name_or_path}", metavars={"name_or_path": "EXPERIMENT"})
 def _run(call: Call) -> int:
+    """Run an experiment, save its recording and write its report."""
     from masking.app.workflows.output_folders import RUN, check_folder
     from masking.app.workflows.run import record, save
     from masking.lab.runs.experiment import Experiment
@@ -53,24 +57,32 @@ def _created(folder: Path) -> str | None:
         return None
 
 
+@verb("app.workflows.run:report")
 def _report(call: Call) -> int:
+    """Write the report of a recording."""
     made = call.do()
     content = {"report": str(made.path), "figures": [str(figure) for figure in made.figures]}
     return call.answer(content, f"{made.summary}\nreport: {made.path}")
 
 
+@verb()
 def _recover(call: Call) -> int:
+    """Make the recording of a run on a rig that was killed; exit status 1 where its rows were damaged."""
     made = call.do()
     call.answer(made.as_dict(), made)
     return int(bool(made.damages))
 
 
+@verb(doing="drawing", metavars={"out": "FILE"})
 def _animate(call: Call) -> int:
+    """Animate a recording: the rig beside its virtual system, in a page, a picture or a film."""
     file = call.do()
     return call.answer({"animation": str(file)}, f"animation: {file}")
 
 
+@verb(out="results/{first}_{second}", metavars={"first": "RUN", "second": "RUN"})
 def _compare(call: Call) -> int:
+    """Compare two runs on one page: their motion, what was declared otherwise, and what came out of it."""
     from masking.app.workflows.output_folders import beside
     from masking.reports.comparison_page import PAGE
 
@@ -80,66 +92,30 @@ def _compare(call: Call) -> int:
     return call.answer({**made.as_dict(), "page": str(out / PAGE)}, f"{made}\npage: {out / PAGE}")
 
 
+@verb(
+    out="results/{experiment}_sweep",
+    doing="running",
+    interrupted="masking: interrupted; {out} has the finished runs, the same command makes the others",
+    note="If a sweep is interrupted, the same command makes the runs that are missing.",
+)
 def _sweep(call: Call) -> int:
+    """Run an experiment many times with other values, and measure each run."""
     found = call.do()
     return call.answer(found.as_dict(), f"{found}\npage: {call.out / 'sweep.html'}")
 
 
+@verb(out="results/{name_or_path}_stability", doing="deriving", has_json_file=True, metavars=_EITHER)
 def _stability(call: Call) -> int:
+    """Find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions."""
     found = call.do()
     numbers = (call.out / "stability.json").read_text(encoding="utf-8")
     return call.answer(numbers, f"{found}\npage: {call.out / 'stability.html'}")
 
 
-VERBS = (
-    Verb(
-        "run",
-        "Run an experiment, save its recording and write its report.",
-        act=_run,
-        out="results/{name_or_path}",
-        metavars={"name_or_path": "EXPERIMENT"},
-    ),
-    Verb("report", "Write the report of a recording.", "app.workflows.run:report", _report),
-    Verb(
-        "recover",
-        "Make the recording of a run on a rig that was killed; exit status 1 where its rows were damaged.",
-        act=_recover,
-    ),
-    Verb(
-        "animate",
-        "Animate a recording: the rig beside its virtual system, in a page, a picture or a film.",
-        act=_animate,
-        doing="drawing",
-        metavars={"out": "FILE"},
-    ),
-    Verb(
-        "compare",
-        "Compare two runs on one page: their motion, what was declared otherwise, and what came out of it.",
-        act=_compare,
-        out="results/{first}_{second}",
-        metavars={"first": "RUN", "second": "RUN"},
-    ),
-    Verb(
-        "sweep",
-        "Run an experiment many times with other values, and measure each run.",
-        act=_sweep,
-        out="results/{experiment}_sweep",
-        doing="running",
-        interrupted="masking: interrupted; {out} has the finished runs, the same command makes the others",
-        note="If a sweep is interrupted, the same command makes the runs that are missing.",
-    ),
-    Verb(
-        "stability",
-        "Find the equilibria and modes of a model or an experiment, and what its energy proves of all its motions.",
-        act=_stability,
-        out="results/{name_or_path}_stability",
-        doing="deriving",
-        has_json_file=True,
-        metavars={"name_or_path": "MODEL_OR_EXPERIMENT"},
-    ),
-    Verb(
-        "export",
-        "Write a controller, a rig or a model as C or as an FMU.",
-        metavars={"name_or_path": "EXPERIMENT"},
-    ),
-)
+@verb(metavars={"name_or_path": "EXPERIMENT"})
+def _export(call: Call) -> int:
+    """Write a controller, a rig or a model as C or as an FMU."""
+    return call.answered()
+
+
+VERBS = (_run, _report, _recover, _animate, _compare, _sweep, _stability, _export)

@@ -58,6 +58,16 @@ class Verb:
         return self.select(parameters(self.loaded()))
 
 
+def verb(function: str = "", **settings: Any) -> Callable[[Callable[[Call], int]], Verb]:  # noqa: ANN401  # of `Verb`
+    """Decorator: the verb that a function does, of the function's name, and with its docstring as help."""
+
+    def made(act: Callable[[Call], int]) -> Verb:
+        text = " ".join((act.__doc__ or "").split())
+        return Verb(act.__name__.strip("_"), text, function, act, **settings)
+
+    return made
+
+
 class VerbParser(argparse.ArgumentParser):
     """Parser that gets the arguments of its verb once these are asked for, since that loads packages."""
 
