@@ -21,7 +21,6 @@ from masking.display.symbols import tex
 from masking.errors import RecordError
 from masking.reports.animation import PERIODS, Animation, Scene
 
-PICTURES: Final = (".png", ".svg")
 FILMS: Final = (".gif", ".mp4")
 _WIDTH, _TRACE, _HEAD, _FOOT = 9.0, 1.35, 0.62, 0.5  # inches
 _MOST_HEIGHT: Final = 3.6  # inches, of a drawing

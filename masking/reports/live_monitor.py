@@ -126,7 +126,8 @@ class Monitor:
             return
         self.missed += taken.missed
         self._changed, table = now, taken.table
-        t = self._t(table, taken.first)
+        ticks = taken.first + np.arange(len(table)) if self._index is None else table[:, self._index]
+        t = np.asarray(ticks, dtype=float) / self.reader.rate
         self._last = float(t[-1])
         self._bins.add(taken.first, np.column_stack([table[:, self._places], t]))
         overlapping = table if taken.missed else np.concatenate([self._before, table])
@@ -159,10 +160,6 @@ class Monitor:
             self.phase = phase_between(t, a, b)
         if len(t) and (not self._phases or t[-1] > self._phases[-1][0]):
             self._phases = [*self._phases[-BINS:], (float(t[-1]), self.phase)]
-
-    def _t(self, table: Array, first: int) -> Array:
-        ticks = first + np.arange(len(table)) if self._index is None else table[:, self._index]
-        return np.asarray(ticks, dtype=float) / self.reader.rate
 
     def state(self, now: float) -> dict[str, Any]:
         """Loop's state in a word and what there is to say about it, as JSON can hold it."""

@@ -176,7 +176,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.rfile.read(int(length))
             path, origin = self._path(), self.headers.get("Origin")
-            if path is None or origin not in {None, *self._origins()}:
+            if path is None or origin not in {None, *(f"http://{name}" for name in self._names())}:
                 self._refuse(403)
             elif self.server.page.post(path[0]):
                 self._answer(200, "application/json", b"{}")
@@ -185,9 +185,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _names(self) -> set[str]:
         return {f"{name}:{self.server.page.port}" for name in (HOST, "localhost")}
-
-    def _origins(self) -> set[str]:
-        return {f"http://{name}" for name in self._names()}
 
     def _path(self) -> tuple[str, str] | None:
         """Path behind the token and the query; None without the token, or for another host."""

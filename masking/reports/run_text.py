@@ -145,13 +145,13 @@ def headline(facts: Study) -> list[str]:
     plant = _rig(str(manifest.get("plant_name") or "").strip() or "rig")
     possible = not exceeded(facts.inputs)
     virtual = str(manifest.get("virtual_name") or "its virtual system")
-    length = f"over {_duration(facts)}"
+    over = f"over {' '.join(length(facts))}"
     worst = facts.worst
     still = bool(facts.coordinates) and not any(np.any(facts.motion(name)) for name in facts.coordinates)
     if still and not any(facts.chi.values()):
-        return [f"{plant} stood still {length}."]
+        return [f"{plant} stood still {over}."]
     if worst is None:
-        sentences = [f"{plant} was recorded {length}."]
+        sentences = [f"{plant} was recorded {over}."]
     else:
         chi = facts.chi[worst]
         size = f"= {number(chi, 2)}" if len(facts.chi) == 1 or chi == 0 else f"<= {number(chi, 2)} in each coordinate"
@@ -160,9 +160,9 @@ def headline(facts: Study) -> list[str]:
         verb = f"moved {how}" if possible else f"would move {how}"
         if not chi <= _ROUGH:
             verb = "did not move as" if possible else "would not move as"
-        sentences = [f"{plant} {verb} {virtual}: masking error chi {size} {length}."]
+        sentences = [f"{plant} {verb} {virtual}: masking error chi {size} {over}."]
         if held:
-            sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {length}."]
+            sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {over}."]
     if still:
         sentences.append("Nothing moved.")
     sentences += [_phase_sentence(pair) for pair in facts.pairs[:1]]
@@ -379,10 +379,6 @@ def sum_name(facts: Study) -> str:
     """Magnitude of the sum of the oscillators."""
     names = facts.oscillators
     return f"|{' + '.join(names if len(names) <= 3 else (names[0], '...', names[-1]))}|"
-
-
-def _duration(facts: Study) -> str:
-    return " ".join(length(facts))
 
 
 def length(facts: Study) -> tuple[str, str]:

@@ -41,7 +41,8 @@ def add(
             sub.add_argument(name, **settings)
             continue
         is_required = parameter.is_required and name not in defaults
-        sub.add_argument(_option(_NAMES.get(name, name)), dest=name, required=is_required, **settings)
+        option = f"--{_NAMES.get(name, name).replace('_', '-')}"
+        sub.add_argument(option, dest=name, required=is_required, **settings)
         if name == "columns":
             text = "rename columns: NAME=COLUMN, with commas; in groups, structures or matrices V1=GROUP/COLUMN"
             sub.add_argument("--map", metavar="t=time,V1=u", help=text)
@@ -172,7 +173,3 @@ def _help(parameter: Parameter, default: object) -> str:
     if isinstance(default, str | int | float) and not isinstance(default, bool) and "default" not in text:
         return f"{text} (default: {default})"
     return text
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"

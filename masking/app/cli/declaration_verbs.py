@@ -34,7 +34,8 @@ def _list(call: Call) -> int:
 def _show(call: Call) -> int:
     """Show a model, a plant, an experiment or physical effects."""
     description = call.do()
-    return call.answer(f"{description.to_json()}\n", description)
+    content = json.dumps(description.content, indent=2, ensure_ascii=False)
+    return call.answer(f"{content}\n", description)
 
 
 @verb(metavars={"files": "FILE"}, note=_STATUS)

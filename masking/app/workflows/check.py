@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from masking.control.rig.twin import Twin
+from masking.display.json_text import Result
 from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
 from masking.lab.runs import batch_plan
 from masking.lab.runs.experiment import Experiment
@@ -18,7 +18,7 @@ from masking.model.modelling.model import load_model
 
 
 @dataclass(frozen=True)
-class Checked:
+class Checked(Result):
     """A file that was looked at, and all that is wrong with it.
 
     Args:
@@ -34,16 +34,6 @@ class Checked:
     problems: tuple[Problem, ...]
     feasibility: Feasibility | None = None
     unknown: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """File and what is wrong with it, as JSON can hold it."""
-        return {
-            "file": self.file,
-            "kind": self.kind,
-            "problems": [problem.as_dict() for problem in self.problems],
-            "feasibility": None if self.feasibility is None else self.feasibility.as_dict(),
-            "unknown": self.unknown,
-        }
 
     def __str__(self) -> str:
         lines = [*map(str, self.problems)] or [f"{self.file}: a sound {self.kind}"]

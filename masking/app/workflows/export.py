@@ -96,7 +96,8 @@ def export(name_or_path: str | Path, settings: ExportSettings) -> Exported:
 
 
 def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
-    kind = settings.kind or _kind_of(name_or_path)
+    named = (kind for kind in get_args(Kind) if str(name_or_path) in catalogue.names(kind))
+    kind = settings.kind or next(named, None) or catalogue.kind_of(name_or_path)
     _check("--kind", kind, get_args(Kind))
     stem, rate, changes = Path(name_or_path).stem, settings.rate, settings.changes
     if kind == "experiment":
@@ -130,12 +131,6 @@ def _check_inputs(experiment: Experiment) -> None:
             message = f"an exported control law of the states takes expressions, not a {source.kinds[0]}"
             mend = f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or give the controller rate and observer"
             raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, mend))
-
-
-def _kind_of(name_or_path: str | Path) -> str:
-    """Kind of declaration of a name; an experiment, or a plant, before a model."""
-    named = (kind for kind in get_args(Kind) if str(name_or_path) in catalogue.names(kind))
-    return next(named, None) or catalogue.kind_of(name_or_path)
 
 
 def _check(option: str, given: str, allowed: tuple[str, ...]) -> None:

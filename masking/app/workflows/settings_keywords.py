@@ -53,7 +53,8 @@ class Parameter:
 
 def parameters(function: Callable[..., Any]) -> dict[str, Parameter]:
     """Parameters of a function, or of a class with fields, by name."""
-    hints, texts = get_type_hints(function), _texts(_arguments(function))
+    hints, entries = get_type_hints(function), _ENTRY.findall(_arguments(function))
+    texts = {name: " ".join(text.split()) for names, text in entries for name in names.split(", ")}
     return {
         name: Parameter(name, known.kind, hints.get(name, known.annotation), known.default, texts.get(name, ""))
         for name, known in inspect.signature(function).parameters.items()
@@ -115,8 +116,3 @@ def _arguments(function: Callable[..., Any]) -> str:
     sources = inspect.getmro(function)[:-1] if inspect.isclass(function) else (function,)
     blocks = [str(source.__doc__).partition(_ARGS)[2].partition("\n\n")[0].rstrip() for source in reversed(sources)]
     return "".join(f"{block}\n" for block in blocks if block)
-
-
-def _texts(lines: str) -> dict[str, str]:
-    """Texts of lines under Args by parameter."""
-    return {name: " ".join(text.split()) for names, text in _ENTRY.findall(lines) for name in names.split(", ")}

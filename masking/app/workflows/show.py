@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -31,10 +30,6 @@ class Description:
 
     def __str__(self) -> str:
         return self.text
-
-    def to_json(self) -> str:
-        """Content as JSON."""
-        return json.dumps(self.content, indent=2, ensure_ascii=False)
 
 
 def show(name_or_path: str | Path, kind: catalogue.Kind | None = None) -> Description:

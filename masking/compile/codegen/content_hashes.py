@@ -49,7 +49,8 @@ def contents(text: str, names: Iterable[str]) -> dict[str, str]:
         first = min([node.lineno, *(d.lineno for d in getattr(node, "decorator_list", ()))])
         part = "\n".join(lines[first - 1 : node.end_lineno])
         if isinstance(node, ast.ImportFrom | ast.Import):
-            part += _source_of_imports(node)
+            ours = (name for name in sorted(_imported(node)) if name.partition(".")[0] == PACKAGE.name)
+            part += "".join(map(source_of, ours))
         for name in _defined(node):
             parts.setdefault(name, []).append(part)
             uses.setdefault(name, set()).update(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
@@ -71,10 +72,6 @@ def _defined(node: ast.stmt) -> list[str]:
     if isinstance(node, ast.ImportFrom | ast.Import):
         return [(alias.asname or alias.name).partition(".")[0] for alias in node.names]
     return [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
-
-
-def _source_of_imports(node: ast.stmt) -> str:
-    return "".join(source_of(name) for name in sorted(_imported(node)) if name.partition(".")[0] == PACKAGE.name)
 
 
 @cache

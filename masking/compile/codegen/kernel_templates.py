@@ -100,7 +100,8 @@ class _Printer:
             else:
                 text = self._kernel(part, callee)
                 self.names[callee] = wanted or f"kernel_{len(self.names)}_{part.tree.name}"
-                decorator = INLINED if self._is_inlined(part, callee) else native.DECORATOR
+                is_inlined = getattr(callee, "targetoptions", {}).get("forceinline")
+                decorator = INLINED if is_inlined else native.DECORATOR
                 self.texts.append(f"{decorator}\ndef {self.names[callee]}{text}")
         return self.names[callee]
 
@@ -108,9 +109,6 @@ class _Printer:
         """Text that stands for a whole number."""
         self.sizes.append(value)
         return f"size_{len(self.sizes) - 1}()"
-
-    def _is_inlined(self, part: Closure, callee: Any) -> bool:  # noqa: ANN401
-        return bool(getattr(callee, "targetoptions", {}).get("forceinline"))
 
     def _kernel(self, closure: Closure, callee: Any) -> str:  # noqa: ANN401
         writer = _Written(closure, self)
@@ -163,14 +161,6 @@ class _Written(ast.NodeTransformer):
 def _link(name: str, types: Mapping[str, str], returns: bool) -> str:
     """Source of a function that calls a function of the model, as `llvm_text` prints it."""
     declared, passed = native.passed(types)
-    result = "numba.f8" if returns else "numba.void"
-    return "\n".join(
-        [
-            f'_{name} = numba.types.ExternalFunction("{native.symbol(name)}", {result}({", ".join(declared)}))',
-            "",
-            "",
-            native.DECORATOR,
-            f"def linked_{name}({', '.join(types)}):",
-            f"    {'return ' if returns else ''}_{name}({', '.join(passed)})",
-        ]
-    )
+    signature = f"{'numba.f8' if returns else 'numba.void'}({', '.join(declared)})"
+    call = f"{'return ' if returns else ''}_{name}({', '.join(passed)})"
+    return native.calling(name, signature, f"linked_{name}({', '.join(types)})", call)

@@ -321,16 +321,13 @@ def link(name: str, arguments: Mapping[str, str]) -> str:
     unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
     signature = f"numba.void({', '.join(types)}, numba.types.CPointer(numba.f8))"
     typed = ", ".join(f"{argument}: {kind}" for argument, kind in arguments.items())
-    return "\n".join(
-        [
-            f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})',
-            "",
-            "",
-            DECORATOR,
-            f"def {name}({typed}) -> None:",
-            f"    _{name}({', '.join([*given, unused])})",
-        ]
-    )
+    return calling(name, signature, f"{name}({typed}) -> None", f"_{name}({', '.join([*given, unused])})")
+
+
+def calling(name: str, signature: str, head: str, call: str) -> str:
+    """Source of a function that calls `_<name>`, a function with a symbol that is linked later."""
+    external = f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})'
+    return f"{external}\n\n\n{DECORATOR}\ndef {head}:\n    {call}"
 
 
 def _without_aliases(text: str) -> str:

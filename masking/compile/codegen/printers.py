@@ -101,14 +101,11 @@ class _Statements:
         lines = []
         for node in order:
             text, level = self._print(node)
-            if uses[node] > 1 and level < ATOM and not self._is_condition(node):
+            if uses[node] > 1 and level < ATOM and self.graph.operations[node][0] not in {"lt", "le"}:
                 lines.append(f"{self.language.declare}c{node} = {text}{self.language.end}")
                 text, level = f"c{node}", ATOM
             self.text[node] = text, level
         return [*lines, *(f"{target} = {self.text[node][0]}{self.language.end}" for target, node in results)]
-
-    def _is_condition(self, node: Node) -> bool:
-        return self.graph.operations[node][0] in {"lt", "le"}
 
     def _print(self, node: Node) -> tuple[str, int]:
         name, *rest = self.graph.operations[node]

@@ -194,25 +194,20 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
         if at < end:
             advance(motion, at, end - at, past, p, work)
 
-    @compiled
-    def glide(t, h, a, b, past, p, work):
-        for i in range(first, last):
-            b[i] = a[i]
-        if first < last and h > 0.0 and t > -0.25 * h:
-            copy(a, work[rows.STATE], first)
-            for j in range(STEPS):
-                advance(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
+    def in_steps(move: Kernel) -> Kernel:
+        @compiled
+        def follow(t, h, a, b, past, p, work):
+            for i in range(first, last):
+                b[i] = a[i]
+            if first < last and h > 0.0 and t > -0.25 * h:
+                copy(a, work[rows.STATE], first)
+                for j in range(STEPS):
+                    move(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
 
-    @compiled
-    def follow_over_events(t, h, a, b, past, p, work):
-        for i in range(first, last):
-            b[i] = a[i]
-        if first < last and h > 0.0 and t > -0.25 * h:
-            copy(a, work[rows.STATE], first)
-            for j in range(STEPS):
-                advance_over_events(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
+        return follow
 
-    follow = follow_over_events if events > 0 else glide
+    glide = in_steps(advance)
+    follow = in_steps(advance_over_events) if events > 0 else glide
 
     @compiled
     def mean_jump(t, h, a, b, past, p, work, m):

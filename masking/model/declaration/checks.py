@@ -443,17 +443,14 @@ def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) ->
                 values[name] = waiting.pop(name).evaluate(values)
             except DeclarationError as error:
                 problems += error.problems
-    is_coherent = all(_is_coherent(parameter.unit) for parameter in model.parameters.values())
+    # Of SI units without prefixes: expressions over their numbers are meaningful.
+    units = {name for parameter in model.parameters.values() for name in re.findall(r"[A-Za-z]+", parameter.unit)}
+    is_coherent = units <= _COHERENT
     for name, parameter in model.parameters.items():
         if name in values and (is_coherent or name not in formulas):
             shown = f"{name} = {values[name]:.12g}" + ("" if parameter.unit == "1" else f" {parameter.unit}")
             problems += bounded(model, f"parameters.{name}", shown, values[name], parameter.bounds)
     return {name: values[name] for name in model.parameters if name in values}, problems
-
-
-def _is_coherent(unit: str) -> bool:
-    """Whether a unit is made of SI units without prefixes, so that expressions over its numbers are meaningful."""
-    return set(re.findall(r"[A-Za-z]+", unit)) <= _COHERENT
 
 
 def bounded(

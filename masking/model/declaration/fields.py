@@ -9,7 +9,7 @@ from __future__ import annotations
 import keyword
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
@@ -89,20 +89,16 @@ def _read_number(value: object) -> float:
     raise refuse(f"must be a finite number, not {_shown(value)}")
 
 
-def _read_positive(value: object) -> float:
-    """Read a number above zero."""
-    number = _read_number(value)
-    if number > 0.0:
-        return number
-    raise refuse(f"must be greater than 0, not {number:g}")
+def _number(wanted: str, holds: Callable[[float], bool], kind: Callable[[float], float] = float) -> PlainValidator:
+    """Reader of a number of which something holds."""
 
+    def read(value: object) -> float:
+        number = _read_number(value)
+        if holds(number):
+            return kind(number)
+        raise refuse(f"must be {wanted}, not {number:g}")
 
-def _read_not_negative(value: object) -> float:
-    """Read a number that is not negative."""
-    number = _read_number(value)
-    if number >= 0.0:
-        return number
-    raise refuse(f"must be 0 or more, not {number:g}")
+    return PlainValidator(read)
 
 
 def _read_truth(value: object) -> bool:
@@ -110,14 +106,6 @@ def _read_truth(value: object) -> bool:
     if isinstance(value, bool):
         return value
     raise refuse(f"must be true or false, not {_shown(value)}")
-
-
-def _read_integer(value: object) -> int:
-    """Read an integer that is not negative."""
-    number = _read_number(value)
-    if number < 0 or number != int(number):
-        raise refuse(f"must be an integer of at least 0, not {number:g}")
-    return int(number)
 
 
 def _read_expression(value: object) -> Expression:
@@ -174,10 +162,6 @@ def _read_rate(value: object) -> float:
     return number * _HERTZ[match["unit"]] if match["unit"] in _HERTZ else 1.0 / (number * _SECONDS[match["unit"]])
 
 
-def _read_controller_rate(value: object) -> float | None:
-    return None if value is None or value == "continuous" else _read_rate(value)
-
-
 def _written(value: float | Expression) -> float | str:
     return value.text if isinstance(value, Expression) else value
 
@@ -186,10 +170,12 @@ _TEXT_OR_NUMBER = WithJsonSchema({"type": ["string", "number"]})
 
 TextField = Annotated[str, PlainValidator(_read_text), WithJsonSchema({"type": "string"})]
 Number = Annotated[float, PlainValidator(_read_number), WithJsonSchema({"type": "number"})]
-Positive = Annotated[float, PlainValidator(_read_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
-NotNegative = Annotated[float, PlainValidator(_read_not_negative), WithJsonSchema({"type": "number", "minimum": 0})]
+_POSITIVE, _NOT_NEGATIVE = _number("greater than 0", lambda x: x > 0.0), _number("0 or more", lambda x: x >= 0.0)
+_NATURAL = _number("an integer of at least 0", lambda x: x >= 0.0 and x == int(x), int)
+Positive = Annotated[float, _POSITIVE, WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+NotNegative = Annotated[float, _NOT_NEGATIVE, WithJsonSchema({"type": "number", "minimum": 0})]
 Truth = Annotated[bool, PlainValidator(_read_truth), WithJsonSchema({"type": "boolean"})]
-Natural = Annotated[int, PlainValidator(_read_integer), WithJsonSchema({"type": "integer", "minimum": 0})]
+Natural = Annotated[int, _NATURAL, WithJsonSchema({"type": "integer", "minimum": 0})]
 Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
 Formula = Annotated[Expression, PlainValidator(_read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
 Value = Annotated[float | Expression, PlainValidator(_read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]
@@ -201,7 +187,7 @@ Rate = Annotated[
 ]
 ControllerRate = Annotated[
     float | None,
-    PlainValidator(_read_controller_rate),
+    PlainValidator(lambda value: None if value is None or value == "continuous" else _read_rate(value)),
     PlainSerializer(lambda hertz: "continuous" if hertz is None else f"{hertz!r} Hz"),
     WithJsonSchema({"type": "string", "examples": ["continuous", "1 kHz"]}),
 ]

@@ -9,6 +9,7 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -32,14 +33,6 @@ def _power(base: float, exponent: float) -> float:
 
 def _sign(x: float) -> float:
     return 0.0 if x == 0.0 else math.copysign(1.0, x)
-
-
-def _floor(x: float) -> float:
-    return float(math.floor(x))
-
-
-def _heaviside(x: float) -> float:
-    return 0.5 if x == 0.0 else float(x > 0.0)
 
 
 def _delay(x: float, time: float) -> float:
@@ -69,6 +62,10 @@ class Operation:
     most: int = 1
 
 
+def _table(curve: tables.Curve) -> Operation:
+    return Operation(partial(tables.value, curve), partial(tables.symbolic, curve), 1 + 2 * tables.FEWEST, _MANY)
+
+
 OPERATIONS: dict[str, Operation] = {
     "+": Operation(operator.add, operator.add, 2, 2),
     "-": Operation(operator.sub, operator.sub, 2, 2),
@@ -95,7 +92,7 @@ OPERATIONS: dict[str, Operation] = {
     "sqrt": Operation(math.sqrt, "sqrt"),
     "abs": Operation(abs, "Abs"),
     "sign": Operation(_sign, "sign"),
-    "floor": Operation(_floor, "floor"),
+    "floor": Operation(lambda x: float(math.floor(x)), "floor"),
     "min": Operation(min, "Min", 2, _MANY),
     "max": Operation(max, "Max", 2, _MANY),
     "where": Operation(
@@ -104,11 +101,11 @@ OPERATIONS: dict[str, Operation] = {
         3,
         3,
     ),
-    "interpolate": Operation(tables.spline, tables.symbolic_spline, 1 + 2 * tables.FEWEST, _MANY),
-    "interpolate_monotone": Operation(tables.monotone, tables.symbolic_monotone, 1 + 2 * tables.FEWEST, _MANY),
+    "interpolate": _table(tables.natural),
+    "interpolate_monotone": _table(tables.monotone),
     # What something was some time ago: it has no value in numbers, and equations take it out before they are lowered.
     "delay": Operation(_delay, _symbolic_delay, 2, 2),
-    "heaviside": Operation(_heaviside, lambda x: sp.Heaviside(x, sp.Rational(1, 2))),
+    "heaviside": Operation(lambda x: 0.5 if x == 0.0 else float(x > 0.0), lambda x: sp.Heaviside(x, sp.Rational(1, 2))),
 }
 FUNCTIONS = frozenset(name for name in OPERATIONS if name.isidentifier() and name != "negative")
 COMPARISONS = frozenset({"<", "<=", ">", ">="})

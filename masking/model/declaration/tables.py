@@ -11,7 +11,7 @@ Source: de Boor (2001), A Practical Guide to Splines, chapter 4; Fritsch and But
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -45,24 +45,29 @@ class Powers:
     cubes: tuple[float, ...]
 
 
-def spline(x: float, *points: float) -> float:
-    """Natural cubic spline at x through points, given as abscissa and ordinate of each, in order."""
-    return _value(_natural(points), x)
+Curve = Callable[[tuple[float, ...]], Powers]
 
 
-def monotone(x: float, *points: float) -> float:
-    """Monotone cubic at x through points, given as abscissa and ordinate of each, in order."""
-    return _value(_monotone(points), x)
+def value(curve: Curve, x: float, *points: float) -> float:
+    """Curve at x through points, given as abscissa and ordinate of each, in order."""
+    terms = curve(points)
+    total = terms.value + terms.slope * (x - terms.points[0])
+    for at, square, cube in zip(terms.points, terms.squares, terms.cubes, strict=True):
+        beyond = x - at
+        if beyond > 0.0:
+            total += beyond * beyond * (square + cube * beyond)
+    return total
 
 
-def symbolic_spline(x: sp.Expr, *points: sp.Expr) -> sp.Expr:
-    """Natural cubic spline through points as a sympy expression."""
-    return _symbolic(_natural(tuple(map(float, points))), x)
-
-
-def symbolic_monotone(x: sp.Expr, *points: sp.Expr) -> sp.Expr:
-    """Monotone cubic through points as a sympy expression."""
-    return _symbolic(_monotone(tuple(map(float, points))), x)
+def symbolic(curve: Curve, x: sp.Expr, *points: sp.Expr) -> sp.Expr:
+    """Curve through points as a sympy expression."""
+    terms = curve(tuple(map(float, points)))
+    parts = [sp.Float(terms.value), sp.Float(terms.slope) * (x - sp.Float(terms.points[0]))]
+    for at, square, cube in zip(terms.points, terms.squares, terms.cubes, strict=True):
+        if square or cube:
+            beyond = sp.Max(x - sp.Float(at), 0)
+            parts.append(beyond**2 * (sp.Float(square) + sp.Float(cube) * beyond))
+    return sp.Add(*parts)
 
 
 def trouble(points: Sequence[float | None]) -> str:
@@ -82,7 +87,8 @@ def trouble(points: Sequence[float | None]) -> str:
 
 
 @lru_cache(maxsize=256)
-def _natural(points: tuple[float, ...]) -> Powers:
+def natural(points: tuple[float, ...]) -> Powers:
+    """Natural cubic spline through points."""
     x, y = points[::2], points[1::2]
     h, rise = _rises(x, y)
     bends = [0.0, *_bends(h, rise), 0.0]  # second derivatives
@@ -108,7 +114,8 @@ def _bends(h: Sequence[float], rise: Sequence[float]) -> list[float]:
 
 
 @lru_cache(maxsize=256)
-def _monotone(points: tuple[float, ...]) -> Powers:
+def monotone(points: tuple[float, ...]) -> Powers:
+    """Cubic through points that rises and falls where they do."""
     x, y = points[::2], points[1::2]
     h, rise = _rises(x, y)
     slopes = [rise[0]]
@@ -136,21 +143,3 @@ def _rises(x: Sequence[float], y: Sequence[float]) -> tuple[list[float], list[fl
     """Width of each piece, and the mean slope in it."""
     h = [b - a for a, b in pairwise(x)]
     return h, [(b - a) / width for (a, b), width in zip(pairwise(y), h, strict=True)]
-
-
-def _value(terms: Powers, x: float) -> float:
-    total = terms.value + terms.slope * (x - terms.points[0])
-    for at, square, cube in zip(terms.points, terms.squares, terms.cubes, strict=True):
-        beyond = x - at
-        if beyond > 0.0:
-            total += beyond * beyond * (square + cube * beyond)
-    return total
-
-
-def _symbolic(terms: Powers, x: sp.Expr) -> sp.Expr:
-    parts = [sp.Float(terms.value), sp.Float(terms.slope) * (x - sp.Float(terms.points[0]))]
-    for at, square, cube in zip(terms.points, terms.squares, terms.cubes, strict=True):
-        if square or cube:
-            beyond = sp.Max(x - sp.Float(at), 0)
-            parts.append(beyond**2 * (sp.Float(square) + sp.Float(cube) * beyond))
-    return sp.Add(*parts)

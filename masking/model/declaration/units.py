@@ -39,15 +39,7 @@ BASES: dict[str, str] = {
     "substance": "mol",
     "luminosity": "cd",
 }
-ANGLES = {
-    "deg": "rad",
-    "degree": "rad",
-    "degrees": "rad",
-    "turn": "rad",
-    "rev": "rad",
-    "revolution": "rad",
-    "rpm": "rad/s",
-}
+ANGLES = dict.fromkeys(("deg", "degree", "degrees", "turn", "rev", "revolution"), "rad") | {"rpm": "rad/s"}
 GRAM, GRAVITY = "g", "gravity"  # one that is often written for the other
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 # Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.

@@ -93,12 +93,9 @@ def _repaired(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> dict[s
 
 def _lost(data: Mapping[str, Any], errors: Iterable[ErrorDetails]) -> list[str]:
     """List the names in the sections whose keys are not known."""
-    sections = [data[str(error["loc"][0])] for error in errors if _is_unknown_section(error)]
+    unknown = [error["loc"] for error in errors if error["type"] == "extra_forbidden" and len(error["loc"]) == 1]
+    sections = [data[str(name)] for (name,) in unknown]
     return [str(name) for section in sections if isinstance(section, Mapping) for name in section]
-
-
-def _is_unknown_section(error: ErrorDetails) -> bool:
-    return error["type"] == "extra_forbidden" and len(error["loc"]) == 1
 
 
 def plain_mapping(node: Node) -> dict[str, Any]:

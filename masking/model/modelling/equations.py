@@ -6,6 +6,7 @@ dissipation and generalised forces.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -177,10 +178,8 @@ class Equations:
 
     def output(self, name: str) -> sp.Expr:
         """Output in symbols of the model, with the elements that act on it."""
-        return self.symbolic(self.declaration.outputs[name].expression) + self._on_output(name)
-
-    def _on_output(self, name: str) -> sp.Expr:
-        return self.acting(name) if name in driven_outputs(self.declaration) else sp.Integer(0)
+        found = self.symbolic(self.declaration.outputs[name].expression)
+        return found + self.acting(name) if name in driven_outputs(self.declaration) else found
 
     def measured(self, expression: Expression) -> sp.Expr:
         """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
@@ -332,14 +331,5 @@ class _Symbolic:
     def varies(self, x: sp.Expr) -> bool:
         return bool(x.free_symbols & self.varying)
 
-    def add(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
-        return a + b
-
-    def sub(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
-        return a - b
-
-    def mul(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
-        return a * b
-
-    def div(self, a: sp.Expr, b: sp.Expr) -> sp.Expr:
-        return a / b
+    add, sub = staticmethod(operator.add), staticmethod(operator.sub)
+    mul, div = staticmethod(operator.mul), staticmethod(operator.truediv)

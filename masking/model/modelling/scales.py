@@ -92,7 +92,8 @@ class Units:
             scales = {n: self._exact(s.value, s.unit, found) for n, s in self.declaration.scales.items()}
             for name, parameter in parameters.items():
                 powers = self.conversions[parameter.unit].exponents
-                found[name] /= math.prod(scales[n] ** _rational(power) for n, power in powers.items())
+                exact = {n: sp.Rational(Fraction(power).limit_denominator(60)) for n, power in powers.items()}
+                found[name] /= math.prod(scales[n] ** power for n, power in exact.items())
         return {name: found[name] for name in parameters}
 
     def scale_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
@@ -154,16 +155,7 @@ class Units:
         return value * self.conversions[unit].factor
 
 
-def _rational(power: float) -> sp.Rational:
-    return sp.Rational(Fraction(power).limit_denominator(60))
-
-
 def _units(declaration: schema.ModelDeclaration) -> dict[str, str]:
     """Unit text of every quantity of a model, by its path in the declaration."""
-    return {
-        **{f"coordinates.{n}": c.unit for n, c in declaration.coordinates.items()},
-        **{f"states.{n}": s.unit for n, s in declaration.states.items()},
-        **{f"inputs.{n}": i.unit for n, i in declaration.inputs.items()},
-        **{f"parameters.{n}": p.unit for n, p in declaration.parameters.items()},
-        **{f"scales.{n}": s.unit for n, s in declaration.scales.items()},
-    }
+    sections = ("coordinates", "states", "inputs", "parameters", "scales")
+    return {f"{kind}.{n}": entry.unit for kind in sections for n, entry in getattr(declaration, kind).items()}
