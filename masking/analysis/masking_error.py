@@ -41,11 +41,7 @@ class ErrorSum:
         self._scale, self._error, self._size, self.largest = 0.0, 0.0, 0.0, 0.0
 
     def add(self, measured: NDArray[np.float64], ideal: NDArray[np.float64]) -> None:
-        """Add a chunk; the arguments are those of `masking_error`.
-
-        Raises:
-            ValueError: the shapes differ.
-        """
+        """Add a chunk; the arguments, and a ValueError, are those of `masking_error`."""
         measured, ideal = np.asarray(measured, np.float64), np.asarray(ideal, np.float64)
         if measured.shape != ideal.shape or measured.ndim != 1:
             raise ValueError(f"one coordinate each, of equal length: got shapes {measured.shape} and {ideal.shape}")

@@ -36,13 +36,9 @@ def coefficients(
 ) -> dict[sp.Expr, sp.Expr]:
     """Coefficients of the linearly independent functions of variables that an expression is a sum of.
 
-    The functions are products of powers of variables, of sines and of cosines of them. The sum vanishes for all
-    values of the variables where every coefficient does.
-
-    Args:
-        expression: the sum.
-        variables: that take all values.
-        given: of the parameters; with these, sines of multiples s x and r x are distinguished where s^2 != r^2.
+    The functions are products of powers of variables, of sines and of cosines of them. The sum vanishes for all values
+    of the variables where every coefficient does. With what is `given` of the parameters, sines of multiples s x and r
+    x are distinguished where s^2 != r^2.
 
     Raises:
         ModelError: the expression is no such sum.
@@ -161,13 +157,7 @@ def solve_constants(
     """Values of real constants at which expressions of them vanish: every solution; empty where there is none.
 
     Factors that have a sign are left out, powers are taken away, equations that are linear in one unknown are solved
-    for it, and what is known of its sine or cosine is put in.
-
-    Args:
-        equations: expressions of the unknowns and of parameters, all 0.
-        unknowns: the constants.
-        given: of the parameters.
-        angles: those of the unknowns that count modulo one turn.
+    for it, and what is known of its sine or cosine is put in. Those unknowns that are `angles` count modulo one turn.
     """
     found = _solved(equations, unknowns, given)
     if found is None:

@@ -39,7 +39,7 @@ class Boundedness:
 
 
 def boundedness(motion: Motion) -> Boundedness:
-    """Boundedness of the motion of a model, by its energy."""
+    """Whether the energy of a model bounds its motion."""
     try:
         kinetic, potential = parts_of_energy(motion)
         if not is_kinetic(kinetic, motion):
@@ -83,11 +83,7 @@ def _step(direction: Sequence[sp.Expr], motion: Motion) -> str | None:
 
 
 def parts_of_energy(motion: Motion) -> tuple[sp.Matrix, sp.Expr]:
-    """H and U of the energy v^T H v/2 + U.
-
-    Raises:
-        ModelError: there is no energy, or one of another kind.
-    """
+    """H and U of the energy v^T H v/2 + U; a ModelError where there is no energy, or one of another kind."""
     if motion.energy is None:
         raise ModelError("no energy is declared")
     potential = motion.energy.subs(dict.fromkeys(motion.v, 0))
@@ -139,13 +135,8 @@ def squares(
 ) -> tuple[Square, ...] | None:
     """X^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
 
-    By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0.
-
-    Args:
-        matrix: symmetric (n, n).
-        symbols: x (n,).
-        given: hypotheses, which get those that the signs of D need.
-        is_positive: whether an entry of D counts as positive; by default, where it is so for all coordinates.
+    By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0. An entry
+    of D counts as positive where `is_positive` says so; by default, where it is so for all coordinates.
     """
     is_positive = is_positive or (lambda pivot: given.declared_sign(pivot) == 1)
     rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []

@@ -27,11 +27,7 @@ _TURN = (-np.pi * (1.0 + 1e-9), np.pi * (1.0 + 1e-9))
 
 
 class Bound:
-    """An expression of coordinates on a graph, at the declared values of the parameters.
-
-    Args:
-        motion: whose coordinates they are.
-        expression: smooth in them.
+    """An expression, smooth in the coordinates of a motion, on a graph, at the declared values of the parameters.
 
     Raises:
         ModelError: a function in the expression cannot be evaluated, or has no slope.
@@ -62,10 +58,8 @@ class Bound:
     def least(self, boxes: Interval, *, above: float = np.inf, base: float = 0.0) -> float:
         """Number that the expression is nowhere below on boxes (m, n), as large as is soon found.
 
-        Args:
-            boxes: where.
-            above: a bound that is larger than this is not improved.
-            base: the least value is found to a part of its distance from this number.
+        A bound that is larger than `above` is not improved; the least value is found to a part of its distance from
+        `base`.
         """
         sides, most, settled = np.max(boxes.width, axis=0, initial=0.0), np.inf, np.inf
         sides[sides == 0.0] = np.inf

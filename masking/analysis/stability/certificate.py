@@ -133,11 +133,9 @@ class Certificate:
 
 
 def certificate(model: Model, box: Box | None = None) -> Certificate:
-    """Derive what the declared energy of a model proves of its motion without inputs.
+    """Derive what the declared energy of a model without internal states proves of its motion without inputs.
 
-    Args:
-        model: with `energy`, or a Lagrangian, without internal states.
-        box: for what is not proved everywhere; see `dissipation`.
+    The box is for what is not proved everywhere; see `dissipation`.
     """
     given = Hypotheses(model)
     try:
@@ -307,9 +305,7 @@ def _others(
 def rest_points(motion: Motion, known: dict[sp.Symbol, sp.Expr]) -> tuple[dict[sp.Symbol, sp.Expr], ...] | None:
     """Every equilibrium exactly, angles in (-pi, pi]; None where they are not found by factors one by one.
 
-    Args:
-        motion: the equations.
-        known: values of coordinates that hold at all of them.
+    At all of them, coordinates have the values that are `known`.
 
     Raises:
         NotIsolatedError: at the declared values, equilibria are whole curves.
@@ -384,7 +380,6 @@ def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[t
 
 
 def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> bool:
-    """Whether an exact equilibrium is in a family, angles modulo one turn."""
     still = dict.fromkeys(motion.v, 0)
     for relation in family.relations:
         value = normal(relation.subs(still).subs(point))

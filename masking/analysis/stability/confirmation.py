@@ -25,16 +25,7 @@ _iv.prec = 100
 
 
 def enclosed_again(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Any]:
-    """Enclosures of nodes of a graph over one box, as mpmath's intervals, ends `a` and `b`.
-
-    Args:
-        graph: the expressions.
-        nodes: whose values are wanted.
-        given: what each symbol may be, single numbers.
-
-    Raises:
-        ModelError: an operation has no enclosure, or not there.
-    """
+    """Enclosures of nodes of a graph over one box, as mpmath's intervals, ends `a` and `b`; a ModelError for none."""
     known = {node: _iv.mpf([float(x.low), float(x.high)]) for node, x in given.items()}
     return values_of(graph, nodes, known, _RULES, "enclosure by mpmath")
 

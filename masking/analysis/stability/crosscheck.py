@@ -41,12 +41,7 @@ class _StiffError(Exception):
 
 
 def misjudged(model: Model, points: Iterable[tuple[Mapping[str, float], str]]) -> str:
-    """Equilibrium whose eigenvalues contradict what is said of its stability; '' where there is none.
-
-    Args:
-        model: whose equilibria they are.
-        points: position by coordinate, and the words.
-    """
+    """Equilibrium, of positions and what is said of them, whose eigenvalues contradict that; '' where there is none."""
     for position, words in points:
         opposite = STABLE if words.startswith(UNSTABLE) else UNSTABLE if "stable" in words.split(",")[0].split() else ""
         if opposite and stability_of(model, position)[1] == opposite:

@@ -62,13 +62,9 @@ class Equilibrium:
 
 
 def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, str]:
-    """Eigenvalues at an equilibrium, the slowest to decay first, and what they tell of its stability.
+    """Eigenvalues at an equilibrium without inputs, the slowest to decay first, and what they tell of its stability.
 
     They tell nothing where a force has a kink there, nor where rounding may have moved them across the imaginary axis.
-
-    Args:
-        model: without inputs acting.
-        position: of the equilibrium, by coordinate.
     """
     matrix = state_matrix(model, position)
     if not np.all(np.isfinite(matrix)):
@@ -111,11 +107,6 @@ class Equilibria:
 
 def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
     """Refuse a box of what the model does not have, or without an inside.
-
-    Args:
-        model: whose coordinates are bounded.
-        box: least and largest values by name.
-        with_velocities: whether velocities (`x1'`) may be bounded, too.
 
     Raises:
         ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or a least value is not below the
@@ -218,7 +209,6 @@ class _Rest:
         return {q.name: (-1.003 * float(r), 1.007 * float(r)) for q, r in zip(names, reach, strict=True)}
 
     def search(self, given: dict[str, tuple[float, float]]) -> Equilibria:
-        """Cut the box until each part is decided."""
         names = [q.name for q in self.q]
         check_box(self.model, given, with_velocities=False)
         box, known = {}, self.bound()
@@ -354,13 +344,7 @@ class _Rest:
 
 
 def halves(boxes: Interval, axis: Array, part: float = 0.5) -> Interval:
-    """Cut each box (m, n) in two along its axis.
-
-    Args:
-        boxes: (m, n).
-        axis: of each box (m,).
-        part: of its side at which it is cut.
-    """
+    """Cut each box (m, n) in two along its axis (m,), at a part of its side."""
     rows = np.arange(len(boxes.low))
     at = boxes.low[rows, axis] + part * boxes.width[rows, axis]
     first, second = boxes.high.copy(), boxes.low.copy()

@@ -74,11 +74,7 @@ class Motion:
 
     @cached_property
     def at_rest(self) -> tuple[sp.Expr, ...]:
-        """F(q, 0), which vanishes at equilibria.
-
-        Raises:
-            ModelError: it jumps, so that equilibria are not where it vanishes alone.
-        """
+        """F(q, 0), which vanishes at equilibria; a ModelError where it jumps, so that these are not its zeros alone."""
         check_continuous(self.force)
         return tuple(normal(f.subs(dict.fromkeys(self.v, 0))) for f in self.force)
 
@@ -95,11 +91,7 @@ class Motion:
 
     @cached_property
     def energy_rate(self) -> sp.Expr:
-        """V' = dV/dq v + dV/dv a along the motion, in normal form.
-
-        Raises:
-            ModelError: the model has no energy.
-        """
+        """V' = dV/dq v + dV/dv a along the motion, in normal form; a ModelError where the model has no energy."""
         if self.energy is None:
             raise ModelError(f"{self.model.name} declares no energy; declare one, such as 'energy: x1'**2/2 + ...'")
         rate = sum(sp.diff(self.energy, q) * v for q, v in zip(self.q, self.v, strict=True))
@@ -183,11 +175,7 @@ def _folded(terms: Sequence[sp.Expr], larger: Callable[[sp.Expr, sp.Expr], sp.Ex
 
 
 def check_continuous(forces: Iterable[sp.Expr]) -> None:
-    """Refuse forces that jump: where dry friction holds, every place within its reach is an equilibrium.
-
-    Raises:
-        ModelError: one does.
-    """
+    """Raise a ModelError for forces that jump: where dry friction holds, every place within reach is an equilibrium."""
     edges = dict.fromkeys(edge for force in forces for edge in jumps(force))
     if edges:
         raise ModelError(f"the forces jump where {' or '.join(edges)}, so that equilibria are more than their zeros")

@@ -13,14 +13,10 @@ Rules = Mapping[str, Callable[..., Any]]
 
 
 def values_of(graph: Graph, nodes: Sequence[Node], known: Mapping[Node, Any], rules: Rules, kind: str) -> list[Any]:
-    """Values of nodes of a graph.
+    """Values of nodes of a graph, from those of symbols, which are known.
 
-    Args:
-        graph: the expressions.
-        nodes: whose values are wanted.
-        known: values of symbols.
-        rules: by operation; `number` takes a float, and `square` the factor of a product with itself.
-        kind: of the values, for messages.
+    Of the rules, by operation, `number` takes a float, and `square` the factor of a product with itself. The kind of
+    the values is for messages.
 
     Raises:
         ModelError: an operation has no rule, or a symbol no value.

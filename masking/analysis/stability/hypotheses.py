@@ -124,14 +124,9 @@ class Hypotheses:
         self.extra.append(text)
 
     def sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
-        """Sign of an expression for all values of its coordinates and velocities.
+        """Sign of an expression for all coordinates and velocities: 1, -1, or 0 where it is 0 whatever they are.
 
-        Args:
-            expression: in these symbols and those of the model's coordinates and velocities.
-            strictly: whether 0 is excluded; else 1 stands for >= 0 and -1 for <= 0.
-
-        Returns:
-            1, -1, or 0 where it is 0 whatever the values; None if it is unknown or changes.
+        None if it is unknown or changes. If not strictly, 1 stands for >= 0 and -1 for <= 0.
         """
         return self._sign(expression, strictly, lambda factor: self._sign_of_factor(factor, strictly))
 
@@ -238,7 +233,6 @@ class Hypotheses:
         return 1 if found.low > -slack else -1 if found.high < slack else None
 
     def _suppose_bounds(self, factor: sp.Expr, known: dict[sp.Expr, Interval]) -> None:
-        """Suppose the declared bounds that a sign rests on."""
         for symbol in sorted(factor.free_symbols & known.keys(), key=str):
             low, high = float(known[symbol].low), float(known[symbol].high)
             if low == high:
@@ -250,7 +244,6 @@ class Hypotheses:
 
 
 def _is_distinct(number: sp.Expr) -> bool:
-    """Whether an exact number is not 0."""
     return bool(number != 0 if number.is_Rational else abs(sp.N(number, 30)) > _DISTINCT)
 
 

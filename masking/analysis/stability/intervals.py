@@ -113,12 +113,7 @@ def square(x: Interval) -> Interval:
 
 
 def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Interval]:
-    """Enclosures of nodes of a graph over boxes.
-
-    Args:
-        graph: the expressions.
-        nodes: whose values are wanted.
-        given: what each symbol may be, (m,) for m boxes or one number for all.
+    """Enclosures of nodes of a graph, of what each symbol may be: (m,) for m boxes or one number for all.
 
     Raises:
         ModelError: an operation has no enclosure here, such as `floor`, or a symbol is not given.

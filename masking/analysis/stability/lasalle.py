@@ -63,12 +63,7 @@ class InvariantSet:
 
 
 def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
-    """Find the largest invariant set on which linear forms of the velocities are 0.
-
-    Args:
-        motion: whose solutions are bounded.
-        forms: linear in the velocities, their coefficients constant.
-    """
+    """Find the largest invariant set of bounded solutions on which linear forms of the velocities are 0."""
     names = ", ".join(f"{form} = 0" for form in forms)
     start = f"V' = 0 only where {names}."
     if any(sp.diff(form, v).free_symbols & {*motion.q, *motion.v} for form in forms for v in motion.v):
@@ -81,7 +76,6 @@ def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
 
 
 def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> InvariantSet:
-    """Invariant set of a linear model: what forms of the velocities do not observe."""
     relations = unobserved(motion, forms)
     family = Family(relations)
     if len(relations) == 2 * len(motion.q):
@@ -147,7 +141,6 @@ class _Elimination:
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
-        """Indices of the other coordinates."""
         return tuple(j for j in range(len(self.motion.q)) if j not in self.frozen[0])
 
     def _tied(self, symbols: Sequence[sp.Symbol], values: Sequence[sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
@@ -158,11 +151,7 @@ class _Elimination:
 
     @cached_property
     def reduced(self) -> tuple[dict[sp.Symbol, sp.Expr], tuple[sp.Expr, ...]]:
-        """Accelerations of what moves, by velocity symbol, and the equations that are left over.
-
-        Raises:
-            ModelError: the equations do not give these accelerations.
-        """
+        """Accelerations of what moves, by velocity symbol, and the equations left over; a ModelError for none."""
         q, v, n = self.motion.q, self.motion.v, len(self.motion.q)
         zeros = [sp.Integer(0)] * len(self.frozen[0])
         tied = self._tied(q, self.constants) | self._tied(v, zeros)
@@ -182,13 +171,11 @@ class _Elimination:
         return rates, tuple(x for x in left if x != 0)
 
     def rate(self, expression: sp.Expr) -> sp.Expr:
-        """Time derivative of an expression of what moves."""
         accelerations, _ = self.reduced
         found = sum(sp.diff(expression, self.motion.q[j]) * self.motion.v[j] for j in self.moving)
         return found + sum(sp.diff(expression, v) * a for v, a in accelerations.items())
 
     def run(self, start: str) -> InvariantSet:
-        """Apply the rules as far as they go."""
         q = self.motion.q
         values = ", ".join(f"{q[i]} = {x}" for i, x in zip(self.frozen[0], self._frozen_values(), strict=True))
         self.steps += [start, f"A motion that stays there has {values}, constant."]
@@ -296,7 +283,6 @@ class _Elimination:
         return [tied[self.motion.q[i]] for i in self.frozen[0]]
 
     def _pair(self, relation: sp.Expr, left: Sequence[sp.Expr], constants: list[sp.Symbol]) -> None:
-        """Eliminate with two coordinates that move."""
         r1, r2 = (self.motion.q[j] for j in self.moving)
         left = [normal(x.subs(self._known_constants())) for x in left]
         if _is_affine(relation, (r1, r2)) and not self.given.is_nonzero(sp.diff(relation, r2)):

@@ -89,9 +89,7 @@ class Modes:
 def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
     """Dy'/dy (2 n + k, 2 n + k) of a model without inputs, by the chain rule, exact but for rounding.
 
-    Args:
-        model: in SI units or in its scales.
-        at: values of coordinates, velocities (`x1'`) and internal states, in the same; 0 where not given.
+    Coordinates, velocities (`x1'`) and internal states are 0 where `at` does not give them.
 
     Raises:
         ModelError: there is no such state, or the equations hold the time.
@@ -102,12 +100,7 @@ def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:
 
 
 def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
-    """Whether no force has a kink at a state: enclosures of the slopes around it narrow as the box does.
-
-    Args:
-        model: in SI units or in its scales.
-        at: values of coordinates, velocities and internal states, in the same; 0 where not given.
-    """
+    """Whether no force has a kink at a state: enclosures of the slopes around it narrow as the box does."""
     try:
         wide, narrow = (_slopes(model, dict(at), reach) for reach in (1e-8, 1e-11))
     except ModelError:  # such as a root of what may be negative close by
@@ -117,16 +110,10 @@ def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
 
 
 def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
-    """Eigenvalues, and how far rounding may have moved each.
+    """Eigenvalues of a matrix (m, m), and how far rounding may have moved each (m,).
 
     An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1.
     Source: Golub and Van Loan, Matrix Computations (2013), section 7.2.2.
-
-    Args:
-        matrix: (m, m).
-
-    Returns:
-        eigenvalues and errors (m,).
     """
     values, right = np.linalg.eig(matrix)
     try:
@@ -165,12 +152,9 @@ def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
 
 
 def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:
-    """Dy'/dy of a closed loop, by central differences of order 6.
+    """Dy'/dy of a closed loop at y (2 n + k,) of the rig in SI units, by central differences of order 6.
 
-    Args:
-        loop: a `ClosedLoop`.
-        state: y of the rig (2 n + k,), SI units.
-        lengths: a size of each state (2 n + k,) over which the loop is nearly linear.
+    The loop is nearly linear over the lengths of each state (2 n + k,).
     """
     size, p = len(state), loop.values()
     matrix, ahead, behind = np.zeros((size, size)), np.empty(size), np.empty(size)
@@ -207,17 +191,9 @@ def modes(matrix: Array, coordinates: Sequence[str]) -> Modes:
 
 
 def sum_matrix(matrix: Array, coordinates: Sequence[str], pair: tuple[str, str]) -> Array:
-    """Matrix of the sum system: one coordinate is the sum of two, the others stay.
+    """Matrix (2 n - 2, 2 n - 2) of the sum system: the sum of a pair of coordinates stands in the place of the first.
 
     It describes the sum by itself where the two are alike. Source: Rijlaarsdam (2008), (8.10)-(8.11).
-
-    Args:
-        matrix: (2 n, 2 n) of the whole system.
-        coordinates: its n coordinates.
-        pair: the two, such as ("th1", "th2").
-
-    Returns:
-        matrix (2 n - 2, 2 n - 2), the sum in the place of the first.
 
     Raises:
         ModelError: the sum is not described by itself.
@@ -239,14 +215,9 @@ def sum_matrix(matrix: Array, coordinates: Sequence[str], pair: tuple[str, str])
 
 
 def upsilon(model: Model, at: Mapping[str, float] | None = None) -> float:
-    """How long synchronisation takes: 1/|Re| of the slowest eigenvalue of the sum system (8.13).
+    """How long synchronisation takes, in s or units of time: 1/|Re| of the slowest eigenvalue of the sum system (8.13).
 
-    Args:
-        model: with two oscillators that are alike.
-        at: an equilibrium; 0 where not given.
-
-    Returns:
-        in seconds or units of time; infinite where the sum does not decay.
+    It is infinite where the sum does not decay. The equilibrium is 0 where `at` does not give it.
 
     Raises:
         ModelError: there are not two oscillators, or their sum has no equation of its own.
@@ -257,11 +228,7 @@ def upsilon(model: Model, at: Mapping[str, float] | None = None) -> float:
 
 
 def pair_of(model: Model) -> tuple[str, str]:
-    """Two oscillators of a model.
-
-    Raises:
-        ModelError: it has another number of them.
-    """
+    """Two oscillators of a model; a ModelError where it has another number of them."""
     if len(model.oscillators) != 2:
         raise ModelError(
             f"{model.name} has the oscillators {', '.join(model.oscillators) or 'none'}; declare two, such as "
@@ -271,14 +238,7 @@ def pair_of(model: Model) -> tuple[str, str]:
 
 
 def sweep(model: Model, parameter: str, values: Array, measure: Callable[[Model], float] = upsilon) -> Array:
-    """Measure of a model over values of one parameter, such as `upsilon` over z3 (Fig. 8.4).
-
-    Args:
-        model: what is swept.
-        parameter: its name.
-        values: in the declared unit (m,).
-        measure: of a model; `upsilon` where not given.
-    """
+    """Measure of a model over values (m,) of a parameter in its declared unit, such as `upsilon` over z3 (Fig. 8.4)."""
     return np.array([measure(model.with_parameters(**{parameter: float(x)})) for x in values])
 
 

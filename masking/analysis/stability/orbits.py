@@ -50,16 +50,10 @@ class Orbit:
 
 
 def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -> Orbit:
-    """Find a periodic orbit near a guess, by Newton's method on y(T; y0) = y0.
+    """Find a periodic orbit near a guess of y (2 n + k,) and T, by Newton's method on y(T; y0) = y0.
 
     The state and the period change as little as each step allows, so that one member of a family of orbits is found,
-    near the guess. Multipliers are as true as Phi(T), whose error is some hundred times the tolerance.
-
-    Args:
-        model: autonomous, without inputs.
-        state: a guess of y (2 n + k,).
-        period: a guess of T.
-        tolerance: local relative error of integration.
+    near the guess. Multipliers are as true as Phi(T), whose error is some hundred times the tolerance of integration.
 
     Raises:
         ModelError: the equations hold the time, whose period cannot be changed.

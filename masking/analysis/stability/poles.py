@@ -77,11 +77,7 @@ def oscillators(
 ) -> tuple[Oscillator, ...]:
     """Each oscillator in a sum that is constant.
 
-    Args:
-        relation: the sum, linear in displacements or in sines of angles, less its value.
-        accelerations: of each coordinate.
-        circles: coordinates that are angles.
-        given: hypotheses on the parameters.
+    The relation is the sum, linear in displacements or in sines of angles, less its value.
 
     Raises:
         ModelError: one of them does not move by itself, is of no such kind, or the sum is of another form.
@@ -131,12 +127,7 @@ def _pendulum(x: sp.Symbol, acceleration: sp.Expr, wave: sp.Expr, given: Hypothe
 
 @dataclass
 class Cancellation:
-    """How the poles of oscillators can cancel.
-
-    Args:
-        oscillators: all that move.
-        given: hypotheses on the parameters.
-    """
+    """How the poles of oscillators, all that move, can cancel."""
 
     oscillators: tuple[Oscillator, ...]
     given: Hypotheses
@@ -164,11 +155,7 @@ class Cancellation:
         return [x for x in self.oscillators if x.kind == kind]
 
     def _vanishes(self, expression: sp.Expr) -> bool:
-        """Whether an expression of parameters is 0; either is supposed.
-
-        Raises:
-            ModelError: that is not known.
-        """
+        """Whether an expression of parameters is 0; either is supposed, and a ModelError where it is not known."""
         expression = sp.fraction(normal(expression))[0]
         if expression == 0:
             return True
@@ -265,7 +252,6 @@ def _is_union(signs: Group, groups: Sequence[Group]) -> bool:
 
 
 def _together(group: Group, members: Sequence[Oscillator]) -> dict[sp.Symbol, sp.Expr]:
-    """Coordinates of a group by the first of it."""
     (sign, first), *others = ((s, x) for s, x in zip(group, members, strict=True) if s)
     return {
         x.place: x.centre + sign * s * normal(first.size / x.size) * (first.place - first.centre) for s, x in others

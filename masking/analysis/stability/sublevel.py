@@ -67,12 +67,10 @@ class Basin:
 
 
 def basins(model: Model, bounded: Boundedness | None) -> tuple[Basin, ...]:
-    """Inner estimates of the basins of attraction of equilibria, where the energy gives any.
+    """Inner estimates of the basins of attraction of equilibria, where the energy is smooth and gives any.
 
-    Args:
-        model: with an energy that is kinetic and potential, and smooth.
-        bounded: that every {V <= c} is compact, where V' <= 0 everywhere, is 0 only along equilibria; None where V' is
-            to be looked at near each equilibrium.
+    `bounded` says that every {V <= c} is compact, where V' <= 0 everywhere, is 0 only along equilibria; None where V'
+    is to be looked at near each equilibrium.
     """
     given = Hypotheses(model)
     motion = Motion(model, given)
@@ -96,7 +94,6 @@ class _Rest:
 
     @property
     def middle(self) -> Array:
-        """Middle of the box (n,)."""
         return 0.5 * (self.low + self.high)
 
 
@@ -113,7 +110,6 @@ class _Landscape:
         self.minors = [Bound(motion, curvature[:k, :k].det(method="berkowitz")) for k in range(1, curvature.rows + 1)]
 
     def basins(self, bounded: Boundedness | None) -> Iterator[Basin]:
-        """Estimate for each minimum that has one; see the function of this name."""
         whole = equilibria(self.motion.model)
         rest = self._rest(whole)
         for here in rest:

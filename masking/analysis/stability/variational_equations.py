@@ -104,9 +104,6 @@ class Variational:
             u: constant inputs (k,); zero where not given.
             tolerance: local relative error of a step.
 
-        Returns:
-            y (size,) and W (size, columns).
-
         Raises:
             IntegrationError: the integrator could not go on.
         """
@@ -119,18 +116,5 @@ class Variational:
     def flow(
         self, state: Array, duration: float, tolerance: float = 1e-12, *, begin: float = 0.0
     ) -> tuple[Array, Array]:
-        """State after a time, and its derivatives with respect to the first one.
-
-        Args:
-            state: y (size,), in SI units or in the model's scales.
-            duration: in the same.
-            tolerance: local relative error of a step.
-            begin: the first time.
-
-        Returns:
-            y (size,) and Phi (size, size).
-
-        Raises:
-            IntegrationError: the integrator could not go on.
-        """
+        """State (size,) after a time, and its derivatives Phi (size, size) with respect to the first; see `along`."""
         return self.along((begin, begin + duration), state, np.eye(self.size), tolerance=tolerance)

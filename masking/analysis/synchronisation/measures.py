@@ -40,20 +40,13 @@ class AntiPhase:
 
 
 def phase_difference(t: Series, a: Series, b: Series) -> Series:
-    """Phase of `a` minus phase of `b`, followed continuously (unwrapped), from their analytic signals.
+    """Phase of `a` minus phase of `b` in rad, followed continuously (unwrapped) from a first value in (-pi, pi].
 
         phi = arg(A conj(B)),    A = a + i H[a],    B = b + i H[b],    H the Hilbert transform
 
     Both ends are continued by a sinusoid fitted to the last two periods there, so that the phase is as accurate at the
-    ends of the record as in its middle. Source: section 5.3, Fig. 5.1 (b).
-
-    Args:
-        t: time (samples,), strictly increasing, any unit.
-        a: one oscillation about any constant (samples,), any unit.
-        b: the other, likewise.
-
-    Returns:
-        rad (samples,); the first value lies in (-pi, pi].
+    ends of the record as in its middle. Both oscillate about any constant, in any unit; times increase strictly.
+    Source: section 5.3, Fig. 5.1 (b).
 
     Raises:
         RecordError: the record holds fewer than three periods.
@@ -93,24 +86,12 @@ def peak_sum(t: Series, a: Series, b: Series, window: float) -> Series:
     """Largest |a + b| over the `window` of time before each sample, that sample included.
 
     Source: section 5.1, the remark on definition 5.3: anti-phase with equal amplitudes is |a + b| <= eps.
-
-    Args:
-        t: time (samples,), strictly increasing.
-        a: one oscillation (samples,).
-        b: the other, same unit.
-        window: unit of `t`.
     """
     return running_peak(t, np.abs(a + b), window)
 
 
 def running_peak(t: Series, a: Series, window: float) -> Series:
-    """Largest value of a series over the `window` of time before each sample, that sample included (samples,).
-
-    Args:
-        t: time (samples,), strictly increasing.
-        a: the series (samples,).
-        window: unit of `t`.
-    """
+    """Largest value of a series over the `window` of time before each sample, that sample included (samples,)."""
     last = np.arange(len(t))
     first = np.searchsorted(t, t - window, side="left")
     level = np.frexp(last - first + 1)[1] - 1  # the largest power of two that fits into the window
@@ -124,17 +105,11 @@ def running_peak(t: Series, a: Series, window: float) -> Series:
 
 
 def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPhase:
-    """Fit definition 5.3 to the last `fraction` of the record.
+    """Fit definition 5.3 to the last `fraction` of a record of two oscillations about zero, of the same unit.
 
         g(t) = a(t) - alpha b(t + T/2),    alpha = argmin ||g||,    eps = max |g|
 
     T is the mean period of the larger of the two; `proportion` finds alpha. Source: (5.3).
-
-    Args:
-        t: time (samples,), strictly increasing.
-        a: one oscillation about zero (samples,).
-        b: the other, same unit.
-        fraction: of the record, its end that is looked at.
 
     Raises:
         RecordError: that part holds fewer than three periods.
@@ -149,24 +124,15 @@ def anti_phase(t: Series, a: Series, b: Series, fraction: float = 0.2) -> AntiPh
 
 
 def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> tuple[float, Series]:
-    """Fit one oscillation by a multiple of the other, shifted in time.
+    """Fit one oscillation by a multiple of the other, shifted in time: alpha, and g (samples,).
 
         g(t) = a(t) - alpha b(t + shift),    alpha = <a z> / <b(t + shift) z>,    z = b(t + shift -+ T)
 
     For periodic motions that is argmin ||g||. Noise in b would make that too small, by its share of the power of b;
-    z has the same motion and another noise (an instrumental variable).
+    z has the same motion and another noise (an instrumental variable). Alpha is NaN if b is at rest, and g is where
+    b(t + shift) lies outside the record.
 
     Source: (5.3), where the shift is T/2; Soderstrom and Stoica, System Identification (1989), chapter 8.
-
-    Args:
-        t: time (samples,), strictly increasing.
-        a: one oscillation (samples,).
-        b: the other, same unit.
-        shift: of b, unit of `t`.
-        period: T, unit of `t`.
-
-    Returns:
-        alpha, NaN if b is at rest, and g (samples,), NaN if b(t + shift) lies outside the record.
     """
     at = t + shift
     inside = (at <= t[-1]) & (at >= t[0])
@@ -183,13 +149,9 @@ def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> 
 def synchronisation_time(t: Series, g: Series, eps: float) -> float:
     """First time after which |g| stays below eps; NaN where it does not.
 
+    Here g vanishes in synchronisation, such as the sum of two oscillators in anti-phase; it is NaN where it is not
+    known.
     Source: definition 8.1, (8.12).
-
-    Args:
-        t: time (samples,), increasing.
-        g: what vanishes in synchronisation, such as the sum of two oscillators in anti-phase (samples,), NaN where it
-            is not known.
-        eps: unit of `g`.
     """
     known = np.isfinite(g)
     t, g = t[known], np.abs(g[known])
@@ -203,13 +165,7 @@ def synchronisation_time(t: Series, g: Series, eps: float) -> float:
 
 
 def interpolate(t: Series, a: Series, at: Series) -> Series:
-    """Value of a smooth series between its samples: the polynomial through the six nearest samples, on any grid.
-
-    Args:
-        t: time (samples,), strictly increasing.
-        a: the series (samples,).
-        at: times at which it is wanted (m,).
-    """
+    """Value of a smooth series between its samples: the polynomial through the six nearest samples, on any grid."""
     nodes = min(_NODES, len(t))
     start = np.clip(np.searchsorted(t, at) - nodes // 2, 0, len(t) - nodes)
     abscissae = [t[start + k] for k in range(nodes)]
@@ -223,12 +179,7 @@ def interpolate(t: Series, a: Series, at: Series) -> Series:
 
 
 def on_even_grid(t: Series, *series: Series) -> tuple[Series, ...]:
-    """Times with even steps, and series there; those that were given where their times have even steps.
-
-    Args:
-        t: time (samples,), strictly increasing.
-        series: of these times (samples,).
-    """
+    """Times with even steps, and series there; those that were given where their times have even steps."""
     grid = np.linspace(t[0], t[-1], len(t))
     if np.allclose(grid, t, rtol=0.0, atol=1e-6 * (t[-1] - t[0]) / max(len(t) - 1, 1)):
         return t, *series

@@ -207,7 +207,6 @@ class _Lock:
 
 
 def _lock(t: Series, phases: tuple[Series, ...], tail: Series, ratio: tuple[int, int]) -> _Lock | None:
-    """Lock n:m, None where the phases are not locked so."""
     n, m = ratio
     difference = n * phases[0] - m * phases[1]
     _, steady = mean_phase(difference[tail])
@@ -237,7 +236,6 @@ class _Turn:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it turns by more than chance."""
         return self.size > _SURE * self.stray
 
 

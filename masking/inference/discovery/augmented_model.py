@@ -103,12 +103,7 @@ class EffectInstance:
         return self.with_values(at, (self.values[i] * factor for i in at))
 
     def at_step(self, mobility: float, step: float) -> EffectInstance:
-        """Instance with the parameters that follow the step of integration, where it has such.
-
-        Args:
-            mobility: of its place, as `mobilities` has it.
-            step: of integration, s.
-        """
+        """Instance with the parameters that follow the step of integration in s, where it has such."""
         rules = self.entry.by_step
         known = {"mobility": mobility, "step": step}
         return self.with_values(
@@ -306,7 +301,6 @@ class AugmentedModel:
 
     @cached_property
     def _ports(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-        """Same of all seats."""
         sensitivity, k, many = self._sensitivity, len(self.names), len(self._seats)
         _, basis = self._basis
         at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
@@ -399,13 +393,7 @@ class AugmentedModel:
         return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
-        """Readings in a state (sensors,), and their derivatives by the state (sensors, states).
-
-        Args:
-            theta: parameters (k,).
-            state: of the rig (states,).
-            commands: of the actuators (actuators,); 0 where none are given.
-        """
+        """Readings in a state (sensors,), and their derivatives by it (sensors, states); commands are 0 by default."""
         read, by_state, _ = self._read(theta, state, commands)
         return read, by_state
 
@@ -424,9 +412,7 @@ class AugmentedModel:
     def instances(self, instances: Sequence[EffectInstance], theta: Array) -> Instances:
         """Tables of effect instances that kernels read.
 
-        Args:
-            instances: the effects.
-            theta: free parameters of imperfections and of these, one after the other (f,).
+        `theta` has the free parameters of imperfections and of these, one after the other (f,).
         """
         channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
         late, late_columns = np.zeros(channels), np.full(channels, -1)
@@ -465,16 +451,11 @@ class AugmentedModel:
         return Instances(table, found, read, support, used_ports, late, late_columns, states)
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
-        """Force or value of an effect along a known motion, and its derivatives by some parameters (m, 1 + c).
+        """Force or value of an effect along a known motion, and its derivatives by the parameters `by` (m, 1 + c).
 
-        Of one in series with an element or in its place, the force that it adds to the element's, to first order.
-
-        Args:
-            instance: the effect with its values.
-            x: displacement, command or reading that it acts on (m,).
-            rate: of it (m,).
-            dt: time between samples, s.
-            by: indices of these parameters.
+        The motion is the displacement, command or reading that the effect acts on (m,) and the rate of it (m,), with dt
+        in s. Of an effect in series with an element or in its place, it is the force that it adds to the element's, to
+        first order.
         """
         values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read

@@ -51,13 +51,7 @@ class Candidate:
 
 
 def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], period: float) -> Iterator[Candidate]:
-    """Every candidate.
-
-    Args:
-        rig: the rig.
-        spans: of each place, sensor and actuator: of an element, sensor or actuator with a name.
-        period: time between samples, s.
-    """
+    """Every candidate; spans are by element, sensor or actuator with a name, the period between samples is in s."""
     every = [effect for effect in rig.twin.dictionary.values() if effect.is_searched]
     for place in rig.places:
         # Inertias take the displacement as linear, and change no reading at once.
@@ -85,7 +79,6 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
 
 
 def _delays(period: float, time: float) -> list[float]:
-    """Delays that are tried, in s: from a sample to a few times the time of the motion."""
     numbers = np.arange(1 + np.ceil(np.log(max(LONGEST * time / period, SHORTEST)) / np.log(GROWTH)))
     return [float(value) for value in period * GROWTH**numbers]
 

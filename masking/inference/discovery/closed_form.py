@@ -79,7 +79,6 @@ class _Known:
 
     @cached_property
     def samples(self) -> tuple[Array, Array]:
-        """Displacement and rate at some samples (m,)."""
         step = max(1, len(self.law.x) // SAMPLES)
         return self.law.x[::step], self.law.rate[::step]
 
@@ -106,11 +105,9 @@ class _Known:
 
     @cached_property
     def target(self) -> Array:
-        """Free law at the samples, whitened (m,)."""
         return np.asarray(self._whitening @ self.law.force(*self.samples))
 
     def column(self, atom: Atom, values: Sequence[float]) -> Array:
-        """Term at the samples, whitened (m,)."""
         known = self.motion | {f"p{i}": value for i, value in enumerate(values)}
         found = evaluated(atom.text([f"p{i}" for i in range(len(values))]), known)
         found = np.broadcast_to(found, np.shape(self.motion["d"]))
@@ -127,7 +124,6 @@ class _Known:
         return factors, self.target - table @ factors
 
     def form(self, terms: tuple[Atom, ...], values: Sequence[Sequence[float]]) -> Form:
-        """Form with its best factors."""
         factors, left = self.solved(terms, values)
         many = len(terms) + sum(map(len, values))
         cost = float(left @ left) + self.penalty * many
@@ -276,11 +272,7 @@ class ClosedForm:
     score: float
 
     def tempered(self, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm:
-        """Form with the record weighted as its residual allows, see `tempered_fits.tempered`.
-
-        Raises:
-            IntegrationError: the motion is not finite on the validation record.
-        """
+        """Form weighted as `tempered_fits.tempered` says; an IntegrationError where its motion is not finite."""
         instances = self.hypothesis.instances
         found = tempered(knowing(problem, instances), self.hypothesis)
         return replace(self, hypothesis=found, validated=fitting.validated(knowing(validation, instances), found))
@@ -313,11 +305,7 @@ class ClosedForm:
         return self.instance.entry.expression.split(PLUS)
 
     def as_dict(self, is_written: bool) -> dict[str, Any]:
-        """Form as JSON can hold it.
-
-        Args:
-            is_written: whether it is what the model holds.
-        """
+        """Form as JSON can hold it, with whether it is what the model holds."""
         one = self.instance
         return {
             "written": is_written,
@@ -333,11 +321,6 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
     """Closed form of a free law that explains both records best; None where none can be simulated.
 
     Forms of fewer terms come first, and one that leaves no more than the free law ends the search.
-
-    Args:
-        law: the free law.
-        problem: the record that it was fitted to.
-        validation: another record.
     """
     known, evidence = law.hypothesis, problem.rules.effect_evidence
     others = tuple(one for one in known.instances if one.effect not in KINDS)

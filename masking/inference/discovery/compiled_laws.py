@@ -51,12 +51,9 @@ FINE = 16.0  # pieces in the time in which a motion turns by one radian: its for
 
 
 def pieces(x: Array, rate: Array, dt: float) -> int:
-    """Pieces of a sample in which the state of a law is integrated along a motion.
+    """Pieces of a sample, dt in s, in which the state of a law is integrated along a motion (m,).
 
-    Args:
-        x: displacement (m,).
-        rate: of it (m,); 0 where none is known, as of a command.
-        dt: time between samples, s.
+    The rate is 0 where none is known, as of a command.
     """
     radians = dt * float(np.linalg.norm(rate)) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
     return math.ceil(np.clip(FINE * radians, 1.0, MOST_PIECES)) if rate.any() else MOST_PIECES

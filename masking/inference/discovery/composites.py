@@ -16,11 +16,6 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
     """Whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
 
     A coordinate that only one element moves counts as that element.
-
-    Args:
-        causes: the effect and the place of each.
-        rig: the rig.
-        rules: how many linear effects are too many.
     """
     known = rig.twin.dictionary
     every = [(known[name], at) for name, at in causes if name in known]
@@ -29,12 +24,7 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
 
 
 def share_a_place(causes: Sequence[Key], rig: AugmentedModel) -> bool:
-    """Whether two forces of an explanation act at one place, which may stand for a single law.
-
-    Args:
-        causes: the effect and the place of each.
-        rig: the rig.
-    """
+    """Whether two forces of an explanation act at one place, which may stand for a single law."""
     known = rig.twin.dictionary
     seats = [_seat(rig, at) for name, at in causes if name in known and known[name].where == "element"]
     return len({*seats}) < len(seats)

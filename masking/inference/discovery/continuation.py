@@ -45,12 +45,7 @@ def parts(stage: EstimationProblem) -> Iterator[EstimationProblem]:
 
 
 def loses_phase(problem: EstimationProblem, residuals: Array) -> bool:
-    """Whether a simulated motion has lost phase with a record in a part of it.
-
-    Args:
-        problem: the record and the rig.
-        residuals: of its readings (m, sensors).
-    """
+    """Whether a simulated motion, with residuals (m, sensors), has lost phase with a record in a part of it."""
     readings = problem.record.readings - problem.record.readings.mean(axis=0)
     bounds = len(readings) * np.arange(min(PARTS, len(readings))) // min(PARTS, len(readings))
     squares, errors = (np.add.reduceat(table**2, bounds, axis=0) for table in (readings, residuals))
@@ -67,13 +62,7 @@ def rings(problem: EstimationProblem) -> bool:
 
 
 def grown(states: Array, before: EstimationProblem, after: EstimationProblem) -> Array:
-    """Initial states of longer intervals (w, states): those of the shorter ones that begin with them.
-
-    Args:
-        states: initial states of the shorter intervals (v, states).
-        before: the problem with these.
-        after: the problem with the longer ones.
-    """
+    """Initial states of longer intervals (w, states): those of the shorter ones (v, states) that begin with them."""
     begins = np.arange(after.intervals) * after.interval_samples
     found: Array = states[np.minimum(np.rint(begins / before.interval_samples).astype(int), len(states) - 1)]
     return found

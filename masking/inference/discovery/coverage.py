@@ -56,15 +56,7 @@ class Coverage(Result):
 
     @classmethod
     def of(cls, x: Array, rate: Array, force: Array, deviation: Array, sides: Collection[str]) -> Coverage:
-        """Coverage of a motion.
-
-        Args:
-            x: displacement (m,).
-            rate: of it (m,).
-            force: of the law (m,).
-            deviation: standard deviation of the law (m,).
-            sides: what the law is of: displacement `d`, rate `v`, or both.
-        """
+        """Coverage of a motion: displacement, rate, and force of the law there with its standard deviation (m,)."""
         size = max(float(np.sqrt((force**2).mean())), 1e-300)
         every = (("d", "displacement", x), ("v", "speed", np.abs(rate)))
         parts = [
@@ -90,7 +82,6 @@ def _parts(of: str, values: Array, relative: Array) -> list[Widest]:
 
 
 def _visited(x: Array, rate: Array) -> float:
-    """Part of the cells of displacement and rate, within their ranges, that a motion visits."""
     edges = (np.linspace(values.min(), values.max(), CELLS + 1)[1:-1] for values in (x, rate))
     across, along = (np.searchsorted(edge, values) for edge, values in zip(edges, (x, rate), strict=True))
     return len(np.unique(across * CELLS + along)) / CELLS**2

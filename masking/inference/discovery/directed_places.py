@@ -21,11 +21,7 @@ def places(problem: EstimationProblem) -> set[str]:
 
 
 def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
-    """Whether a cause at a directed place scores most; between coordinates, it may be one of two.
-
-    Raises:
-        IntegrationError: the motion is not finite.
-    """
+    """Whether a cause at a directed place scores most; between coordinates, it may be one of two."""
     motion = smooth(problem, base.theta, base.start)
     every = list(candidates(problem.rig, spans(problem, motion), problem.dt))
     part = {"coordinate": problem.rules.directed_fraction}

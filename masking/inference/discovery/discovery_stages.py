@@ -140,12 +140,8 @@ def _in_unit(
 ) -> tuple[Discovery, int]:
     """Discovery in a record whose channels are in some unit, and the integration steps of the model alone.
 
-    Args:
-        doubt: the unit that the record is taken in; None for those that are declared.
-        whole: the problem of the record, simulated whole, as declared.
-        unseen: the validation record, as declared.
-        settings: of the discovery.
-        say: called with what is done.
+    The problem of the record, simulated whole, and the validation record are as declared; `doubt` is None for these
+    units.
     """
     twin = whole.rig.twin
     if doubt is not None:
@@ -291,7 +287,6 @@ class _Comparison:
     is_demoted: bool
 
     def errors(self) -> SimulationError:
-        """Errors of the model as declared and of the explanation, in both records."""
         problem, validation, chosen = self.problem, self.validation, self.given.explanation.hypothesis
         return SimulationError(
             Errors(problem.errors(self.declared.hypothesis.squares), problem.errors(chosen.squares)),

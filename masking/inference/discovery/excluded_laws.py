@@ -20,12 +20,7 @@ REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is t
 
 
 def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
-    """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called.
-
-    Args:
-        problem: the record and the rig.
-        instances: the effects of an explanation, with fitted values.
-    """
+    """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called."""
     sensors = [one.at for one in instances if one.where == "sensor"]
     alone = [one for one in instances if one.where == "sensor" and sensors.count(one.at) == 1 and not one.entry.states]
     return any(_is_beyond(problem, one) for one in alone) or any(map(_belies_its_name, instances))
@@ -39,13 +34,7 @@ def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
 
 
 def given(problem: EstimationProblem, instance: EffectInstance, reach: float) -> Array:
-    """Readings of a law of a sensor over a range of values (v,).
-
-    Args:
-        problem: the record and the rig.
-        instance: the law, without a state.
-        reach: end of the range on both sides, in largest readings.
-    """
+    """Readings of a law of a sensor, without a state, over values (v,) up to `reach` largest readings on both sides."""
     largest = float(np.abs(problem.record.readings[:, problem.rig.index(instance)]).max())
     sensed = reach * largest * np.linspace(-1.0, 1.0, POINTS)
     return np.asarray(problem.rig.along(instance, sensed, np.zeros(POINTS), problem.dt)[:, 0])

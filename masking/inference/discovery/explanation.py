@@ -80,12 +80,9 @@ Fit = TypeVar("Fit")
 
 
 def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> list[Fit | None]:
-    """Results of fits, two at once; None where the motion is not finite, or where the work ends before.
+    """Results of fits, the likeliest first, two at once; None where the motion is not finite, or the work ends before.
 
-    Args:
-        jobs: the fits, the likeliest first.
-        rival: cost of another hypothesis.
-        work: of the search; the first fits are made however much that is, of which there are fewer where it is over.
+    The first are made however much the work is; where it is over, these are fewer.
     """
 
     def found(job: Callable[[float], Fit]) -> Fit | None:

@@ -183,7 +183,6 @@ def solved(
 
 
 def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
-    """Fit that costs less; the other one if one is none."""
     if one is None or other is None:
         return one or other
     return other if other.cost < one.cost else one
@@ -208,14 +207,10 @@ def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[B
 
 
 def _continued(problem: EstimationProblem, first: tuple[Begun, float], *, frozen: bool, most: float) -> Begun | None:
-    """Where a fit in growing shooting intervals ends; None if the intervals cannot be shorter.
+    """Where a fit in growing shooting intervals ends; None if the intervals cannot be shorter, or it costs too much.
 
-    Args:
-        problem: the record and the rig.
-        first: the fit to the first of the record in the shortest intervals, and what it costs.
-        frozen: whether only initial states are estimated.
-        most: what it may cost: the least cost grows with the intervals, so that it ends, with None, at the first of
-            them in which it costs more.
+    It goes on from the fit to the first of the record in the shortest intervals. The least cost grows with the
+    intervals, so that it ends at the first of them in which it costs more than `most`.
     """
     stages, (begun, least) = [*continuation.stages(problem), problem], first
     if len(stages) == 1 or least > most:
@@ -238,14 +233,8 @@ def together(
 ) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
 
-    Args:
-        problem: of its own record.
-        other: of the other one, with its own initial states.
-        known: the hypothesis, fitted to its own record.
-        rival: as in `fit`.
-
-    Returns:
-        The hypothesis; its initial states are those of both, its residuals those of its own record.
+    The initial states that are found are those of both records, the residuals those of its own. The rival is as in
+    `fit`.
 
     Raises:
         IntegrationError: the motion is not finite.
@@ -255,21 +244,13 @@ def together(
 
 
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
-    """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem.
-
-    Raises:
-        IntegrationError: the motion is not finite.
-    """
+    """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem; errors as `fit`."""
     begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
     return fit(problem, begun, theta=known.theta, start=known.start, rounds=REPEATED, rival=rival)
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
-    """Hypothesis on a validation record: only its initial state is estimated, from growing parts if need be.
-
-    Raises:
-        IntegrationError: the motion is not finite.
-    """
+    """Hypothesis on a validation record: only its initial state is fitted, in growing parts if need be."""
     fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
     found, record = fitted(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:
@@ -292,14 +273,7 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float =
 
 
 def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:
-    """Cost of a hypothesis that is not fitted; infinite if its motion is not finite.
-
-    Args:
-        problem: the record and the rig.
-        instances: the effects with their values.
-        theta: parameters of the rig (k,).
-        start: initial states of the shooting intervals (w, states).
-    """
+    """Cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
     try:
         return whole.linearised(whole.unknowns(theta)).cost
@@ -331,7 +305,6 @@ class _LeastSquares:
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:
-        """Problem of each record."""
         return (self.problem, *self.others)
 
     @cached_property
@@ -359,7 +332,6 @@ class _LeastSquares:
 
     @property
     def free(self) -> list[int]:
-        """States of the motion that are estimated."""
         return [*self.problem.rig.twin.free]
 
     @cached_property
@@ -379,7 +351,6 @@ class _LeastSquares:
         return found
 
     def unknowns(self, theta: Array) -> Array:
-        """Unknowns (n,) at values of the rig's parameters (k,)."""
         return np.concatenate([theta, estimated(self.instances), 0.0 * self.begins, self.start[:, self.free].ravel()])
 
     def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
@@ -428,7 +399,6 @@ class _LeastSquares:
         )  # fmt: skip
 
     def linearised(self, x: Array) -> Linearised[Equations]:
-        """Problem at the unknowns (n,)."""
         theta, added, inner, start = self.parts(x)
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
         pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)

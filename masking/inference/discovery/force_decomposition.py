@@ -137,13 +137,7 @@ def _rms(values: Array) -> float:
 
 
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
-    """Mean square of the part of a force that is a function of x.
-
-    Args:
-        x: displacement or command (m,).
-        force: (m,).
-        cycle: as for `decompose`.
-    """
+    """Mean square of the part of a force (m,) that is a function of x (m,); the cycle is that of `decompose`."""
     every, stretches = _thinned(x, cycle)
     x, force = x[every], force[every]
     rows, bend = _curve(x, _knots(x))
@@ -277,15 +271,10 @@ def _surface(x: Array, rate: Array) -> tuple[Array, Array]:
 
 
 def _held_out(rows: Array, bend: Array, values: Array, stretches: Indices, split: int | None = None) -> Array:
-    """Values by functions that are fitted without them, of the columns before and after a split (m, 2).
+    """Values (m,) by functions that are fitted without them, of the columns before and after a split (m, 2).
 
-    Args:
-        rows: functions (m, functions).
-        bend: weighs a little, so that curves go on straight where there are no samples (functions, functions).
-        values: to fit (m,).
-        stretches: of the record, of which each fifth is left out in turn (m,).
-        split: the column from which on functions are counted apart.
-
+    The functions (m, functions) have bends that weigh a little, so that curves go on straight where there are no
+    samples. Of the stretches of the record, each fifth is left out in turn.
     Source: Eilers and Marx (1996), Statistical Science 11(2), 89-121, for the weight.
     """
     folds = [stretches % FOLDS == i for i in range(FOLDS)]

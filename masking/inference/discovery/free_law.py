@@ -133,13 +133,9 @@ class FreeLaw:
         return np.asarray(self.rows(x, rate) @ self.factors)
 
     def given(self, theta: Array) -> tuple[Array, Array]:
-        """Factors (f,) and their covariance (f, f) where the parameters of the rig are known.
+        """Factors (f,) and their covariance (f, f) where the parameters (k,) of the rig are known.
 
         The record does not separate a spring of the law from one of the model, but knows their sum well.
-
-        Args:
-            theta: parameters of the rig (k,).
-
         Source: Gelman et al. (2013), Bayesian Data Analysis, appendix A, for conditional normal distributions.
         """
         every, k = self.hypothesis.covariance, len(theta)
@@ -168,10 +164,7 @@ def fit(
 ) -> FreeLaw | None:
     """Law that leaves least, at the place where it does; None where none can be fitted.
 
-    Args:
-        found: the record with its explanation.
-        known: effects elsewhere that are fitted beside it, with values to begin from.
-        further: places that are tried, in the place of those of the rig.
+    It is fitted beside known effects elsewhere, from their values. Further places take the place of those of the rig.
     """
     if further:
         starts = [start for one in further for start in _further(found, one, known)]
@@ -274,17 +267,14 @@ class _Start:
 
     @property
     def rows(self) -> int:
-        """Rows of the screen."""
         return len(self.screen.left)
 
     @property
     def score(self) -> float:
-        """Cost with Schwarz's penalty for each factor."""
         return self.cost + self.used * float(np.log(self.rows))
 
 
 def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
-    """Forms of a law, as far as the place has a displacement and a rate."""
     high = float(np.abs(rate).max())
     turn = Term("free_friction", (), SHARP * high)
     along = Term("free_spring", (Curve(pieces(x)),))
@@ -353,11 +343,7 @@ def _fitted(one: _Start, known: Sequence[EffectInstance], marks: dict[int, float
 
     Shooting intervals grow from a fraction of the record to those of the problem: with the first factors the simulated
     motion would lose the record. If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept.
-
-    Args:
-        one: the form, to first order.
-        known: effects elsewhere.
-        marks: by the samples of shooting intervals, the least cost of a form; one that costs far more is given up.
+    Marks are the least cost of a form, by the samples of shooting intervals; one that costs far more is given up.
     """
     problem = one.ground.problem
     instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))

@@ -45,12 +45,7 @@ class FurtherPlaces:
     tried: tuple[float, ...] = field(default=())
 
     def problem(self, problem: EstimationProblem, seconds: float) -> EstimationProblem:
-        """Problem of this rig; a relaxation time is known as `seconds`, and as much again.
-
-        Args:
-            problem: of the rig without further places.
-            seconds: relaxation time.
-        """
+        """Problem of this rig, of that without further places; a relaxation time is known as `seconds`, +- as much."""
         prior = problem.prior
         if self.time:
             at, low = len(problem.rig.names), SHORTEST * seconds
@@ -73,12 +68,7 @@ class FurtherPlaces:
 def of(rig: AugmentedModel, at: str, time: float) -> list[FurtherPlaces]:
     """Further places of a law: those with memory at its place, and those that follow another coordinate.
 
-    The others act at the place, and at each coordinate that it acts on.
-
-    Args:
-        rig: the rig.
-        at: name of the place.
-        time: of the motion, s.
+    The others act at the place, and at each coordinate that it acts on. The time of the motion is in s.
     """
     base, place = rig.twin.base, next(one for one in rig.places if one.name == at)
     found = [] if place.element.displacement is None else [_with_memory(rig, place, time)]
@@ -154,7 +144,6 @@ def _changed(rig: AugmentedModel, base: ModelDeclaration, more: Sequence[str] = 
 
 
 def _free(base: ModelDeclaration, name: str) -> str:
-    """Name that nothing in a model has."""
     sections = (base.coordinates, base.states, base.inputs, base.parameters, base.definitions, base.outputs)
     taken = {*base.elements, *(known for section in sections for known in section)}
     return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)

@@ -124,12 +124,7 @@ class Atom:
         return "*".join(parts)
 
     def words(self, values: Sequence[float], nouns: Mapping[str, str]) -> str:
-        """Phrase for the force of the term, with the values of its numbers.
-
-        Args:
-            values: of the numbers.
-            nouns: what its displacement `d` and its rate `v` are called.
-        """
+        """Phrase for the force of the term, with the values of its numbers and nouns of displacement and rate."""
         left, said = [*values], []
         for of, shape in reversed(self.shapes):
             numbers = [left.pop() for _ in shape.tried][::-1]

@@ -94,12 +94,7 @@ class Periods:
 
 
 def cycle(rate: Array, sampling: float) -> float | None:
-    """Frequency of a motion in Hz, where most of the energy of its rate is near one; None of others.
-
-    Args:
-        rate: of a displacement (m,).
-        sampling: samples per second.
-    """
+    """Frequency of a motion in Hz, where most of the energy of its rate (m,) is near one; None of others."""
     power = np.abs(np.fft.rfft((rate - rate.mean()) * np.hanning(len(rate)))) ** 2
     power[0] = 0.0
     at, lines = int(np.argmax(power)), np.arange(len(power))

@@ -68,11 +68,8 @@ def no_worse(
 ) -> Given:
     """First explanation that is no worse on unseen data than the model as declared.
 
-    Args:
-        offered: rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself.
-        problem: of the estimation record.
-        validation: of the validation record.
-        before: the model as declared on that.
+    Offered are rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself and
+    `before` on the validation record.
     """
     withheld, declared = None, float(before.squares @ validation.weights)
     for rivals in offered[:-1]:

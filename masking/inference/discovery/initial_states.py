@@ -12,13 +12,7 @@ from masking.inference.estimation.simulation import guessed_state
 
 
 def first(problem: EstimationProblem, theta: Array, samples: int = 20) -> Array:
-    """First guess of initial states (w, states), from straight lines through the first readings.
-
-    Args:
-        problem: the record and the rig.
-        theta: parameters of the rig (k,).
-        samples: of each line.
-    """
+    """First guess of initial states (w, states), from straight lines through some samples of the first readings."""
     rig, record, acting = problem.rig, problem.record, problem.record.acting
     found = []
     for begin in range(0, len(record), problem.interval_samples):

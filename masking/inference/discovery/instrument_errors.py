@@ -34,15 +34,9 @@ TRIED = 3  # explanations of the first round that are fitted with all imperfecti
 
 
 def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple[SearchResult, EstimationProblem]:
-    """Search for causes; where many imperfections hide them, with these adjusted.
+    """Search for causes, where many imperfections hide them with these adjusted, and the problem in which that was.
 
-    Args:
-        problem: the record and the rig.
-        tell: called with what is done, and the fraction done.
-        substeps: as `Search.run` has them.
-
-    Returns:
-        What was found, and the problem in which that was.
+    Arguments are those of `Search` and `Search.run`.
     """
     if problem.rig.imperfections:
         return _in_problem(Search(problem, tell), substeps)

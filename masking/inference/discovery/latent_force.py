@@ -133,12 +133,7 @@ class Explained:
 
 
 def force_at(found: Explained, most: str) -> LatentForce:
-    """Latent force at the place of the last cause.
-
-    Args:
-        found: the discovery.
-        most: the place with the largest latent force, which is taken if no cause explains it.
-    """
+    """Latent force at the place of the last cause, or at `most`, that of the largest one, if no cause explains it."""
     instances = found.explanation.hypothesis.instances
     if not instances or found.verdict == "unknown":
         return _force(found, "element", most)
@@ -147,13 +142,7 @@ def force_at(found: Explained, most: str) -> LatentForce:
 
 
 def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
-    """Centres, means of a force and numbers of samples (b,) of bins of x.
-
-    Args:
-        x: displacement or rate (m,).
-        force: at the same time (m,).
-        bins: of the range of x; those with few samples are left out.
-    """
+    """Centres, means of a force and numbers of samples (b,) of bins of x (m,); those with few samples are left out."""
     low, high = np.quantile(x, [0.002, 0.998])
     edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
     at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
@@ -205,14 +194,7 @@ def _sensor(found: Explained, name: str) -> LatentForce:
 
 
 def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
-    """Force or value of an effect along a motion of its place (m,).
-
-    Args:
-        found: the discovery.
-        instance: the effect with its values.
-        x: displacement, command or reading that it acts on (m,).
-        rate: of it (m,).
-    """
+    """Force or value of an effect along a motion of its place, displacement, command or reading and rate of it (m,)."""
     if instance.effect == compiled_laws.DELAY:
         t = np.arange(len(x)) / found.record.rate
         return np.asarray(np.interp(t - instance.values[0], t, x))
@@ -237,11 +219,8 @@ def _without(found: Explained, motion: Motion) -> Motion:
 def projected(motion: Motion, by: Array) -> tuple[Array, float]:
     """Force at a place that is nearest to those on all coordinates (m,), and its standard deviation.
 
-    Where no sensor shows it at once, it is 0 with an infinite deviation.
-
-    Args:
-        motion: with the forces on coordinates.
-        by: what a unit at the place is on each degree (degrees,); see `directions`.
+    `by` is what a unit at the place is on each degree (degrees,); see `directions`. Where no sensor shows the force at
+    once, it is 0 with an infinite deviation.
     """
     weight = by / np.maximum(motion.deviation, 1e-150) ** 2
     norm = float(by @ weight)

@@ -124,13 +124,7 @@ class Localisation:
 
 
 def localise(found: Explained, whiteness: Mapping[str, ResidualWhiteness], names: Collection[str]) -> Localisation:
-    """Localise the model error of a record.
-
-    Args:
-        found: the record with its explanation.
-        whiteness: of the validation residual of each sensor, before and after.
-        names: of the places that count: further places are none of their own.
-    """
+    """Localise the model error of a record, at the places that have names: further places are none of their own."""
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
     latent = _latent_forces(found, seen.before, seen.error, periods, names)
     residuals = found.explanation.hypothesis.residuals

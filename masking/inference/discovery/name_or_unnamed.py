@@ -21,12 +21,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
 
     Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
     they leave a little more, two act at one place, the last takes what another left or one changes beyond the motion,
-    for a closed form may do as well with no more numbers.
-
-    Args:
-        found: the discovery.
-        substeps: integration steps between samples of the model alone.
-        say: called with what is done.
+    for a closed form may do as well with no more numbers. The integration steps are those of the model alone.
     """
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         return _without_names(found, substeps)
@@ -101,7 +96,6 @@ def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
 
 
 def _errs(found: Discovery) -> float:
-    """Largest error of a sensor on unseen data, over its noise."""
     after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
     return max(after[name] / floor[name] for name in floor)
 

@@ -82,17 +82,11 @@ def next_experiment(
     names: tuple[str, str],
     limits: Array | None = None,
 ) -> NextExperiment | None:
-    """Excitation, of those that are tried, that separates two explanations best.
+    """Excitation, of those that are tried, that separates two explanations best, with their names.
 
     A component is moved as far, and its rate is that of this displacement; None of a rig without inputs, and where it
-    is not known which measured input is the rate of which.
-
-    Args:
-        problem: the record that leaves them open.
-        first: one explanation.
-        second: the other.
-        names: of the two.
-        limits: largest command of each actuator (actuators,); three times the record's where none are given.
+    is not known which measured input is the rate of which. Limits are the largest command of each actuator
+    (actuators,); three times the record's by default.
     """
     rates = _rates(problem.rig)
     if rates is None or not problem.rig.twin.actuators:

@@ -41,12 +41,7 @@ class Pair:
 
 
 def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
-    """Pairs of laws that may belong together, the best first.
-
-    Args:
-        screen: of the residual.
-        scores: of single candidates, with their best shapes.
-    """
+    """Pairs of laws that may belong together, of single candidates with their best shapes, the best first."""
     found, groups = list[Pair](), dict[tuple[str, ...], list[Score]]()
     for score in scores:
         groups.setdefault(_group(score), []).append(score)
@@ -78,13 +73,7 @@ def pairs_first(
 ) -> list[Explanation]:
     """Explanations with pairs of laws first that leave far less than any single one.
 
-    Args:
-        problem: the record and the rig.
-        now: the explanation to which causes are added.
-        found: explanations with one more cause.
-        screen: of the residual.
-        scores: of the candidates.
-        job: the fit with some of them.
+    Causes are added to the explanation `now`; `found` are those with one more. The job fits with some of the scores.
     """
     rules, rig, size = problem.rules, problem.rig, problem.record.readings.size
     alone, noise = min(e.cost for e in (now, *found)), float(size // screen.every)

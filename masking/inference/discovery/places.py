@@ -87,11 +87,7 @@ def degrees(model: ModelDeclaration) -> tuple[str, ...]:
 
 
 def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, ...]:
-    """Every place of a model: elements, degrees and pairs of coordinates, none of them twice.
-
-    Args:
-        model: the declaration.
-        directed: whether directed places are among them.
+    """Every place of a model: elements, degrees and pairs of coordinates, none twice; directed ones if asked for.
 
     Raises:
         DeclarationError: a force cannot act on a coordinate, since no equation is its own, or on nothing at all.

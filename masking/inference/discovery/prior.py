@@ -48,11 +48,7 @@ def uncertain(twin: Twin) -> tuple[str, ...]:
 def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionRules = RULES) -> Prior:
     """Prior of the rig's parameters: declared values, standard deviations and bounds.
 
-    Args:
-        twin: the rig as declared.
-        rig: its augmented model, whose k parameters may be re-fitted.
-        tolerance: relative standard deviation of a parameter that declares none.
-        rules: from how many standard deviations a parameter keeps its sign.
+    The tolerance is the relative standard deviation of a parameter that declares none.
     """
     declared = twin.model.declaration.parameters
     deviations = []

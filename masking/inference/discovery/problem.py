@@ -144,12 +144,9 @@ class EstimationProblem:
         return Equations(symmetric(matrix), gradient, squares, simulated, record.residuals(simulated, late))
 
     def tempering(self, residuals: Array) -> float:
-        """Tempering factor: residual variance over noise variance, of samples or block means; at least 1.
+        """Tempering factor: variance of residuals (m, sensors) over that of noise, of samples or means of blocks; >= 1.
 
         The inverse is the effective sample size per reading of a residual that changes slowly.
-
-        Args:
-            residuals: of the readings (m, sensors).
         """
         found, block = 1.0, self.rules.tempering_block
         for column, sigma in zip(residuals.T, self.sigma, strict=True):

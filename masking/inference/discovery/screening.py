@@ -300,7 +300,6 @@ class Screen:
         return Products(rows, gram, right, np.einsum("ij,ij->j", rows, rows), columns)
 
     def _score(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
-        """Score of an instance."""
         candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
         diagonal = np.diag(gram)
         if not (diagonal > ROUNDING * squares).any():
@@ -373,13 +372,7 @@ class Screen:
 
 
 def best_factors(gram: Array, right: Array, squares: Array) -> Array:
-    """Factors of columns that fit best (c,), 0 for those that are rounding alone.
-
-    Args:
-        gram: products of the columns (c, c).
-        right: products of the columns with the residual (c,).
-        squares: of the columns before the projection (c,).
-    """
+    """Factors of columns that fit best (c,), 0 for those that are rounding alone; see `Products`."""
     factors, keep = np.zeros(len(right)), np.diag(gram) > ROUNDING * squares
     scale = np.sqrt(np.diag(gram)[keep])
     scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)

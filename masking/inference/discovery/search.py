@@ -112,8 +112,7 @@ class Search:
     def run(self, substeps: int = 0) -> SearchResult:
         """Search for causes, one after the other, until none is worth its complexity penalty.
 
-        Args:
-            substeps: integration steps between samples of models with effects; by default as many as those need.
+        Models with effects are integrated in as many steps between samples as they need, where none are given.
         """
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.problem)

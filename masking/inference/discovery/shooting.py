@@ -91,12 +91,8 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
     """How many steps simulate what was found: friction that turns round fast, a stop, a gap, a fast vibration.
 
     Steps are enough where four times as many change the readings by no more than `law_error` of their noise, or of what
-    the law leaves where that is more: costs are compared in parts of it.
-
-    Args:
-        problem: the record and the rig, in the steps that are tried first.
-        found: the law, or the model alone, fitted in these.
-        least: steps of the model alone.
+    the law leaves where that is more: costs are compared in parts of it. The steps of the problem are tried first; the
+    least are those of the model alone.
     """
 
     def begun(number: int) -> tuple[EstimationProblem, fitting.Begun]:
@@ -124,11 +120,6 @@ def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationPr
 
     What larger steps change of its motion is added to the readings, so that laws beside it are fitted in few steps.
     None if the motion is not finite in them.
-
-    Args:
-        rough: the problem, in larger steps.
-        known: the hypothesis, fitted in smaller ones.
-
     Source: Stetter (1978), Numer. Math. 29, 425-443: defect correction.
     """
     instances = tuple(rough.rig.at_step(one, rough.dt / rough.substeps) for one in known.instances)

@@ -20,12 +20,8 @@ def simpler(
 ) -> Iterator[tuple[tuple[Key, ...], tuple[EffectInstance, ...]]]:
     """Simpler explanations: without each cause, or with a simpler one in its place.
 
-    A law beside an element, together with others that take the element's own force away, is that law instead of it.
-
-    Args:
-        best: an explanation of several causes.
-        every: candidates.
-        ready: returns the instance of a candidate as it is fitted.
+    A law beside an element, together with others that take the element's own force away, is that law instead of it. An
+    instance of a candidate is made `ready` as it is fitted.
     """
     for i in reversed(range(len(best.names))):
         yield best.without(i)
@@ -48,13 +44,9 @@ def _is_instead(effect: Effect, beside: Effect) -> bool:
 
 
 def begun(simple: EffectInstance, richer: EffectInstance) -> EffectInstance:
-    """Simple law with the fitted values of a richer one.
+    """Simple law with the fitted values of a richer one, and its own for what that does not have.
 
     Factors without a namesake, as the one level of dry friction for the two of an asymmetric one, begin at the mean.
-
-    Args:
-        simple: the law, with values of its own for what the richer one does not have.
-        richer: the fitted law.
     """
     values = dict(zip(richer.names, richer.estimated, strict=True))
     levels = [values[name] for name in richer.entry.factors if name in values]

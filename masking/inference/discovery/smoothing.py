@@ -85,12 +85,7 @@ class _Gains:
 
 
 def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
-    """Motion and the latent forces of a record.
-
-    Args:
-        problem: the record and the rig.
-        theta: its parameters (k,).
-        start: initial states of the shooting intervals (w, states).
+    """Motion and the latent forces of a record, with the parameters (k,) of the rig and its initial states (w, states).
 
     Raises:
         IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.

@@ -26,13 +26,9 @@ DENSER = 1.5  # power of the spacing of pieces around rest, where laws have corn
 
 
 def pieces(x: Array, many: int = PIECES, *, is_even: bool = False, beside: int = BESIDE) -> Array:
-    """Points between the pieces of a curve over a range (many + 2 beside + 1,), denser around 0.
+    """Points between the pieces of a curve over the range of x (many + 2 beside + 1,), denser around 0 if not even.
 
-    Args:
-        x: displacement or rate along the motion (m,).
-        many: pieces of the range.
-        is_even: whether they are evenly apart.
-        beside: further pieces on both sides of the range.
+    There are `many` pieces of the range, and `beside` further ones on both sides of it.
     """
     low, high = float(x.min()), float(x.max())
     pad = MARGIN * (high - low)

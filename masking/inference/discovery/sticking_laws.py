@@ -53,12 +53,7 @@ def fits(
 ) -> list[Explanation]:
     """Fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
 
-    Args:
-        problem: the record and the rig.
-        now: the model without a law.
-        found: other fits.
-        ground: of the search.
-        noted: makes fits, with the numbers of their candidates.
+    `now` is the model without a law; fits are noted with the numbers of their candidates.
     """
     if not _leaves_much(problem, now, found):
         return []
@@ -95,16 +90,9 @@ def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[E
 def nearest(
     problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
 ) -> list[Explanation]:
-    """Fits of the laws that come nearest when each is approached from the model as declared.
+    """Fits of the laws that come nearest when each is approached from the model as declared; arguments as of `fits`.
 
     There are none where that is near to its fit, or where other fits leave little.
-
-    Args:
-        problem: the record and the rig.
-        now: the model without a law.
-        found: other fits.
-        ground: of the search.
-        noted: makes fits, with the numbers of their candidates.
     """
     begun = ground.declared
     if begun is None or not _leaves_much(problem, now, found):
@@ -132,7 +120,6 @@ def nearest(
 
 
 def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tuple[Key, Hypothesis]]:
-    """Fits that were made, with the causes of each, that of least cost first."""
     pairs = [(key, one) for key, one in zip(keys, made, strict=True) if one is not None]
     return sorted(pairs, key=lambda pair: pair[1].cost)
 

@@ -25,12 +25,7 @@ def approached(
 
     Far from the values of an effect, parameters of the rig take whatever value stands best for it, and none leads from
     there to the effect. With a residual that is weighted by its own size they stay as near as their prior holds them.
-
-    Args:
-        problem: the record and the rig.
-        instances: effects with values to begin from.
-        known: the rig's parameters and initial states to begin from.
-        once: whether they end where what they leave would count for less.
+    With `once`, they end where what they leave would count for less.
 
     Raises:
         IntegrationError: the motion is not finite from where it begins.
@@ -52,15 +47,10 @@ def approached(
 
 
 def tempered(problem: EstimationProblem, known: Hypothesis, penalty: Array | None = None) -> Hypothesis:
-    """Hypothesis with the record weighted as its residual allows, and the prior as it is.
+    """Hypothesis with the record weighted as its residual allows, and the prior as it is; the penalty as in `fit`.
 
     The cost takes all of a residual for white noise. What a missing force leaves is far larger, and its likelihood is
     divided by the tempering factor. Directions that the record hardly determines then go back to the prior.
-
-    Args:
-        problem: the record and the rig.
-        known: the hypothesis, fitted.
-        penalty: as in `fit`.
     """
     factor = problem.tempering(known.residuals)
     if factor <= problem.rules.slow_excess:

@@ -149,11 +149,8 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
 def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
     """Unit that makes readings and simulation one size, which they are not in the declared one; or None.
 
-    A law may change the size of a motion by itself: a gain that is as large as a factor between units counts, too.
-
-    Args:
-        problem: the record and the rig, simulated whole.
-        found: what explains the record in the declared unit.
+    A law may change the size of a motion by itself: a gain that is as large as a factor between units counts, too. What
+    explains the record in the declared unit is known; the problem is simulated whole.
     """
     few, otherwise = _part(problem), far_off(problem, found)
     before = _simulated(few)

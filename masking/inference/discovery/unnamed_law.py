@@ -106,12 +106,7 @@ class UnnamedLaw:
         return _deviation(self.free.rows(x, rate), self.curves[1])
 
     def band(self, x: Array, rate: Array, along: Array) -> tuple[Array, Array, Array]:
-        """Band of the curves along a motion: two standard deviations about their means over bins.
-
-        Args:
-            x: displacement (m,).
-            rate: of it (m,).
-            along: what is binned: one of them (m,).
+        """Band of the curves along a motion (m,): two standard deviations about their means over bins of `along`.
 
         Returns:
             centres of the bins, and the ends of the band there (b,).
@@ -194,13 +189,9 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     So a parameter that shows in the validation record alone is no evidence against either. The form is no rival, and
     this is -inf, where it is known in other intervals, a motion of both fits is not finite, or it leaves nearly all of
     what the names leave beyond noise: then both are the same law. With more numbers than the names, it may imitate what
-    else is missing: it is no rival either, unless it alone leaves no more than noise.
+    else is missing: it is no rival either, unless it alone leaves no more than noise on unseen data.
 
-    Args:
-        found: the record with its explanation.
-        validated: that explanation on the validation record, in the shooting intervals of the law.
-        law: the law without a name.
-        alone: whether this law leaves no more than noise on unseen data, and the names leave more.
+    The explanation is `validated` in the shooting intervals of the law.
     """
     named, form = found.explanation.hypothesis, law.form
     if form is None or law.free.problem.interval != found.problem.interval:
@@ -227,11 +218,8 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
 def law_of(found: Explained, validation: EstimationProblem, substeps: int, part: float) -> UnnamedLaw | None:
     """Law of a record without a name; None where none makes the simulation of unseen data better.
 
-    Args:
-        found: the record with its explanation.
-        validation: the validation record.
-        substeps: integration steps between samples of the model alone.
-        part: of what a search may simulate, after which nothing more is fitted.
+    The integration steps are those of the model alone. After a part of what a search may simulate, nothing more is
+    fitted.
     """
     found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
     steps = min(found.problem.substeps, MOST_FINER * substeps)
@@ -331,7 +319,6 @@ def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, vali
 
 
 def _in_tables(law: FreeLaw) -> Explanation:
-    """Model with the law as one effect, and with effects elsewhere."""
     fitted = law.hypothesis
     others = tuple(one for one in fitted.instances if one.effect not in KINDS)
     many = len(fitted.theta) + len(fitting.estimated(others))

@@ -117,31 +117,19 @@ class Law:
 
 
 def noise_threshold(readings: int, rules: DecisionRules) -> float:
-    """Residual rms over noise rms up to which a residual is at the noise floor.
+    """Residual rms over noise rms up to which a residual of m readings is at the noise floor.
 
         1.05 + 3 sqrt(2.63 / (2 m))
 
     The second term is the sampling error of the noise, which is the mean of the lines of a spectrum of m readings; the
     window of that correlates neighbouring lines, which makes the variance 2.63 times as large.
-
-    Args:
-        readings: m.
-        rules: the allowance, and the number of standard deviations.
-
     Source: Stoica and Moses, Spectral Analysis of Signals (2005), section 2.7.
     """
     return rules.noise_floor + rules.chance_deviations * float(np.sqrt(ALIKE / (2.0 * readings)))
 
 
 def at_noise_floor(residual: Iterable[float], noise: Iterable[float], readings: int, rules: DecisionRules) -> bool:
-    """Whether residuals are at the noise floor: each at most `noise_threshold` times its noise.
-
-    Args:
-        residual: rms of each residual, or of all together.
-        noise: standard deviation of the noise of each, in the same unit.
-        readings: of each.
-        rules: the thresholds.
-    """
+    """Whether the rms of residuals is at the noise floor: each at most `noise_threshold` times its noise."""
     threshold = noise_threshold(readings, rules)
     return all(size <= threshold * floor for size, floor in zip(residual, noise, strict=True))
 
@@ -152,13 +140,9 @@ def reaches_noise(cost: float, readings: int, rules: DecisionRules) -> bool:
 
 
 def is_closed(*, at_noise: bool, white: Iterable[bool], estimated: float, rules: DecisionRules) -> bool:
-    """Whether an explanation is complete: validation residuals at the noise floor, and white in both records.
+    """Whether an explanation is complete: validation residuals at the noise floor, and those of both records white.
 
-    Args:
-        at_noise: whether the validation residual is at the noise floor.
-        white: whether the residual of each sensor is white, in either record.
-        estimated: initial states that were estimated, per reading; many of them colour a residual.
-        rules: the thresholds.
+    Many initial states that were estimated, per reading, colour a residual.
     """
     return at_noise and (estimated > rules.initial_state_share or all(white))
 
@@ -186,14 +170,7 @@ def is_excess(cost: float, readings: int, rules: DecisionRules) -> bool:
 
 
 def is_worse(cost: float, declared: float, readings: int, rules: DecisionRules) -> bool:
-    """Whether an answer is worse on unseen data than the model as declared.
-
-    Args:
-        cost: of the answer on the validation record.
-        declared: of the model as declared.
-        readings: of the validation record.
-        rules: the thresholds.
-    """
+    """Whether the cost of an answer on unseen data is worse than that of the model as declared."""
     chance = rules.chance_deviations * float(np.sqrt(2.0 * readings))
     return not cost <= declared + max(chance, rules.worse_fraction * declared)
 
@@ -227,13 +204,7 @@ def is_redundant(
 ) -> bool:
     """Whether a nested model does all that a richer one does, which then is that nested model.
 
-    Args:
-        richer: the richer model.
-        others: all that were fitted.
-        nested: names of last causes that are nested in that of the richer model.
-        now: cost without the last cause.
-        rules: the thresholds.
-        tempering: tempering factor.
+    `nested` are the last causes that are nested in that of the richer model, `now` is the cost without the last cause.
     """
     margin = max(rules.indifferent * tempering, rules.redundant_fraction * (now - richer.cost))
     return any(other.names[-1] in nested and other.cost < richer.cost + margin for other in others)
@@ -284,12 +255,7 @@ def simplest_first(
 def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:
     """Whether one more cause takes too little of the excess cost, as one that only resembles the missing effect.
 
-    Args:
-        base: cost of the model with its parameters adjusted.
-        now: the explanation without the further cause.
-        then: the explanation with it.
-        readings: of the record.
-        rules: the thresholds.
+    `base` is the cost of the model with its parameters adjusted; `now` and `then` are without and with the cause.
     """
     if then.kind == "parameter":
         return False
@@ -340,13 +306,7 @@ def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: i
 
 
 def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) -> bool:
-    """Whether parsimony has put a far likelier explanation behind the first, and nothing came of the remainder.
-
-    Args:
-        rivals: explanations of the last step, the chosen one first.
-        readings: of the estimation record.
-        rules: the thresholds.
-    """
+    """Whether parsimony has put a far likelier explanation behind the first, and nothing came of the remainder."""
     if rivals[0].kind != "effects" or reaches_noise(rivals[0].cost, readings, rules):
         return False
     return bool(probabilities([one.score for one in rivals])[0] < 1.0 - rules.named_probability)
@@ -355,15 +315,7 @@ def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) ->
 def decide(
     rivals: Sequence[Scored], unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
 ) -> Verdict:
-    """Verdict on the explanations of the last step.
-
-    Args:
-        rivals: explanations, the chosen one first.
-        unexplained: part of the excess cost that the chosen one leaves.
-        readings: of the estimation record.
-        rules: the thresholds.
-        composite: whether the chosen one is a composite explanation, see `is_composite`.
-    """
+    """Verdict on the explanations of the last step, the chosen one first, and the part of the excess that it leaves."""
     chosen = rivals[0]
     is_complete = reaches_noise(chosen.cost, readings, rules)
     if chosen.kind == "none":
@@ -381,12 +333,9 @@ def decide(
 def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -> Verdict:
     """Verdict in the light of what is known beside the hypotheses.
 
-    Args:
-        verdict: of the hypotheses.
-        demoted: whether a likelier explanation was put behind, see `is_demoted`; then no name is given.
-        rounded: whether nothing else is found, and the rounding of readings makes much of the residual.
-        at_noise: whether the validation residual is at the noise floor. If nothing is missing in the estimation record,
-            an effect that shows in the validation record alone is unknown.
+    No name is given where a likelier explanation was put behind. Rounding is named where nothing else is found and it
+    makes much of the residual. If nothing is missing in the estimation record, an effect that shows in the validation
+    record alone, whose residual is not at the noise floor, is unknown.
     """
     if rounded:
         verdict = "named"
@@ -428,9 +377,5 @@ def none_of_these(
 
 
 def none_matters(left: float) -> bool:
-    """Whether a law without a name could change the probability where names leave so much.
-
-    Args:
-        left: part of the rms of the model error that they leave: no law explains more of it.
-    """
+    """Whether a law without a name could change the probability where names leave so much of the rms of the error."""
     return none_of_these(left) > NONE_LEAST + CHANGE

@@ -38,16 +38,10 @@ class View:
 
 
 def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: float = FAR) -> tuple[View, ...]:
-    """Model as it was fitted, and as it is declared where that is far from it.
+    """Model as it was fitted, and as it is declared where a parameter of the fit is more than `far` deviations off.
 
     Parameters of the fit then stand for what is missing, and what is not seen of its motion is wrong by as much. Where
     the record cannot be followed with the declared ones, the motion is that of the fit.
-
-    Args:
-        problem: the record and the rig.
-        fit: of the model within the priors of its parameters.
-        motion: smoothed with these.
-        far: deviations of its prior from which a parameter is far off.
     """
     off = np.abs(fit.theta - problem.prior.mean) / problem.prior.deviation
     found = [View(fit, motion)]
@@ -93,11 +87,7 @@ class Ground:
     ) -> Screen:
         """Screen of a fit along the motion of the nearest view, with what effects explain taken out.
 
-        Args:
-            problem: the record and the rig.
-            looked_at: the fit.
-            found: the effects.
-            taken: whether these are in the fit already.
+        These are in the fit already where they are `taken`.
         """
 
         def distance(view: View) -> float:

@@ -32,11 +32,9 @@ class Work:
 
     @classmethod
     def allowed(cls, samples: int, width: int) -> Work:
-        """Work that a search of a record may do, the first one of an answer.
+        """Work that a search of a record may do, the first one of an answer, by its samples.
 
-        Args:
-            samples: of the record.
-            width: states and columns of the rig alone.
+        The width is that of states and columns of the rig alone.
         """
         most = max(MOST_STEPS, float(FEWEST_RUNS * samples * width))
         return cls(most, cls(WHOLE * most))
@@ -54,12 +52,7 @@ class Work:
         return Work(part * self.most)
 
     def add(self, steps: int, width: int) -> None:
-        """Add a simulation, from any thread.
-
-        Args:
-            steps: of integration.
-            width: states and columns that each one moves.
-        """
+        """Add a simulation, from any thread: steps of integration, and states and columns that each one moves."""
         with self._lock:
             self.done += steps * width
         if self.whole is not None:

@@ -21,11 +21,6 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
     """Fewest parameters that leave no more than noise once they are free.
 
     They are sought where one cause leaves more, or needs other parameters far from what is declared.
-
-    Args:
-        problem: the record and the rig.
-        now: the model, its parameters fitted within their priors.
-        found: explanations by one cause.
     """
     size, rules = problem.record.readings.size, problem.rules
 

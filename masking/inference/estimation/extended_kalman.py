@@ -267,7 +267,7 @@ class _Run:
         self.states, self.estimates, self.noises = np.empty((m, n)), np.empty((m, 2 * k)), np.empty((m, 2 * sensors))
 
     def filter(self, y: Array, theta: Array, p0: Array, progress: Progress | None) -> tuple[Array, Array]:
-        """Parameters (k,), and the covariance of state and parameters; writes their course.
+        """Parameters (k,) in declared units, and the covariance of state and parameters; writes their course.
 
         Args:
             y: initial state (states,).
@@ -330,13 +330,6 @@ class _Run:
         return f"the filter diverged {when}: its estimate is no longer finite; {lower}, or begin closer"
 
     def result(self, theta: Array, covariance: Array, p0: Array) -> KalmanFit:
-        """Fit.
-
-        Args:
-            theta: final parameters (k,), in declared units.
-            covariance: of state and parameters.
-            p0: their initial variances (states + k,).
-        """
         sensing, record, n, k = self.sensing, self.record, self.sensing.states, len(self.sensing.names)
         sensors = sensing.twin.sensors
         try:

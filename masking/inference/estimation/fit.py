@@ -204,11 +204,6 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     """Parameters that a record determines independently, at the values that the twin has.
 
     Later names are taken first: what a model adds is declared after what it extends.
-
-    Args:
-        twin: the plant.
-        record: of the parameters.
-        names: of parameters.
     """
     order = tuple(reversed(names))
     problem = _Problem(Sensitivity(twin, order), [_beginning(record)])
@@ -239,13 +234,7 @@ def several(records: Data | Sequence[Data]) -> tuple[Data, ...]:
 
 
 def part_of(tell: Progress, number: int, count: int) -> Progress:
-    """Progress of one of several parts as that of all of them.
-
-    Args:
-        tell: called with the part done of all.
-        number: of this part, from 0.
-        count: of parts.
-    """
+    """Progress of one of several parts, numbered from 0, as that of all of them."""
     return lambda part: tell((number + part) / count)
 
 
@@ -316,7 +305,6 @@ class _Problem:
         return x
 
     def result(self, x: Array) -> Fit:
-        """Fit at parameters and free initial states (n,)."""
         at, theta = self.linearised(x), x[: self.k]  # the last equations had the noise of the round before
         information = at.equations.information()
         names = self.sensitivity.names

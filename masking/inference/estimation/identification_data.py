@@ -31,11 +31,7 @@ _LINES = (1.0 / 12.0, 1.0 / 90.0, 1.0 / 560.0)  # (asin(x/2)/(x/2))**2 = 1 + x**
 
 
 def is_first_order(hold: str) -> bool:
-    """Whether inputs go in straight lines between samples (first-order hold).
-
-    Raises:
-        ModelError: `hold` is neither 'zero-order' nor 'first-order'.
-    """
+    """Whether inputs go in straight lines between samples (first-order hold); a ModelError where `hold` is neither."""
     if hold not in get_args(Hold):
         raise ModelError(_refusal(hold))
     return hold == "first-order"
@@ -169,11 +165,7 @@ class Data:
             )
 
     def refuse_constant(self, twin: Twin) -> None:
-        """Refuse a record with a constant reading.
-
-        Raises:
-            RecordError: a reading is constant.
-        """
+        """Refuse a record with a constant reading, by a RecordError."""
         for name, values in zip(twin.sensors, self.readings.T, strict=True):
             if not np.ptp(values):
                 raise RecordError(
@@ -233,8 +225,7 @@ class Data:
     def counted(self, late: Array = NOT_LATE) -> Array:
         """Readings (m, sensors), not a number where they come from commands before the record.
 
-        Args:
-            late: samples by which commands are later than `late` says (actuators,).
+        Commands are later by `late` samples (actuators,) than those of the record.
         """
         unknown = math.ceil((self.late + late).max(initial=0.0))
         counted = np.array(self.readings, dtype=float, order="C")
@@ -242,12 +233,7 @@ class Data:
         return counted
 
     def residuals(self, simulated: Array, late: Array = NOT_LATE) -> Array:
-        """Measured less simulated (m, sensors), 0 for readings that are not counted.
-
-        Args:
-            simulated: readings (m, sensors).
-            late: as for `counted`.
-        """
+        """Measured less simulated (m, sensors), 0 for readings that are not counted."""
         return np.nan_to_num(self.counted(late) - simulated)
 
     def __len__(self) -> int:

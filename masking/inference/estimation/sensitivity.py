@@ -229,9 +229,7 @@ class Sensitivity:
     def sensed(self, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Readings in a state of the twin (sensors,), and their derivatives by it (sensors, states).
 
-        Args:
-            state: of the twin (states,).
-            commands: of the actuators (actuators,), which sensors may read at once; 0 where none are given.
+        Sensors may read commands (actuators,) at once; these are 0 by default.
         """
         sensors, affected = len(self.twin.sensors), len(self.affected)
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
@@ -302,12 +300,7 @@ def symmetric(lower: Array) -> Array:
 
 
 def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix, Array]:
-    """Terms of (df/dp) B in rates and in readings, each with its values of B, as `variational` takes them.
-
-    Args:
-        equations: what `add_slopes` has added to.
-        basis: B (affected, k).
-    """
+    """Terms of (df/dp) B in rates and in readings with their values of B (affected, k), as `variational` takes them."""
     found = list[Any]()
     for pairs in equations.meta["depends"]:
         rows, entries = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
@@ -320,13 +313,8 @@ def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix
 def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> None:
     """Add the equations of a twin and its readings as `rates` and `reading`, with derivatives as `slopes` and `sensed`.
 
-    Derivatives by entries that are 0 everywhere are not written. `depends` of the module's `meta` has the row and the
-    entry of the others, of rates and of readings.
-
-    Args:
-        module: gets the functions.
-        lowered: the twin.
-        affected: indices of the entries of the parameter array by which is differentiated.
+    Derivatives are by the affected entries of the parameter array; those that are 0 everywhere are not written.
+    `depends` of the module's `meta` has the row and the entry of the others, of rates and of readings.
     """
     graph, loads = lowered.graph, lowered.loads
     by_text = {text: name for name, text in loads.items()}

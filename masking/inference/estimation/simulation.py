@@ -76,13 +76,7 @@ class Simulated:
 
 
 def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:
-    """Relative error (4.12) of each sensor, by name.
-
-    Args:
-        sensors: their names.
-        records: whose readings are the reference.
-        squares: sums of squared errors over these records (sensors,).
-    """
+    """Relative error (4.12) of each sensor, by name, from sums of squared errors over records (sensors,)."""
     whole = np.sum([np.sum(record.readings**2, axis=0) for record in records], axis=0)
     return dict(zip(sensors, map(float, np.sqrt(squares / np.maximum(whole, 1e-300))), strict=True))
 
@@ -93,13 +87,9 @@ def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, fl
 
 
 def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
-    """Relative error of each sensor over records that were not fitted, by name.
+    """Relative error of each sensor over records that were not fitted, by name, with parameters (k,) in declared units.
 
-    Args:
-        sensing: the twin, with the parameters that were fitted.
-        theta: their values (k,), in declared units.
-        unseen: the records; the initial state of each is estimated.
-        weights: of squared residuals of each sensor (sensors,).
+    The initial state of each record is estimated, with weights of squared residuals (sensors,).
 
     Raises:
         IntegrationError: the motion is not finite.
@@ -241,12 +231,8 @@ def nearest(
 def refined(simulated: Callable[[int], Array], least: int, most: int, allowed: Array, *, ahead: int) -> int:
     """Integration steps between samples, doubled until smaller ones change readings by less than is allowed.
 
-    Args:
-        simulated: readings (m, sensors) in a number of steps.
-        least: steps that are tried first.
-        most: steps at most.
-        allowed: change of the readings, rms (sensors,).
-        ahead: factor of the smaller steps; 1 if the motion is to be finite only.
+    Simulated readings (m, sensors) in a number of steps, at least and at most as given, may change in the rms by what
+    is allowed (sensors,). Smaller steps are `ahead` times as many; 1 if the motion is to be finite only.
     """
 
     @cache

@@ -80,13 +80,9 @@ def autocorrelation(values: Array, lags: int) -> Array:
 
 
 def ljung_box(rho: Array, samples: int) -> Array:
-    """Probability of correlations at least this large if there were none.
+    """Probability of correlations at lags 1, 2, ... (lags, ...) of m samples at least this large if there were none.
 
         Q = m (m + 2) sum_k rho_k^2 / (m - k),   chi-squared with as many degrees of freedom as lags
-
-    Args:
-        rho: correlations at lags 1, 2, ... (lags, ...).
-        samples: m.
 
     Source: Ljung and Box, Biometrika 65 (1978), 297-303.
     """

@@ -50,11 +50,7 @@ class ActuatorRatio:
     residual: float
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of the ratio.
-
-        Raises:
-            ModelError: the level is not between 0 and 1.
-        """
+        """Confidence interval of the ratio; a ModelError where the level is not between 0 and 1."""
         half = float(special.stdtrit(self.freedom, 0.5 + probability(level) / 2.0)) * self.deviation
         return self.ratio - half, self.ratio + half
 

@@ -62,11 +62,7 @@ class Source:
         return np.asarray(self.recording.t, dtype=np.float64)
 
     def rate(self) -> float:
-        """Samples per second.
-
-        Raises:
-            RecordError: the clock is not steady.
-        """
+        """Samples per second; a RecordError where the clock is not steady."""
         return clock.rate(self.times, self.name)
 
     def choices(self, kind: str) -> tuple[str, ...]:
@@ -109,11 +105,7 @@ class Source:
         return self.measured(self.one("sensor", wanted))
 
     def measured(self, reading: Channel) -> Channel:
-        """Quantity that a sensor measures: its reading divided by its gain, if the plant is given.
-
-        Raises:
-            RecordError: the plant has no such sensor.
-        """
+        """What a sensor measures: its reading over its gain, if the plant is given; a RecordError if that lacks it."""
         if self.twin is None:
             return reading
         sensors = self.twin.declaration.sensors

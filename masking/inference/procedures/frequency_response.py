@@ -333,7 +333,6 @@ def nonlinear_distortion(found: Spectra, harmonics: Sequence[int] | Indices | No
 
 
 def _lines(found: Spectra, harmonics: Sequence[int] | Indices | None) -> Indices:
-    """Harmonics (lines,) to look at: those that are given, or excited."""
     if harmonics is None:
         return found.excited
     lines = np.asarray(harmonics)

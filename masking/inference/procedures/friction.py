@@ -103,13 +103,8 @@ def shift_of_equilibrium(times: ArrayLike, displacement: ArrayLike, force: Array
 
     Each tooth goes from zero to one side, to the other, and back. Its shift is the displacement between its passages of
     zero force on the way back from either side. The record must be slow; viscous forces at its speed count as friction
-    where all teeth move equally fast, and as growth where longer ones are faster.
+    where all teeth move equally fast, and as growth where longer ones are faster. Times are in equal steps, s.
     Source: Rijlaarsdam (2008), appendix C.6.2, figure C.6.
-
-    Args:
-        times: s (samples,), in equal steps.
-        displacement: (samples,).
-        force: (samples,).
 
     Raises:
         RecordError: columns cannot be used, a tooth does not pass zero, or there are fewer than three teeth whose

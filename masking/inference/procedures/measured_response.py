@@ -139,7 +139,6 @@ def _rate(sources: Sequence[Source]) -> float:
 
 
 def _table(source: Source, inputs: Sequence[str], sensors: Sequence[str]) -> tuple[Array, Array]:
-    """Inputs (samples, inputs) and outputs (samples, outputs) of a record."""
     u = [source.one("input", name).values for name in inputs]
     y = [source.measured(source.one("sensor", name)).values for name in sensors]
     return np.column_stack(u), np.column_stack(y)

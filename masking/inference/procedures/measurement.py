@@ -399,10 +399,7 @@ def _gain(name: str, times: Array, a: Array, b: Array, frequency: float) -> Arra
 def with_error(value: float, half: float, unit: str = "") -> str:
     """Write a value with the half width of its interval to the same decimals, such as 1.078 ± 0.002 V.
 
-    Args:
-        value: in `unit`.
-        half: half the width; not written if it is not positive and finite.
-        unit: of both.
+    The half width is not written if it is not positive and finite.
     """
     if not (np.isfinite(half) and half > 0.0):
         return with_unit(value, unit)

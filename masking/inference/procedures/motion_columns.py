@@ -61,22 +61,14 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
 
 
 def probability(level: float) -> float:
-    """Level of confidence, checked.
-
-    Raises:
-        ModelError: it is not between 0 and 1.
-    """
+    """Level of confidence; a ModelError where it is not between 0 and 1."""
     if not 0.0 < level < 1.0:
         raise ModelError(f"the level is {level:g}; give a probability between 0 and 1, such as 0.95")
     return float(level)
 
 
 def refuse_not_positive(**values: float) -> None:
-    """Refuse settings that are not finite and above 0.
-
-    Raises:
-        ModelError: one is not.
-    """
+    """Refuse settings that are not finite and above 0, by a ModelError."""
     for name, value in values.items():
         if not np.isfinite(value) or value <= 0.0:
             raise ModelError(f"{name} is {value!r}; give a finite number above 0")
@@ -124,11 +116,7 @@ def directions(force: Array) -> Array:
 
 
 def refuse_one_way(x: Array, direction: Array) -> None:
-    """Refuse a record whose ways up and down do not both cover the travel.
-
-    Raises:
-        RecordError: they do not.
-    """
+    """Refuse a record whose ways up and down do not both cover the travel, by a RecordError."""
     edges = np.linspace(x.min(), x.max(), 51)
     covered = [np.histogram(x[direction == sign], edges)[0] > 0 for sign in (1.0, -1.0)]
     part = float(np.mean(covered[0] & covered[1]))
