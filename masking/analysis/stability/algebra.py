@@ -15,6 +15,7 @@ import sympy as sp
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.errors import ModelError
 
+_HYPERBOLIC = (sp.sinh, sp.cosh, sp.tanh)
 _MOST_ROUNDS = 40
 _MOST_ANGLES = 24  # sin(n x) is a polynomial in sin x and cos x up to this n
 
@@ -88,9 +89,8 @@ def _algebraic(expression: sp.Expr) -> tuple[sp.Expr, dict[sp.Symbol, sp.Expr]]:
     """Expression with symbols for sines, cosines and steep exponentials, and what they stand for."""
     steep = {f: sp.Dummy("e", real=True) for f in _sorted(expression, sp.exp, sp.Pow) if _is_steep(f)}
     expression = expression.xreplace(steep)
-    whole = {
-        f: sp.Dummy("f", real=True) for f in _sorted(expression, *_hyperbolic(), sp.sin, sp.cos, sp.tan) if _is_whole(f)
-    }
+    waves = _sorted(expression, *_HYPERBOLIC, sp.sin, sp.cos, sp.tan)
+    whole = {f: sp.Dummy("f", real=True) for f in waves if _is_whole(f)}
     expanded = sp.expand_trig(expression.xreplace(whole)).xreplace({symbol: f for f, symbol in whole.items()})
     expanded = expanded.rewrite(sp.tan, sp.sin).subs(sp.tan, sp.sin)
     for tangent in expanded.atoms(sp.tan):
@@ -118,13 +118,9 @@ def _is_steep(power: sp.Expr) -> bool:
     return bool(power.exp.atoms(sp.sin, sp.cos, sp.tan)) or most > _MOST_ANGLES
 
 
-def _hyperbolic() -> tuple[type, ...]:
-    return sp.sinh, sp.cosh, sp.tanh
-
-
 def _is_whole(function: sp.Expr) -> bool:
     """Whether a function is left as it is, not written in functions of parts of its argument."""
-    if function.func in _hyperbolic():
+    if function.func in _HYPERBOLIC:
         return True
     return any(c.is_Integer and abs(c) > _MOST_ANGLES for c, rest in _terms(function.args[0]) if rest != 1)
 

@@ -104,7 +104,7 @@ class Certificate:
     def as_dict(self) -> dict[str, Any]:
         """Certificate as JSON can hold it."""
         d, i = self.dissipation, self.invariant
-        tree: dict[str, Any] = plain({
+        return dict(plain({
             "model": self.name,
             "status": self.status,
             "conclusion": self.conclusion,
@@ -128,8 +128,7 @@ class Certificate:
             "other_equilibria": self.others,
             "reasons": self.reasons,
             "basins": self.basins,
-        })  # fmt: skip
-        return tree
+        }))  # fmt: skip
 
 
 def certificate(model: Model, box: Box | None = None) -> Certificate:

@@ -16,9 +16,8 @@ import sympy as sp
 from masking.analysis.stability.algebra import normal, without_void
 from masking.analysis.stability.boundedness import Square, squares
 from masking.analysis.stability.confirmation import enclosed_again
-from masking.analysis.stability.discontinuities import jumps_of
 from masking.analysis.stability.equilibria import Box, check_box, halves
-from masking.analysis.stability.free_equations import Motion
+from masking.analysis.stability.free_equations import Motion, jumps_of
 from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.intervals import Interval, enclose

@@ -27,13 +27,9 @@ _DISTINCT = 1e-20  # an exact value is taken to be positive above this: it is ev
 
 
 class Growth:
-    """An expression on a graph, at the declared values, and the edges across which it jumps.
+    """An expression of the state of a motion on a graph, at the declared values, and the edges across which it jumps.
 
     At an edge, such as v = 0 of sign(v), the expression has no one value: no state there counts.
-
-    Args:
-        motion: whose coordinates and velocities make the state.
-        expression: of them and of the parameters.
 
     Raises:
         ModelError: a function in the expression cannot be evaluated.

@@ -93,8 +93,7 @@ class Interval:
 
     def contains_zero(self) -> NDArray[np.bool_]:
         """Where 0 lies inside."""
-        found: NDArray[np.bool_] = (self.low <= 0.0) & (self.high >= 0.0)
-        return found
+        return np.asarray((self.low <= 0.0) & (self.high >= 0.0))
 
 
 def inverse(x: Interval) -> Interval:
@@ -130,11 +129,10 @@ def _outward(low: Array | Interval, high: Array | None = None, ulps: int = 1) ->
     return Interval(a, b)
 
 
-def _monotone(function: Callable[[Array], Array], sign: float = 1.0) -> Callable[[Interval], Interval]:
+def _growing(function: Callable[[Array], Array]) -> Callable[[Interval], Interval]:
     def rule(x: Interval) -> Interval:
         with np.errstate(over="ignore"):
-            ends = (function(x.low), function(x.high)) if sign > 0 else (function(x.high), function(x.low))
-        return _outward(*ends, ulps=_ULPS)
+            return _outward(function(x.low), function(x.high), ulps=_ULPS)
 
     return rule
 
@@ -149,8 +147,7 @@ def _sine(x: Interval, shift: float = 0.0) -> Interval:
 
     def crest(at: float) -> NDArray[np.bool_]:
         start, end = (low + shift - at) / (2.0 * np.pi) - slack, (high + shift - at) / (2.0 * np.pi) + slack
-        found: NDArray[np.bool_] = wide | (np.floor(end) >= np.ceil(start))
-        return found
+        return np.asarray(wide | (np.floor(end) >= np.ceil(start)))
 
     found = _outward(np.minimum(a, b), np.maximum(a, b), ulps=_ULPS)
     return Interval(
@@ -187,8 +184,7 @@ def _logarithm(x: Interval) -> Interval:
 
 
 def _power(x: Interval, exponent: Interval) -> Interval:
-    ends = exponent * _logarithm(x)
-    return _monotone(np.exp)(ends)
+    return _growing(np.exp)(exponent * _logarithm(x))
 
 
 def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
@@ -208,15 +204,15 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "div": lambda x, y: x / y,
     "sqrt": _root,
     "pow": _power,
-    "exp": _monotone(np.exp),
+    "exp": _growing(np.exp),
     "log": _logarithm,
     "sin": _sine,
     "cos": lambda x: _sine(x, np.pi / 2),
     "tan": lambda x: _sine(x) / _sine(x, np.pi / 2),
-    "atan": _monotone(np.arctan),
-    "sinh": _monotone(np.sinh),
+    "atan": _growing(np.arctan),
+    "sinh": _growing(np.sinh),
     "cosh": _cosh,
-    "tanh": _monotone(np.tanh),
+    "tanh": _growing(np.tanh),
     "abs": _absolute,
     "sign": lambda x: Interval(np.sign(x.low), np.sign(x.high)),
     "lt": lambda x, y: Interval(1.0 * (x.high < y.low), 1.0 * (x.low < y.high)),

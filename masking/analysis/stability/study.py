@@ -79,7 +79,7 @@ class Stability:
 
     def as_dict(self) -> dict[str, Any]:
         """Study as JSON can hold it."""
-        tree: dict[str, Any] = plain({
+        return dict(plain({
             "name": self.name,
             "equilibria": self.rest and {
                 "sentence": str(self.rest),
@@ -93,8 +93,7 @@ class Stability:
             "exponent": self.exponent,
             "certificate": self.certificate,
             "loop": self.loop,
-        })  # fmt: skip
-        return tree
+        }))  # fmt: skip
 
 
 def study(model: Model, box: Box | None = None) -> Stability:

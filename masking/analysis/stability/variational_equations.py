@@ -34,12 +34,7 @@ else:
 
 @dataclass(frozen=True)
 class Variational:
-    """A model together with its variational equations.
-
-    Args:
-        model: any model that moves.
-        directions: columns of W; as many as the model has states where none are given.
-    """
+    """A model together with its variational equations, for all directions (columns of W) or as many as are given."""
 
     model: Model
     directions: int | None = None

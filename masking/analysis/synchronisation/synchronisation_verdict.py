@@ -289,8 +289,7 @@ def _averaged(x: NDArray[np.complex128], t: Series, length: float) -> NDArray[np
     total = np.concatenate([[0.0], np.cumsum(x)])
     index = np.arange(len(x))
     first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, len(x))
-    found: NDArray[np.complex128] = (total[last] - total[first]) / (last - first)
-    return found
+    return np.asarray((total[last] - total[first]) / (last - first))
 
 
 def _beat(t: Series, signals: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> float:

@@ -208,11 +208,6 @@ class AugmentedModel:
         return degrees(self.twin.base)
 
     @property
-    def begins(self) -> int:
-        """Number of states that a shooting interval may begin with at any value."""
-        return len(self.twin.free)
-
-    @property
     def rest(self) -> Array:
         """State (states,) at rest."""
         return self.twin.rest(np.array(self.at or (0.0,) * len(self.coordinates)))
@@ -232,10 +227,6 @@ class AugmentedModel:
     @property
     def _seats(self) -> list[Place]:
         return [*self.places, *(self.places[i] for i in self._yielding for _ in range(2))]
-
-    @cached_property
-    def _all_taken(self) -> list[int]:
-        return [list(self.laws).index(name) for name in laws.ALL_TAKEN]
 
     def parts(self, instance: EffectInstance) -> list[tuple[int, int]]:
         """Laws of an effect in an element by their numbers, and the seats where they act."""
@@ -394,8 +385,7 @@ class AugmentedModel:
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Readings in a state (sensors,), and their derivatives by it (sensors, states); commands are 0 by default."""
-        read, by_state, _ = self._read(theta, state, commands)
-        return read, by_state
+        return self._read(theta, state, commands)[:2]
 
     def direct(self, theta: Array) -> Array:
         """How readings depend at once on the affected entries of the parameter array, at rest (sensors, a)."""
@@ -416,6 +406,7 @@ class AugmentedModel:
         """
         channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
         late, late_columns = np.zeros(channels), np.full(channels, -1)
+        all_taken = [list(self.laws).index(name) for name in laws.ALL_TAKEN]
         rows, columns, supports, values = [], [], [], list[float]()
         for instance in (*self.imperfections, *instances):
             first, estimated = len(values), [-1] * MOST_PARAMETERS
@@ -435,7 +426,7 @@ class AugmentedModel:
             states += len(instance.entry.states)
             acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
             for number, seat in acting:
-                of_effect = number not in self._all_taken
+                of_effect = number not in all_taken
                 rows.append((number, kind, seat, first, state if of_effect else -1))
                 columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
                 supports.append(laws.support(instance.effect if of_effect else "", instance.values))

@@ -18,12 +18,9 @@ BEYOND = 2.0  # times the frequency at which readings fall below their noise: me
 
 @dataclass(frozen=True)
 class Thinning:
-    """Samples over which means are taken.
+    """Samples over which means are taken: of motions a multiple of the stride, of readings a multiple of that.
 
-    Args:
-        motion: of motions, a multiple of `stride`.
-        readings: of readings, a multiple of `motion`.
-        stride: of which a law in an element looks at the middle one; odd.
+    Of a stride, which is odd, a law in an element looks at the middle sample.
     """
 
     motion: int
@@ -56,5 +53,4 @@ def thinned(table: Array, thin: int) -> Array:
     total = cut[0::thin].copy()
     for i in range(1, thin):
         total += cut[i::thin]
-    found: Array = np.ascontiguousarray(total / thin)
-    return found
+    return np.asarray(np.ascontiguousarray(total / thin))

@@ -24,10 +24,8 @@ class Candidate:
     """An effect at a place, with the starts of its fit.
 
     Args:
-        effect: its name.
-        at: the place.
-        factors: indices of the parameters that are factors.
-        free: indices of all that are estimated.
+        effect, at: its name and the place.
+        factors, free: indices of the parameters that are factors, and of all that are estimated.
         instances: one for each start, with factors 0 or as the start has them.
         sticks: whether it is fitted with the parameters that follow the step of integration.
     """
@@ -48,6 +46,11 @@ class Candidate:
     def entry(self) -> Effect:
         """Effect's entry in the dictionary."""
         return self.instances[0].entry
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether estimated parameters shape it, whose effect has a slope to follow."""
+        return bool({*self.free} - {*self.factors}) and not self.entry.quantum
 
 
 def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], period: float) -> Iterator[Candidate]:
@@ -71,16 +74,13 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
             for name in names:
                 for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[where, name])
-    times = _delays(period, next(iter(spans.values())).time)
+    # Delays that are tried, in s: from a sample to a few times the time of the motion.
+    longest = max(LONGEST * next(iter(spans.values())).time / period, SHORTEST)
+    times = [float(time) for time in period * GROWTH ** np.arange(1 + np.ceil(np.log(longest) / np.log(GROWTH)))]
     # Of a single actuator, the delay of all is its own.
     for at in ("", *commanded) if commanded == rig.twin.actuators and len(commanded) > 1 else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (time,), (0,)) for time in times)
         yield Candidate(DELAY.name, at, (), (0,), instances)
-
-
-def _delays(period: float, time: float) -> list[float]:
-    numbers = np.arange(1 + np.ceil(np.log(max(LONGEST * time / period, SHORTEST)) / np.log(GROWTH)))
-    return [float(value) for value in period * GROWTH**numbers]
 
 
 def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidate:

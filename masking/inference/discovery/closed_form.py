@@ -8,6 +8,7 @@ Source: as `fitting`; Golub and Pereyra (1973), SIAM J. Numer. Anal. 10(2), 413-
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -26,12 +27,11 @@ from masking.inference.discovery.grammar import MOST_SHAPES, Atom, atoms, evalua
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.tempered_fits import tempered
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
-from masking.model.effects import Effect, EffectParameter
+from masking.model.effects import EffectParameter
 
 WIDE, DEEP = 10, 5  # forms that are sharpened of each number of terms, and those to which a term is added
 FITS = {1: 2, 2: 2, 3: 1}  # forms of so many terms that are fitted to the record
 SAMPLES = 240  # of the motion at which forms are compared
-NAME = "unnamed_law"
 PLUS = "  +  "  # between the terms of a form
 ALIKE = 1e-6  # one less the cosine of two terms that are the same
 EXACT = 2e-3  # of a force: how exactly splines of few pieces hold a formula
@@ -40,13 +40,9 @@ ROUNDING = 1e-14  # of the largest variance: what a smaller one is
 
 @dataclass(frozen=True)
 class Form:
-    """A sum of terms with values.
+    """A sum of terms, with the values of the numbers that shape each, and a factor of each (terms,).
 
-    Args:
-        atoms: the terms.
-        values: of the numbers that shape each (terms,).
-        factors: of the terms (terms,).
-        cost: what it deviates from the free law, with a penalty for each number.
+    Its cost is what it deviates from the free law, with a penalty for each number.
     """
 
     atoms: tuple[Atom, ...]
@@ -67,7 +63,7 @@ class Form:
     @property
     def of(self) -> set[str]:
         """Its variables: displacement `d`, rate `v`."""
-        return {of for atom in self.atoms for of, shape in atom.shapes if "{u}" in shape.text}
+        return _variables(self.atoms)
 
 
 @dataclass(frozen=True)
@@ -159,10 +155,10 @@ def forms(law: FreeLaw, readings: int) -> list[Form]:
     usable: Array = np.asarray(np.isfinite(columns).all(axis=0))
     every = [one for one, is_usable in zip(every, usable, strict=True) if is_usable]
     columns = columns[:, usable]
-    found = _best([known.sharpened(form) for form in _distinct([known.form((a,), [v]) for a, v in every], WIDE)])
+    found = _best([known.sharpened(form) for form in _best([known.form((a,), [v]) for a, v in every], 2)[:WIDE]])
     pairs = _best([known.sharpened(form) for form in _pairs(known, every, columns)])
     more = [three for two in pairs[:DEEP] for three in _with_another(known, two, every, [*columns.T])]
-    return _best([*found, *pairs, *(known.sharpened(form) for form in _distinct(more, WIDE))])
+    return _best([*found, *pairs, *(known.sharpened(form) for form in _best(more, 2)[:WIDE])])
 
 
 def _pairs(known: _Known, every: Sequence[tuple[Atom, tuple[float, ...]]], columns: Array) -> list[Form]:
@@ -181,7 +177,7 @@ def _pairs(known: _Known, every: Sequence[tuple[Atom, tuple[float, ...]]], colum
         terms = (every[i][0], every[j][0])
         if np.isfinite(gains[i, j]) and _fits(terms):
             found.append(known.form(terms, [every[i][1], every[j][1]]))
-    return _distinct(found, WIDE)
+    return _best(found, 2)[:WIDE]
 
 
 def _with_another(
@@ -202,27 +198,23 @@ def _with_another(
     return [known.form((*form.atoms, every[i][0]), [*form.values, every[i][1]]) for _, i in best]
 
 
+def _variables(terms: Sequence[Atom]) -> set[str]:
+    return {of for atom in terms for of, shape in atom.shapes if "{u}" in shape.text}
+
+
 def _fits(terms: Sequence[Atom]) -> bool:
-    of = {of for atom in terms for of, shape in atom.shapes if "{u}" in shape.text}
-    return len(terms) + sum(atom.count for atom in terms) + len(of) <= MOST_PARAMETERS
+    return len(terms) + sum(atom.count for atom in terms) + len(_variables(terms)) <= MOST_PARAMETERS
 
 
-def _distinct(found: Sequence[Form], many: int) -> list[Form]:
-    """Best forms, at most two of the same terms."""
-    kept, seen = list[Form](), dict[tuple[str, ...], int]()
+def _best(found: Sequence[Form], alike: int = 1) -> list[Form]:
+    """Forms, the best first, as many of the same terms as may be alike."""
+    kept, seen = list[Form](), Counter[tuple[str, ...]]()
     for form in sorted(found, key=lambda one: one.cost):
         key = tuple(sorted(atom.name for atom in form.atoms))
-        seen[key] = seen.get(key, 0) + 1
-        if seen[key] <= 2 and len(kept) < many:
+        seen[key] += 1
+        if seen[key] <= alike:
             kept.append(form)
     return kept
-
-
-def _best(found: Sequence[Form]) -> list[Form]:
-    kept = dict[tuple[str, ...], Form]()
-    for form in sorted(found, key=lambda one: one.cost):
-        kept.setdefault(tuple(sorted(atom.name for atom in form.atoms)), form)
-    return [*kept.values()]
 
 
 def instance(form: Form, law: FreeLaw) -> EffectInstance:
@@ -250,19 +242,15 @@ def instance(form: Form, law: FreeLaw) -> EffectInstance:
         add("x0", EffectParameter("D", "largest displacement of the record"), float(known.motion["x0"]), False)
     if "v" in form.of:
         add("v0", EffectParameter("D/s", "largest rate of the record"), float(known.motion["v0"]), False)
-    meaning = "A law without a name, as it was found in a record."
-    entry = Effect(NAME, meaning, PLUS.join(parts), parameters, label="law without a name", is_searched=False)
-    return EffectInstance(NAME, law.place.name, tuple(values), tuple(free), entry)
+    return law.written(PLUS.join(parts), parameters, values, free)
 
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """A form that was fitted to the record.
+    """A form that was fitted to the record; its values are those of the start.
 
     Args:
-        form: its terms; its values are those of the start.
-        hypothesis: the model with it, and with effects elsewhere.
-        validated: the same on the validation record.
+        hypothesis, validated: the model with it, and with effects elsewhere, in both records.
         score: cost of both records, with Schwarz's penalty for each number.
     """
 

@@ -64,8 +64,8 @@ def rings(problem: EstimationProblem) -> bool:
 def grown(states: Array, before: EstimationProblem, after: EstimationProblem) -> Array:
     """Initial states of longer intervals (w, states): those of the shorter ones (v, states) that begin with them."""
     begins = np.arange(after.intervals) * after.interval_samples
-    found: Array = states[np.minimum(np.rint(begins / before.interval_samples).astype(int), len(states) - 1)]
-    return found
+    at = np.minimum(np.rint(begins / before.interval_samples).astype(int), len(states) - 1)
+    return np.asarray(states[at])
 
 
 def _period(problem: EstimationProblem) -> float:

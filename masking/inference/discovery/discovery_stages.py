@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -38,7 +38,6 @@ from masking.inference.discovery.discovery_result import (
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis, by_instance
-from masking.inference.discovery.held_out import Given
 from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
 from masking.inference.discovery.prior import prior_of, train_validation_split, uncertain
@@ -263,38 +262,6 @@ def _near(found: Discovery) -> Hypothesis | None:
     return first.hypothesis if is_near else None
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """Explanations of a record, compared on the validation record.
-
-    Args:
-        problem: the record, in the rig and the integration steps of the search that counts.
-        validation: the same of the validation record.
-        search: the steps of the search, ordered by both records.
-        declared: the model as declared.
-        before, adjusted: that, and the model with its parameters adjusted, on the validation record.
-        given: the explanation to give, and its rivals.
-        is_demoted: see `verdict.is_demoted`.
-    """
-
-    problem: EstimationProblem
-    validation: EstimationProblem
-    search: SearchResult
-    declared: Explanation
-    before: Hypothesis
-    adjusted: Hypothesis
-    given: Given
-    is_demoted: bool
-
-    def errors(self) -> SimulationError:
-        problem, validation, chosen = self.problem, self.validation, self.given.explanation.hypothesis
-        return SimulationError(
-            Errors(problem.errors(self.declared.hypothesis.squares), problem.errors(chosen.squares)),
-            Errors(validation.errors(self.before.squares), validation.errors(self.given.after.squares)),
-            problem.noise_floor, validation.noise_floor, validation.errors(self.adjusted.squares), self.given.alone,
-        )  # fmt: skip
-
-
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
     """Discovery in one search of a record.
 
@@ -306,45 +273,50 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         substeps: integration steps between samples of models with effects; by default as many as those need.
     """
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        compared = _compared(problem, unseen, noise, say, substeps)
-    known, given, rules, size = compared.problem, compared.given, problem.rules, problem.record.readings.size
-    chosen, errors = given.explanation, compared.errors()
+        search, known = instrument_errors.searched(problem, say, substeps)
+        validation = replace(known, record=unseen, sigma=noise)
+        declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
+        before, adjusted = (fitting.validated(validation, one) for one in (declared.hypothesis, search.base.hypothesis))
+        say("comparing explanations on data that were not used", 0.95)
+        search = replace(search, steps=tuple(_reordered(step, known, validation) for step in search.steps))
+        rivals, is_demoted = _likeliest(search, known, validation, adjusted)
+        given = held_out.no_worse((rivals, (search.base,), (declared,)), known, validation, before)
+    chosen, rules, size = given.explanation, problem.rules, problem.record.readings.size
+    adjusted = given.after if given.rivals[0] is search.base else adjusted
+    errors = SimulationError(
+        Errors(known.errors(declared.hypothesis.squares), known.errors(chosen.hypothesis.squares)),
+        Errors(validation.errors(before.squares), validation.errors(given.after.squares)),
+        known.noise_floor, validation.noise_floor, validation.errors(adjusted.squares), given.alone,
+    )  # fmt: skip
     tempering = known.tempering(chosen.hypothesis.residuals)
-    excess, left = (verdict.excess_cost(one.cost, size) for one in (compared.search.base, chosen))
+    excess, left = (verdict.excess_cost(one.cost, size) for one in (search.base, chosen))
     unexplained = left / excess if excess > 0.0 else 0.0
     scored, composite = _scored(given.rivals, known, tempering), are_composite(chosen.names, known.rig, rules)
     effects = _causes(known.rig, (chosen, *given.rivals[1:]), tempering, scored, rules)
     rounded = _rounded(known, chosen.hypothesis)
     answer = verdict.revised(
         verdict.decide(scored, unexplained, size, rules, composite=composite),
-        demoted=compared.is_demoted,
+        demoted=is_demoted,
         rounded=not effects and any(is_much for _, is_much in rounded),
         at_noise=errors.is_noise(len(unseen), rules),
     )
     return Discovery(
-        verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=compared.search,
+        verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=search,
         effects=(*effects, *(cause for cause, _ in rounded)), simulation_error=errors,
-        unexplained_fraction=unexplained, rivals=given.rivals, tempering=tempering, validation=compared.validation,
-        before=compared.before, after=given.after, adjusted=compared.adjusted, withheld=given.withheld,
+        unexplained_fraction=unexplained, rivals=given.rivals, tempering=tempering, validation=validation,
+        before=before, after=given.after, adjusted=adjusted, withheld=given.withheld,
         next_experiment=_separating(known, given.rivals, say) if answer == "ambiguous" else None,
     )  # fmt: skip
 
 
-def _compared(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int) -> _Comparison:
-    """Search in a record, and comparison of its explanations; arguments as of `_found`."""
-    search, known = instrument_errors.searched(problem, say, substeps)
-    validation = replace(known, record=unseen, sigma=noise)
-    declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-    before, adjusted = (fitting.validated(validation, one) for one in (declared.hypothesis, search.base.hypothesis))
-    say("comparing explanations on data that were not used", 0.95)
-    ordered = replace(search, steps=tuple(_reordered(step, known, validation) for step in search.steps))
-    needed = _needed(ordered, validation, adjusted)
-    tempering = known.tempering(needed[0].hypothesis.residuals)
-    is_demoted = verdict.is_demoted(_scored(needed, known, tempering), known.record.readings.size, known.rules)
-    rivals = tuple(sorted(needed, key=lambda rival: rival.score(tempering))) if is_demoted else needed
-    given = held_out.no_worse((rivals, (ordered.base,), (declared,)), known, validation, before)
-    plain = given.after if given.rivals[0] is ordered.base else adjusted
-    return _Comparison(known, validation, ordered, declared, before, plain, given, is_demoted)
+def _likeliest(
+    found: SearchResult, problem: EstimationProblem, validation: EstimationProblem, adjusted: Hypothesis
+) -> tuple[tuple[Explanation, ...], bool]:
+    """Explanations of the last step that is needed, the likeliest first, and whether parsimony put it behind."""
+    needed = _needed(found, validation, adjusted)
+    tempering = problem.tempering(needed[0].hypothesis.residuals)
+    is_demoted = verdict.is_demoted(_scored(needed, problem, tempering), problem.record.readings.size, problem.rules)
+    return tuple(sorted(needed, key=lambda rival: rival.score(tempering))) if is_demoted else needed, is_demoted
 
 
 def _separating(problem: EstimationProblem, rivals: Sequence[Explanation], say: Tell) -> NextExperiment | None:

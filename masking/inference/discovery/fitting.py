@@ -70,8 +70,7 @@ class Hypothesis:
     @property
     def deviations(self) -> Array:
         """Standard deviations of rig's parameters and of those of the effects (k + f,)."""
-        found: Array = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return found
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
 def estimated(instances: Sequence[EffectInstance]) -> Array:

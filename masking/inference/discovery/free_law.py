@@ -7,7 +7,7 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,9 @@ from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces
 from masking.inference.discovery.tempered_fits import tempered
 from masking.inference.discovery.views_of_record import views
+from masking.model.effects import Effect, EffectParameter
 
+NAME = "unnamed_law"  # of the effect that a model holds
 SHARP = 2e-3  # of the largest rate: width of the sign of a rate
 NEGLIGIBLE = 1e-9  # of its standard deviation: a force that is not seen at all
 BEND = 0.3  # of the largest force: standard deviation of a bend between neighbouring pieces before the record
@@ -131,6 +133,14 @@ class FreeLaw:
     def force(self, x: Array, rate: Array) -> Array:
         """Force at displacements and rates (m,)."""
         return np.asarray(self.rows(x, rate) @ self.factors)
+
+    def written(
+        self, text: str, parameters: Mapping[str, EffectParameter], values: Iterable[float], free: Iterable[int] = ()
+    ) -> EffectInstance:
+        """Law as one effect at its place, by an expression of the motion and of parameters."""
+        meaning = "A law without a name, as it was found in a record."
+        entry = Effect(NAME, meaning, text, parameters, label="law without a name", is_searched=False)
+        return EffectInstance(NAME, self.place.name, tuple(values), tuple(free), entry)
 
     def given(self, theta: Array) -> tuple[Array, Array]:
         """Factors (f,) and their covariance (f, f) where the parameters (k,) of the rig are known.
@@ -240,18 +250,9 @@ def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance]) -> list[
 
 @dataclass(frozen=True)
 class _Start:
-    """A form at a place, to first order.
+    """A form at a place, to first order: with its factors (f,), and the penalty on these (f, f).
 
-    Args:
-        ground: the model without a law.
-        screen: of the record along it.
-        place: where it sits.
-        form: its terms.
-        x, rate: displacement and rate there (m,).
-        factors: (f,).
-        penalty: on these (f, f).
-        cost: that is left.
-        used: effective number of factors.
+    Displacement and rate (m,) are those of the place. The cost is what is left, `used` the effective number of factors.
     """
 
     ground: _Ground

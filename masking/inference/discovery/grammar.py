@@ -174,8 +174,7 @@ class Columns:
 
     def apply(self, step: Step, args: Sequence[Array | float]) -> Array | float:
         """Give the value of an operation."""
-        found: Array = _OPERATIONS[step.operation](*args)
-        return found
+        return np.asarray(_OPERATIONS[step.operation](*args))
 
 
 _OPERATIONS = {

@@ -86,15 +86,7 @@ class Smoothed:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Explained:
-    """A record with its explanation: what latent forces are found of.
-
-    Args:
-        verdict: `none`, `parameter`, `named`, `ambiguous` or `unknown`.
-        twin: the rig as its model declares it.
-        problem: the record that was explained.
-        explanation: the one that was chosen.
-        search: the whole search.
-    """
+    """A record with its explanation, the one that was chosen in the whole search: what latent forces are found of."""
 
     verdict: Verdict
     twin: Twin

@@ -106,12 +106,9 @@ class ResidualWhiteness(NamedTuple):
 
 @dataclass(frozen=True)
 class Localisation:
-    """Where the error of a model is.
+    """Where the error of a model is: latent forces with the parameters that were found, but without the causes.
 
-    Args:
-        latent: with the parameters that were found beside the causes, but without these.
-        residual: with the causes; None where none is known.
-        whiteness: of the validation residual of each sensor.
+    The residual is with the causes, None where none is known; the whiteness is that of the validation residuals.
     """
 
     latent: LatentForces

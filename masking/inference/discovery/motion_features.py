@@ -42,8 +42,6 @@ class MotionFeatures:
     """What effects do along a motion.
 
     Args:
-        rig: the rig.
-        record: commands and readings.
         motion: the smoothed record.
         simulated: readings as they are simulated (m, sensors).
         thinning: samples over which means are taken.

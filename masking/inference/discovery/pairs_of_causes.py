@@ -29,12 +29,7 @@ LEFT = 0.5  # of the excess cost that the best single law leaves, which two laws
 
 @dataclass(frozen=True)
 class Pair:
-    """Two laws.
-
-    Args:
-        scores: of each, with the factors that fit best together.
-        gain: what they could take off the cost.
-    """
+    """Two laws: scores with the factors that fit best together, and what they could take off the cost."""
 
     scores: tuple[Score, Score]
     gain: float

@@ -49,10 +49,6 @@ class EstimationProblem:
         """Problem with a count of work of its own, which may be a part of what this one may do."""
         return replace(self, work=self.work.another(part))
 
-    def sharing(self, part: float) -> EstimationProblem:
-        """Problem with a count of work that is a part of this one's."""
-        return replace(self, work=self.work.share(part))
-
     @property
     def interval_samples(self) -> int:
         """Samples of a shooting interval, which may be the whole record."""
@@ -110,7 +106,7 @@ class EstimationProblem:
         given = rig.instances(instances, np.concatenate([theta[len(rig.names) :], added]))
         states = given.states
         p, basis = rig.basis(theta, len(added) + states)
-        every, moving, intervals = basis.shape[1], rig.begins, self.intervals
+        every, moving, intervals = basis.shape[1], len(rig.twin.free), self.intervals
         if frozen:
             given, basis = given.known(), np.zeros((len(basis), states))
         k = basis.shape[1]

@@ -42,8 +42,7 @@ def noise_of(twin: Twin, record: Data) -> Array:
             raise RecordError(
                 f"{record.name}: {name} reads 0 throughout; look at its cable, or leave it out of the plant"
             )
-    floor: Array = np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)])
-    return floor
+    return np.asarray(np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)]))
 
 
 def _smooth(table: Array) -> Array:

@@ -44,7 +44,6 @@ class Score:
     """What a candidate could take off the cost, with the effect instance from which to begin.
 
     Args:
-        candidate: the candidate.
         instance: with the best shape, and its factors.
         gain: of the cost (-2 log likelihood).
         unique: unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia,
@@ -80,7 +79,6 @@ class Screen:
     """A record with what the rig's own parameters explain taken out.
 
     Args:
-        problem: the record and the rig.
         base: a fit of the rig, whose residuals are looked at.
         motion: the smoothed record.
         found: effects that were found before; what they and their parameters explain is taken out too.
@@ -147,8 +145,7 @@ class Screen:
         every = np.arange(len(self.base.start))  # a last one may be shorter than a block
         interval = np.arange(self.blocks) * self.every // (self.interval_samples * self.thin)
         apart = np.equal.outer(np.minimum(interval, every[-1]), every).astype(float)
-        found: Array = np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1)
-        return found
+        return np.asarray(np.einsum("bsc,bw->bswc", columns, apart).reshape(*columns.shape[:2], -1))
 
     def _found(self, instances: Sequence[EffectInstance]) -> tuple[Array, Array]:
         """Responses of the sensors to effects together (blocks, sensors), and their derivatives (..., f)."""
@@ -215,7 +212,7 @@ class Screen:
         self._settle([(candidate, instance) for candidate in candidates for instance in candidate.instances], found)
         self._zoom(found)
         best = max((score.gain for score in found.values()), default=0.0)
-        near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and _has_shape(p.candidate)]
+        near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and p.candidate.has_shape]
         sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
         kept = [sharper.get(id(score.candidate), score) for score in found.values()]
         return sorted(kept, key=lambda score: -score.gain)
@@ -358,14 +355,12 @@ class Screen:
     def _means(self, table: Array, every: int = 0) -> Array:
         """Means over blocks (blocks, columns) of a table (m, columns)."""
         every = every or self.every
-        found: Array = table[: self.blocks * every].reshape(self.blocks, every, -1).mean(axis=1)
-        return found
+        return np.asarray(table[: self.blocks * every].reshape(self.blocks, every, -1).mean(axis=1))
 
     def _rows(self, columns: Array) -> Array:
         """Columns (blocks, sensors, c) in standard deviations, as rows (blocks * sensors, c)."""
         with np.errstate(over="ignore"):  # a force along which the rig's motion runs away is as good as infinite
-            found: Array = (columns * self.scale[None, :, None]).reshape(-1, columns.shape[2])
-        return found
+            return np.asarray((columns * self.scale[None, :, None]).reshape(-1, columns.shape[2]))
 
     def _out(self, x: Array) -> Array:
         return x - self.taken @ (self.taken.T @ x)
@@ -405,7 +400,3 @@ def _chunks(sizes: Sequence[int]) -> Iterator[slice]:
         total += size
     if sizes:
         yield slice(first, len(sizes))
-
-
-def _has_shape(candidate: Candidate) -> bool:
-    return bool(set(candidate.free) - set(candidate.factors)) and not candidate.entry.quantum

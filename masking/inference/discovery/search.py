@@ -72,9 +72,8 @@ class Search:
     """A search in one record.
 
     Args:
-        problem: the record and the rig.
         tell: called with what is done, and the fraction done.
-        rough: the same in the integration steps of the model alone, where laws need smaller ones.
+        rough: the problem in the integration steps of the model alone, where laws need smaller ones.
         fits: of each round by the causes before it, in those steps.
         ends: given the explanations of the first round, returns whether the search ends there.
     """
@@ -103,11 +102,6 @@ class Search:
     def _nested_in(self, key: Key) -> set[Key]:
         effect, at = key
         return {(name, at) for name in self.nested.get(effect, ())}
-
-    @property
-    def penalty(self) -> float:
-        """Complexity penalty of each added parameter."""
-        return float(np.log(self.size))
 
     def run(self, substeps: int = 0) -> SearchResult:
         """Search for causes, one after the other, until none is worth its complexity penalty.
@@ -163,7 +157,7 @@ class Search:
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             scores, found, likeliest = self._with_another(now, ground, number)
             tried = tried or tuple(scores)
-            if not found or self._is_too_little(base, now, found[0]):
+            if not found or verdict.is_too_little(base.cost, now, found[0], self.size, self.rules):
                 break
             # In steps that are too large, the right law leaves so much that one nested in it is taken in its place.
             needed = self._steps_of(base, found[0])
@@ -297,7 +291,7 @@ class Search:
         redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, tempering=tempering)
         distinct = [e for e in every if not redundant(e, nested=self._nested_in(e.names[-1]))]
         # Of what is the same, a parameter of the rig comes first.
-        bonus = rules.parameter_preference * self.penalty
+        bonus = rules.parameter_preference * float(np.log(self.size))
         ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
         if verdict.reaches_noise(now.cost, self.size, rules):  # nothing is left that several laws would imitate
             ranked = [e for e in ranked if not are_composite(e.names, self.problem.rig, rules)]
@@ -329,20 +323,17 @@ class Search:
         self, now: Explanation, scores: Sequence[Score], screen: Screen, left: float
     ) -> tuple[list[Score], list[Score]]:
         """Scores whose candidates are fitted, and of other shapes of nested models; the best leaves `left`."""
-        rules, most = self.rules, self._worth(screen, left)
+        rules, most, penalty = self.rules, self._worth(screen, left), float(np.log(self.size))
         chosen: list[Score] = []
         for score in scores:
-            pays = score.gain > self.penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
+            pays = score.gain > penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
             if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
                 continue
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(score)
         excess = now.cost - self.size
-        if (
-            now.names
-            and verdict.reaches_noise(now.cost, self.size, rules)
-            and verdict.is_excess(now.cost, self.size, rules)
-        ):
+        is_noise = verdict.reaches_noise(now.cost, self.size, rules)
+        if now.names and is_noise and verdict.is_excess(now.cost, self.size, rules):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
         keys = {p.candidate.key for p in chosen}
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
@@ -370,9 +361,6 @@ class Search:
         """Largest cost in a screen of a candidate that is worth a fit, where the best leaves `left`."""
         rules, noise = self.rules, float(self.size // screen.every)
         return rules.fit_ratio * max(left - noise, rules.screen_resolution * noise) + rules.slow_excess * noise
-
-    def _is_too_little(self, base: Explanation, now: Explanation, then: Explanation) -> bool:
-        return verdict.is_too_little(base.cost, now, then, self.size, self.rules)
 
     def _settled(self, best: Explanation, ground: Ground) -> Explanation:
         """Explanation in which no other effect would do better in the place of one, and none is idle."""
@@ -410,7 +398,7 @@ class Search:
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Whether an explanation is better than the best with another effect in the place of one."""
         richer = best.names[i][0] in self.nested[other.names[0][0]]
-        if richer and self._is_too_little(base, best, other):
+        if richer and verdict.is_too_little(base.cost, best, other, self.size, self.rules):
             return False
         tempering = self.problem.tempering(other.hypothesis.residuals)
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
@@ -432,17 +420,15 @@ class Search:
                 if is_same and {*instance.free} < {*other.free} and not {*more} & {*other.factors}:
                     starts = {tuple(each.values[j] for j in more): None for each in other.instances}
                     wider = replace(one, free=other.free)
-                    jobs += [partial(self._with_shape, now, i, wider.with_values(more, start)) for start in starts]
+                    before, after = now.hypothesis.instances[:i], now.hypothesis.instances[i + 1 :]
+                    shaped = ((*before, wider.with_values(more, start), *after) for start in starts)
+                    jobs += [partial(self._refitted, now, now.names, instances) for instances in shaped]
         found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
         if not found:
             return now
         best = min(found, key=lambda e: e.hypothesis.cost)
         tempering = self.problem.tempering(best.hypothesis.residuals)
         return best if best.score(tempering) < now.score(tempering) - rules.effect_evidence else now
-
-    def _with_shape(self, now: Explanation, i: int, instance: EffectInstance, rival: float) -> Explanation:
-        known = now.hypothesis.instances
-        return replace(now, hypothesis=self._fit((*known[:i], instance, *known[i + 1 :]), now.hypothesis, rival))
 
     def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
         """Simpler explanation that does as well as one of several causes, or that one where there is none."""

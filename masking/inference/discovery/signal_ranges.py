@@ -45,8 +45,7 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
 
 def _moved(rate: Array, dt: float) -> Array:
     """How far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-    found: Array = signal.detrend(np.cumsum(rate) * dt)
-    return found
+    return np.asarray(signal.detrend(np.cumsum(rate) * dt))
 
 
 def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
@@ -63,12 +62,7 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
         return ()
     frequencies = np.fft.rfftfreq(many, 1.0 / rate)
     power = np.where((frequencies > SLOWEST) & (frequencies < FASTEST * rate), power, 0.0)
-    found = list[float]()
-    while power.any() and len(found) < rules.tones:
-        i = int(np.argmax(power))
-        found.append(float(frequencies[i]))
-        power[max(0, i - WIDTH) : i + WIDTH + 1] = 0.0
-    return tuple(found)
+    return tuple(float(frequencies[i]) for i in _strongest(power, WIDTH, rules.tones))
 
 
 def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -> tuple[float, ...]:
@@ -87,19 +81,23 @@ def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -
         power += np.abs(np.fft.rfft(summed, LINES * many)) ** 2 / column.var()
     cycles = np.arange(len(power)) / LINES
     power = np.where((cycles >= 1.0) & (cycles <= most), power, 0.0)
-    found = list[float]()
-    while power.any() and len(found) < problem.rules.tones:
-        i = int(np.argmax(power))
-        found.append(travel / float(cycles[i]))
-        power[max(0, i - LINES) : i + LINES + 1] = 0.0
-    return tuple(found)
+    return tuple(travel / float(cycles[i]) for i in _strongest(power, LINES, problem.rules.tones))
+
+
+def _strongest(power: Array, width: int, most: int) -> list[int]:
+    """Strongest lines of a spectrum, each with as many beside it taken out."""
+    left, found = power.copy(), list[int]()
+    while left.any() and len(found) < most:
+        found.append(int(np.argmax(left)))
+        left[max(0, found[-1] - width) : found[-1] + width + 1] = 0.0
+    return found
 
 
 def _spectrum(table: Array) -> Array:
     """Power of columns (m, c) together, each over its variance, in four lines for each of the record."""
     window, found = np.hanning(len(table))[:, None], table[:, table.var(axis=0) > 0.0]
-    power: Array = (np.abs(np.fft.rfft(found * window, 4 * len(table), axis=0)) ** 2 / found.var(axis=0)).sum(axis=1)
-    return power
+    power = np.abs(np.fft.rfft(found * window, 4 * len(table), axis=0)) ** 2
+    return np.asarray((power / found.var(axis=0)).sum(axis=1))
 
 
 def _decays(moved: Array) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -136,7 +137,7 @@ def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:
 
 def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[EffectInstance], begun: Hypothesis) -> Job:
     """Best fit of a law from its best starts, from parameters and initial states of a hypothesis."""
-    step, ready, own = problem.dt / problem.substeps, starts, problem.sharing(SHARE)
+    step, ready, own = problem.dt / problem.substeps, starts, replace(problem, work=problem.work.share(SHARE))
     if candidate.sticks:
         ready = [one.at_step(problem.rig.mobilities[one.at], step) for one in starts]
 

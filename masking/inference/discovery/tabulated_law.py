@@ -11,11 +11,10 @@ from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.free_law import FreeLaw
 from masking.inference.discovery.spline_bases import Curve, Term
-from masking.model.effects import Effect, EffectParameter
+from masking.model.effects import EffectParameter
 
 DIGITS = 8  # of the numbers of a table
 LEAST = 1e-4  # of the strongest part of a surface: weaker ones are left out
-LAW = "unnamed_law"
 _UNITS = {"f": "F", "c": "F*s/D", "x": "D", "v": "D/s", "s": "D/s"}
 _MEANINGS = {
     "f": "force at 1 in the table",
@@ -33,11 +32,7 @@ def tabulated(law: FreeLaw) -> EffectInstance:
     for i, (term, of_term) in enumerate(zip(law.terms, factors, strict=True)):
         parts += [*_written(term, of_term, "" if i == 0 else str(i + 1), values)]
     parameters = {name: EffectParameter(_UNITS[name[0]], _MEANINGS[name[0]]) for name in values}
-    entry = Effect(
-        LAW, "A law without a name, as it was found in a record.", " + ".join(parts), parameters,
-        label="law without a name", is_searched=False,
-    )  # fmt: skip
-    return EffectInstance(LAW, law.place.name, tuple(values.values()), (), entry)
+    return law.written(" + ".join(parts), parameters, values.values())
 
 
 def _centred(terms: Sequence[Term], factors: list[Array]) -> list[Array]:

@@ -24,13 +24,7 @@ FAR = 10.0  # deviations of its prior by which no parameter is off: it then stan
 
 @dataclass(frozen=True)
 class View:
-    """The model without causes as a fit of it, and the motion that is smoothed with its parameters.
-
-    Args:
-        hypothesis: the fit.
-        motion: smoothed record.
-        kept: what candidates do along the motion.
-    """
+    """The model without causes as a fit of it, the motion smoothed with that, and what candidates do along the motion."""
 
     hypothesis: Hypothesis
     motion: Motion
@@ -55,12 +49,9 @@ def views(problem: EstimationProblem, fit: Hypothesis, motion: Motion, far: floa
 
 @dataclass(frozen=True)
 class Ground:
-    """What every step of a search looks at.
+    """What every step of a search looks at: the model fitted within its priors, views of it, and candidates.
 
-    Args:
-        base: the model, its parameters fitted within their priors.
-        views: of it; the second one, if any, as it is declared.
-        every: candidates.
+    The second view, if any, is of the model as it is declared.
     """
 
     base: Explanation

@@ -219,8 +219,7 @@ class Data:
         at = np.arange(len(self))[:, None] - self.late
         low = np.floor(at).astype(int)
         before, after = (np.take_along_axis(self.commands, np.clip(low + i, 0, len(self) - 1), 0) for i in (0, 1))
-        acting: Array = before + (at - low) * (after - before)
-        return acting
+        return np.asarray(before + (at - low) * (after - before))
 
     def counted(self, late: Array = NOT_LATE) -> Array:
         """Readings (m, sensors), not a number where they come from commands before the record.

@@ -74,8 +74,8 @@ def whiteness(residuals: Array, readings: Array, sigma: float, rate: float) -> W
 
 def autocorrelation(values: Array, lags: int) -> Array:
     """Correlation of values (m,) with themselves 1, 2, ... samples later (lags,); no mean is taken off."""
-    power = np.abs(np.fft.rfft(values, _fast(len(values) + lags))) ** 2
-    found = np.fft.irfft(power, _fast(len(values) + lags))
+    length = 1 << (len(values) + lags - 1).bit_length()
+    found = np.fft.irfft(np.abs(np.fft.rfft(values, length)) ** 2, length)
     return np.asarray(found[1 : lags + 1] / max(float(found[0]), 1e-300))
 
 
@@ -133,7 +133,3 @@ def _loudest(values: Array, rate: float) -> float:
     inside = np.flatnonzero(band == loud)
     weights = np.maximum(power[inside] - 1.0, 0.0) ** 2
     return float(np.average(inside, weights=weights) if weights.any() else inside[0]) * rate / len(values)
-
-
-def _fast(length: int) -> int:
-    return 1 << (length - 1).bit_length()

@@ -29,12 +29,10 @@ _STEP = 1e-4  # of a parameter, relative, for differences
 
 @dataclass(frozen=True)
 class Records:
-    """Records of a rig under multisines.
+    """Records of a rig under multisines: the one to fit, and the validation record.
 
     Args:
-        fit: the record to fit.
-        unseen: the validation record.
-        size: part of the largest command that the last two reach.
+        size: part of the largest command that these reach.
         limits: largest command of each actuator, in its unit (actuators,).
         missed: samples of each record that were missed, by its name.
     """
@@ -65,8 +63,6 @@ class Curve:
     """The force of a spring over its displacement, at rest, in SI units.
 
     Args:
-        element: its name.
-        meaning: what it is.
         unit: of the force, as the model declares it.
         measured: SI unit of the displacement.
         displacement: (m,).
@@ -74,8 +70,7 @@ class Curve:
         std: standard deviation of that (m,).
         declared: force of what the plant file said (m,).
         linear: force of the simplest model (m,).
-        low: least displacement that the fitted record reached.
-        high: largest.
+        low, high: least and largest displacement that the fitted record reached.
     """
 
     element: str
@@ -96,12 +91,8 @@ class Excited:
     """Commands of one actuator in the fitted record, in its unit, as long as one period.
 
     Args:
-        name: of the actuator.
-        unit: of it.
-        times: s (m,).
-        values: (m,).
-        frequencies: of the spectrum, Hz (lines,).
-        amplitudes: of the sines (lines,).
+        times, values: s, and commands (m,).
+        frequencies, amplitudes: of the sines, Hz (lines,).
         limit: its largest command.
     """
 
@@ -126,20 +117,12 @@ class Excited:
     @property
     def lines(self) -> Array:
         """Frequencies at which there is something, Hz."""
-        found: Array = self.frequencies[self.amplitudes > 1e-3 * self.amplitudes.max()]
-        return found
+        return np.asarray(self.frequencies[self.amplitudes > 1e-3 * self.amplitudes.max()])
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a calibration found: stages from the simplest model to the plant file's own, and where it was written.
-
-    Args:
-        twin: what the plant file said.
-        records: what was recorded.
-        stages: the fits, the simplest first.
-        folder: of records and results.
-    """
+    """What a calibration found: stages from the simplest model to the plant file's own, and where it was written."""
 
     twin: Twin
     records: Records

@@ -28,13 +28,9 @@ OPTIONS = {"input": "--input", "sensor": "--sensor"}
 
 @dataclass(frozen=True)
 class Channel:
-    """One column of a record.
+    """One column of a record, such as `input.V1` of the input V1.
 
-    Args:
-        name: of the input or sensor, such as V1.
-        column: of the record, such as `input.V1`.
-        unit: of the values; "" if neither the record nor the plant declares it.
-        values: (samples,).
+    The unit of its values (samples,) is "" if neither the record nor the plant declares it.
     """
 
     name: str

@@ -9,9 +9,8 @@ from mpmath import iv
 from masking.analysis.stability.certificate import certificate
 from masking.analysis.stability.confirmation import enclosed_again, has_root
 from masking.analysis.stability.crosscheck import contradiction_on_a_box, misjudged
-from masking.analysis.stability.discontinuities import jumps
 from masking.analysis.stability.equilibria import equilibria, stability_of
-from masking.analysis.stability.free_equations import Motion
+from masking.analysis.stability.free_equations import Motion, jumps
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import eigenvalues
