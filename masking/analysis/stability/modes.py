@@ -142,7 +142,7 @@ def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
     nodes = [lowered.symbols[x] for x in states]
     rates = [*nodes[len(s.q) : 2 * len(s.q)], *lowered.accelerations, *lowered.rates]
     entries = [x for row in derivatives(graph, rates, nodes) for x in row]
-    values = dict.fromkeys((lowered.symbols[s.t], *(lowered.symbols[u] for u in s.u)), Interval.of(0.0))
+    values = {lowered.symbols[x]: Interval.of(0.0) for x in (s.t, *s.u)}
     for x in states:
         at = given.get(x.name, 0.0)
         slack = reach * (abs(at) or 1.0)

@@ -109,15 +109,14 @@ def study(model: Model, box: Box | None = None) -> Stability:
     """
     check_box(model, box or {})
     places = {name: sides for name, sides in (box or {}).items() if name in model.coordinates}
-    rest, reason, found = None, "", []
+    rest, reason = None, ""
     try:
         rest = equilibria(model, places)
     except ModelError as error:
         if places:
             raise
         reason = str(error)
-    for point in rest.points if rest else ():
-        found.append(modes(state_matrix(model, point.position), model.coordinates))
+    found = [modes(state_matrix(model, p.position), model.coordinates) for p in (rest.points if rest else ())]
     proof = certificate(model, box)
     return Stability(model.name, model.coordinates, rest, tuple(found), _upsilon(model, rest), proof, reason=reason)
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.smoothing import linearised
+from masking.inference.discovery.smoothing import modes
 from masking.lab.records.noise import bandwidth
 
 FEWEST = 200  # means of a record that are compared at least, however short it is
@@ -31,7 +30,7 @@ class Thinning:
     def of(cls, problem: EstimationProblem) -> Thinning:
         """Thinning that keeps what a record shows."""
         rig, record, rate = problem.rig, problem.record, problem.record.rate
-        own = np.abs(decompositions.eigenvalues(linearised(rig, rig.start)[0]).imag).max(initial=0.0) / (2.0 * np.pi)
+        own = np.abs(modes(rig, rig.start).imag).max(initial=0.0) / (2.0 * np.pi)
         seen = min(problem.rules.screened_frequency, BEYOND * rate * bandwidth(record.readings))
         highest = max(seen, 2.0 * float(own), 0.5 * FEWEST * rate / len(record))
         motion = max(1, int(rate / (6.0 * highest)))

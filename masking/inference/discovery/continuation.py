@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.smoothing import linearised
+from masking.inference.discovery.smoothing import modes
 
 GROWTH = 4  # times the length of the intervals before
 MOST = 64  # intervals that are fitted at once
@@ -56,7 +55,7 @@ def loses_phase(problem: EstimationProblem, residuals: Array) -> bool:
 
 def rings(problem: EstimationProblem) -> bool:
     """Whether the rig at rest, as it is declared, rings for many periods, so that an error of phase adds up."""
-    speeds = decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])
+    speeds = modes(problem.rig, problem.prior.mean)
     ringing = np.abs(speeds.imag) > 2.0 * np.pi * problem.rules.ringing_periods * -speeds.real
     return bool((ringing & (speeds.imag != 0.0)).any())
 

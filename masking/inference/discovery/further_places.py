@@ -48,11 +48,7 @@ class FurtherPlaces:
         """Problem of this rig, of that without further places; a relaxation time is known as `seconds`, +- as much."""
         prior = problem.prior
         if self.time:
-            at, low = len(problem.rig.names), SHORTEST * seconds
-            columns = (prior.mean, prior.deviation, prior.low, prior.high)
-            more = zip(columns, (seconds, seconds, low, np.inf), strict=True)
-            mean, deviation, lows, highs = (np.insert(column, at, value) for column, value in more)
-            prior = replace(prior, mean=mean, deviation=deviation, low=lows, high=highs)
+            prior = prior.extended(len(problem.rig.names), seconds, seconds, SHORTEST * seconds, np.inf)
         return replace(problem, rig=self.rig, prior=prior)
 
     def hypothesis(self, known: Hypothesis, before: AugmentedModel, seconds: float) -> Hypothesis:

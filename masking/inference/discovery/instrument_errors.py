@@ -136,15 +136,9 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
     """Problem in which imperfections are adjusted, too, with a count of work of its own."""
     pairs = [*_imperfections(problem)]
     instances, sizes = tuple(one for one, _ in pairs), np.array([size for _, size in pairs])
-    prior, most = problem.prior, MOST * sizes
+    most = MOST * sizes
     least = [0.0 if one.effect == DELAY.name else -size for one, size in zip(instances, most, strict=True)]
-    wider = replace(
-        prior,
-        mean=np.concatenate([prior.mean, np.zeros(len(sizes))]),
-        deviation=np.concatenate([prior.deviation, sizes]),
-        low=np.concatenate([prior.low, least]),
-        high=np.concatenate([prior.high, most]),
-    )
+    wider = problem.prior.extended(len(problem.prior.mean), np.zeros(len(sizes)), sizes, least, most)
     return replace(problem.apart(), rig=replace(problem.rig, imperfections=instances), prior=wider)
 
 

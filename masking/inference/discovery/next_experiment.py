@@ -17,11 +17,12 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, shooting
+from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES
+from masking.inference.discovery.smoothing import modes
 from masking.inference.estimation.identification_data import Data
 from masking.lab import signals
 from masking.lab.records.input_hold import Hold
@@ -131,8 +132,8 @@ def _pace(problem: EstimationProblem) -> float:
     """Decade of the slowest mode of the rig over that of usual rigs; 1 of a rig that has no states."""
     if not problem.rig.twin.state_names:
         return 1.0
-    modes = shooting.modes(problem)
-    speeds = np.abs(modes[modes.imag != 0.0] if (modes.imag != 0.0).any() else modes)
+    every = modes(problem.rig, problem.prior.mean)
+    speeds = np.abs(every[every.imag != 0.0] if (every.imag != 0.0).any() else every)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
     return float(10.0 ** np.round(np.log10(slowest / (2.0 * np.pi * USUAL)))) if np.isfinite(slowest) else 1.0
 

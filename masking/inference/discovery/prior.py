@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
@@ -37,6 +38,11 @@ class Prior:
         deviation = self.deviation.copy()
         deviation[index] *= factor
         return replace(self, deviation=deviation)
+
+    def extended(self, at: int, *more: ArrayLike) -> Prior:
+        """Prior with further parameters from a number on, by their means, deviations, and least and largest values."""
+        columns = zip((self.mean, self.deviation, self.low, self.high), more, strict=True)
+        return Prior(*(np.insert(column, at, values) for column, values in columns))
 
 
 def uncertain(twin: Twin) -> tuple[str, ...]:

@@ -12,14 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from masking.compile.numerics import decompositions
-from masking.compile.numerics.arrays import Array, Complex
+from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError, RecordError
 from masking.inference.discovery import fitting, initial_states
 from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.smoothing import linearised, smooth
+from masking.inference.discovery.smoothing import modes, smooth
 from masking.inference.estimation.simulation import refined
 from masking.model.declaration.couplings import driven_states
 
@@ -34,7 +33,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
     """
     rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:
-        speeds = modes(problem) * count / rate
+        speeds = modes(problem.rig, problem.prior.mean) * count / rate
         if not ((np.abs(speeds) < rules.settling_rates) | (speeds.real > 1.0)).any():
             return 0
         seconds = max(count / rules.intervals, rules.fewest_samples) / rate  # shorter ones follow any motion
@@ -50,7 +49,7 @@ def interval(problem: EstimationProblem, seconds: float | None) -> int:
 
 def shorter(problem: EstimationProblem) -> Iterator[float]:
     """Shooting intervals in s, the longest first, for a motion that loses phase with its record."""
-    speeds = np.abs(modes(problem).imag)
+    speeds = np.abs(modes(problem.rig, problem.prior.mean).imag)
     slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
     rules, rate = problem.rules, problem.record.rate
     least, last = rules.fewest_samples / rate, len(problem.record) / rate
@@ -129,8 +128,3 @@ def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationPr
         return None
     record = replace(rough.record, readings=found.simulated + known.residuals)
     return replace(rough, record=record), replace(known, instances=instances)
-
-
-def modes(problem: EstimationProblem) -> Complex:
-    """Eigenvalues of the rig as it is declared, at rest, rad/s (n,)."""
-    return decompositions.eigenvalues(linearised(problem.rig, problem.prior.mean)[0])

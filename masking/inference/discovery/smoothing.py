@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from masking.compile.numerics import decompositions
-from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.arrays import Array, Complex
 from masking.compile.numerics.kernel_arguments import LatentRig, Steps
 from masking.compile.numerics.steady_kalman import discretised, steady_filter
 from masking.errors import IntegrationError
@@ -180,13 +180,17 @@ def centred(problem: EstimationProblem) -> EstimationProblem:
 
 def _falls(rig: AugmentedModel, problem: EstimationProblem) -> bool:
     """Whether a motion near rest grows e-fold within the record."""
-    speeds = decompositions.eigenvalues(linearised(rig, problem.prior.mean)[0])
-    return float(speeds.real.max()) * len(problem.record) > problem.record.rate
+    return float(modes(rig, problem.prior.mean).real.max()) * len(problem.record) > problem.record.rate
+
+
+def modes(rig: AugmentedModel, theta: Array) -> Complex:
+    """Eigenvalues of the rig at rest, rad/s (n,)."""
+    return decompositions.eigenvalues(linearised(rig, theta)[0])
 
 
 def fastest(rig: AugmentedModel, theta: Array) -> complex:
     """Eigenvalue of largest magnitude of the rig at rest, rad/s; 0 of a rig that has no states."""
-    found = decompositions.eigenvalues(linearised(rig, theta)[0]) if rig.twin.state_names else np.zeros(1)
+    found = modes(rig, theta) if rig.twin.state_names else np.zeros(1)
     return complex(found[int(np.argmax(np.abs(found)))])
 
 

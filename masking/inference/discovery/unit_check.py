@@ -12,7 +12,7 @@ the record is searched in that one as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -130,19 +130,13 @@ def doubted(problem: EstimationProblem) -> UnitDoubt | None:
     before = _error(declared, few)
     if before < rules.phase_loss:
         return None
-    tried, sizes = list[UnitDoubt](), list[float]()
-    for one in _others(few):
-        other = one.converted(few)
-        after = _simulated(other)
-        tried.append(replace(one, error=(before, _error(after, other))))
-        sizes.append(_apart(after, other))
-    best, least = _best(tried, [one.error[1] for one in tried])
+    tried = [*_tried(few, _others(few), before)]
+    best, least = _best([(one, one.error[1]) for one, _ in tried])
     if best and least < rules.unit_error * min(before, 1.0):
         return best
     if problem.substeps < SLOW:
         return None
-    clocks = [(size, one) for size, one in zip(sizes, tried, strict=True) if one.kind == "clock"]
-    size, best = min(clocks, key=lambda pair: pair[0])
+    best, size = min((pair for pair in tried if pair[0].kind == "clock"), key=lambda pair: pair[1])
     return best if size < min(FAR, _apart(declared, few)) else None
 
 
@@ -154,15 +148,18 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
     """
     few, otherwise = _part(problem), far_off(problem, found)
     before = _simulated(few)
-    error, tried, sizes = _error(before, few), list[UnitDoubt](), list[float]()
-    for one in _others(few):
-        if one.kind != "clock":
-            other = one.converted(few)
-            after = _simulated(other)
-            tried.append(replace(one, error=(error, _error(after, other)), otherwise=otherwise))
-            sizes.append(_apart(after, other))
-    best, least = _best(tried, sizes)
-    return best if best and FAR * least < _apart(before, few) else next((one for one in tried if one.is_gain), None)
+    others = (replace(one, otherwise=otherwise) for one in _others(few) if one.kind != "clock")
+    tried = [*_tried(few, others, _error(before, few))]
+    best, least = _best(tried)
+    return best if best and FAR * least < _apart(before, few) else next((one for one, _ in tried if one.is_gain), None)
+
+
+def _tried(few: EstimationProblem, others: Iterable[UnitDoubt], before: float) -> Iterator[tuple[UnitDoubt, float]]:
+    """Other units with the errors as declared and in each, and how far simulation and readings are apart there."""
+    for one in others:
+        other = one.converted(few)
+        after = _simulated(other)
+        yield replace(one, error=(before, _error(after, other))), _apart(after, other)
 
 
 def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, float], ...]:
@@ -180,10 +177,10 @@ def _part(problem: EstimationProblem) -> EstimationProblem:
     return replace(problem, record=part, substeps=min(problem.substeps, STEPS))
 
 
-def _best(tried: Sequence[UnitDoubt], values: Sequence[float]) -> tuple[UnitDoubt | None, float]:
+def _best(tried: Sequence[tuple[UnitDoubt, float]]) -> tuple[UnitDoubt | None, float]:
     """First unit whose value is the least, with those that are as good, and that value."""
-    least = min(values, default=np.inf)
-    near = [one for one, value in zip(tried, values, strict=True) if value <= (1.0 + ALIKE) * least]
+    least = min((value for _, value in tried), default=np.inf)
+    near = [one for one, value in tried if value <= (1.0 + ALIKE) * least]
     return (replace(near[0], alike=tuple(near[1:])) if near else None), least
 
 

@@ -24,7 +24,7 @@ FAR = 10.0  # deviations of its prior by which no parameter is off: it then stan
 
 @dataclass(frozen=True)
 class View:
-    """The model without causes as a fit of it, the motion smoothed with that, and what candidates do along the motion."""
+    """The model without causes as a fit of it, the motion smoothed with that, and what candidates do along it."""
 
     hypothesis: Hypothesis
     motion: Motion
