@@ -147,7 +147,8 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
         text = (
             f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
         )
-        return Certificate(model.name, "refuted", text, motion.energy, _values(given), lost, basins=basins(model, None))
+        hypotheses = (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
+        return Certificate(model.name, "refuted", text, motion.energy, hypotheses, lost, basins=basins(model, None))
     if lost.status != "proved":
         text = "whether the energy can grow is not shown"
         return Certificate(model.name, lost.status, text, motion.energy, given.texts, lost, basins=basins(model, None))
@@ -170,10 +171,8 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
         others, reasons = _others(motion, found, is_lone=bounded.is_lone)
         text, further = _conclusion(bounded, found, others)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
-    reasons, hypotheses = (*reasons, *further), motion.given.texts
-    return Certificate(
-        motion.model.name, status, text, motion.energy, hypotheses, lost, bounded, found, others, reasons
-    )
+    name, given, reasons = motion.model.name, motion.given.texts, (*reasons, *further)
+    return Certificate(name, status, text, motion.energy, given, lost, bounded, found, others, reasons)
 
 
 def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
@@ -209,10 +208,6 @@ def _words(lost: Dissipation) -> str:
 
 def _box(box: dict[str, tuple[float, float]]) -> str:
     return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
-
-
-def _values(given: Hypotheses) -> tuple[str, ...]:
-    return (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
 
 
 def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:

@@ -85,10 +85,6 @@ def _sinh(x: Any) -> Any:  # noqa: ANN401  # mpmath has no types
     return _iv.mpf([ends[0].a, ends[1].b])
 
 
-def _sign(x: Any) -> Any:  # noqa: ANN401  # mpmath has no types
-    return _iv.mpf([(x.a > 0) - (x.a < 0), (x.b > 0) - (x.b < 0)])
-
-
 _RULES: dict[str, Callable[..., Any]] = {
     "number": _number,
     "square": lambda x: x**2,
@@ -109,7 +105,7 @@ _RULES: dict[str, Callable[..., Any]] = {
     "cosh": lambda x: 1 + 2 * _sinh(x / 2) ** 2,
     "tanh": lambda x: 1 - 2 / (_iv.exp(2 * x) + 1),
     "abs": abs,
-    "sign": _sign,
+    "sign": lambda x: _iv.mpf([(x.a > 0) - (x.a < 0), (x.b > 0) - (x.b < 0)]),
     "lt": lambda x, y: _iv.mpf([int(x.b < y.a), int(x.a < y.b)]),
     "le": lambda x, y: _iv.mpf([int(x.b <= y.a), int(x.a <= y.b)]),
     "where": lambda c, x, y: x if c.a > 0 else y if c.b < 1 else _iv.mpf([min(x.a, y.a), max(x.b, y.b)]),

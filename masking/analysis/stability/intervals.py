@@ -183,10 +183,6 @@ def _logarithm(x: Interval) -> Interval:
     return _outward(np.log(x.low), np.log(x.high), ulps=_ULPS)
 
 
-def _power(x: Interval, exponent: Interval) -> Interval:
-    return _growing(np.exp)(exponent * _logarithm(x))
-
-
 def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
     """Enclose x where a condition is 1, y where it is 0, both where it may be either."""
     low = np.minimum(np.where(condition.high > 0.0, x.low, np.inf), np.where(condition.low < 1.0, y.low, np.inf))
@@ -203,7 +199,7 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "mul": lambda x, y: x * y,
     "div": lambda x, y: x / y,
     "sqrt": _root,
-    "pow": _power,
+    "pow": lambda x, exponent: _growing(np.exp)(exponent * _logarithm(x)),
     "exp": _growing(np.exp),
     "log": _logarithm,
     "sin": _sine,

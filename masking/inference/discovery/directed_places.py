@@ -15,11 +15,6 @@ from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.smoothing import smooth
 
 
-def places(problem: EstimationProblem) -> set[str]:
-    """Names of the directed places that a problem has open."""
-    return {place.name for place in problem.rig.places if place.directed}
-
-
 def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
     """Whether a cause at a directed place scores most; between coordinates, it may be one of two."""
     motion = smooth(problem, base.theta, base.start)

@@ -190,7 +190,8 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
     except IntegrationError:
         return found
     costs, size = (again.explanation.cost, found.explanation.cost), found.record.readings.size
-    is_directed = any(one.at in directed_places.places(problem) for one in again.explanation.hypothesis.instances)
+    places = {place.name for place in rig.places if place.directed}
+    is_directed = any(one.at in places for one in again.explanation.hypothesis.instances)
     return again if is_directed and verdict.leaves_little(*costs, size, problem.rules) else found
 
 

@@ -183,7 +183,10 @@ def fit(
         starts = [start for ground in _grounds(found) for start in _at(ground, theta, known)]
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
-    for one in _ranked(starts)[:MOST_FORMS]:
+    # Costs are divided by what the best form leaves, if that is more than noise.
+    tempering = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
+    ranked = sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))
+    for one in ranked[:MOST_FORMS]:
         law = _fitted(one, known, marks)
         if law is not None and (best is None or law.score < best.score):
             best = law
@@ -320,15 +323,6 @@ def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) ->
         left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)
         found.append(_Start(ground, screen, place, form, x, rate, factors, penalty, left, used))
     return found
-
-
-def _ranked(starts: Sequence[_Start]) -> list[_Start]:
-    """Forms by what they leave of rows, with a penalty for each factor.
-
-    Costs are divided by what the best form leaves, if that is more than noise.
-    """
-    tempering = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
-    return sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))
 
 
 def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> tuple[EffectInstance, ...]:

@@ -73,7 +73,8 @@ def no_worse(
     """
     withheld, declared = None, float(before.squares @ validation.weights)
     for rivals in offered[:-1]:
-        chosen, alone = _tempered(rivals[0], problem), None
+        fitted, alone = tempered(rivals[0].with_prior(problem), rivals[0].hypothesis), None
+        chosen = replace(rivals[0], hypothesis=fitted, joint=None)
         causes = tuple(Cause(*key) for key in chosen.names)
         try:
             after = fitting.validated(validation, chosen.hypothesis)
@@ -91,12 +92,6 @@ def no_worse(
             return Given(rivals, chosen, after, withheld, alone)
         withheld = withheld or Withheld(causes, validation.errors(after.squares))
     return Given(offered[-1], offered[-1][0], before, withheld)
-
-
-def _tempered(explanation: Explanation, problem: EstimationProblem) -> Explanation:
-    return replace(
-        explanation, hypothesis=tempered(explanation.with_prior(problem), explanation.hypothesis), joint=None
-    )
 
 
 def _pooled(

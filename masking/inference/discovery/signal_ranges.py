@@ -27,7 +27,8 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
     rig, record = problem.rig, problem.record
     found, tones, of_motion = dict[tuple[str, str], Span](), _tones(problem, motion), time(motion)
     for place, x, rate in zip(rig.places, motion.displacement.T, motion.rate.T, strict=True):
-        moved = x if place.element.displacement is not None else _moved(rate, problem.dt)
+        # Of a place whose rate alone is known, how far it goes to and fro, without what goes on and on.
+        moved = x if place.element.displacement is not None else signal.detrend(np.cumsum(rate) * problem.dt)
         span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
         stiffness = rig.stiffnesses.get(place.name, 0.0)
         stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
@@ -41,11 +42,6 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
         for name, x in zip(names, table.T, strict=True):
             found[where, name] = _span(x, of_motion)
     return found
-
-
-def _moved(rate: Array, dt: float) -> Array:
-    """How far a place goes to and fro whose rate alone is known (m,): without what goes on and on."""
-    return np.asarray(signal.detrend(np.cumsum(rate) * dt))
 
 
 def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:

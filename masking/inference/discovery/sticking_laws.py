@@ -46,11 +46,7 @@ Noted = Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]]
 
 
 def fits(
-    problem: EstimationProblem,
-    now: Explanation,
-    found: Sequence[Explanation],
-    ground: Ground,
-    noted: Noted,
+    problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
 ) -> list[Explanation]:
     """Fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
 

@@ -69,12 +69,7 @@ class Ground:
         return self.views[0].motion
 
     def screen(
-        self,
-        problem: EstimationProblem,
-        looked_at: Hypothesis,
-        found: Sequence[EffectInstance],
-        *,
-        taken: bool = False,
+        self, problem: EstimationProblem, looked_at: Hypothesis, found: Sequence[EffectInstance], *, taken: bool = False
     ) -> Screen:
         """Screen of a fit along the motion of the nearest view, with what effects explain taken out.
 

@@ -101,11 +101,7 @@ def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weight
 
 
 def simulate(
-    twin: Twin,
-    record: Data,
-    shared: Sequence[str] = (),
-    initial: float | None = None,
-    noise: Array | None = None,
+    twin: Twin, record: Data, shared: Sequence[str] = (), initial: float | None = None, noise: Array | None = None
 ) -> Simulated:
     """Simulate a record from the initial state that reproduces it best.
 

@@ -220,10 +220,7 @@ def actuators(
 
 
 def friction(
-    *sources: Source,
-    input: str | None = None,
-    sensor: str | None = None,
-    bins: int = 100,
+    *sources: Source, input: str | None = None, sensor: str | None = None, bins: int = 100
 ) -> Measurement[Friction]:
     """Measure how far friction shifts the equilibrium, and where over the displacement a friction element engages.
 
