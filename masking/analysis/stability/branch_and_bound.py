@@ -58,8 +58,7 @@ class Bound:
     def least(self, boxes: Interval, *, above: float = np.inf, base: float = 0.0) -> float:
         """Number that the expression is nowhere below on boxes (m, n), as large as is soon found.
 
-        A bound that is larger than `above` is not improved; the least value is found to a part of its distance from
-        `base`.
+        A bound that is larger than `above` is not improved; the least is found to a part of its distance from `base`.
         """
         sides, most, settled = np.max(boxes.width, axis=0, initial=0.0), np.inf, np.inf
         sides[sides == 0.0] = np.inf

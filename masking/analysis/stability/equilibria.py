@@ -109,8 +109,7 @@ def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
     """Refuse a box of what the model does not have, or without an inside.
 
     Raises:
-        ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or a least value is not below the
-            largest.
+        ModelError: a name is no coordinate or, with velocities, no velocity (`x1'`); or an interval is empty.
     """
     names, what = [*model.coordinates], "coordinate"
     if with_velocities:

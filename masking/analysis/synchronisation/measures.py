@@ -149,8 +149,7 @@ def proportion(t: Series, a: Series, b: Series, shift: float, period: float) -> 
 def synchronisation_time(t: Series, g: Series, eps: float) -> float:
     """First time after which |g| stays below eps; NaN where it does not.
 
-    Here g vanishes in synchronisation, such as the sum of two oscillators in anti-phase; it is NaN where it is not
-    known.
+    Here g vanishes in synchronisation, as the sum of two in anti-phase does; it is NaN where it is not known.
     Source: definition 8.1, (8.12).
     """
     known = np.isfinite(g)

@@ -445,8 +445,7 @@ class AugmentedModel:
         """Force or value of an effect along a known motion, and its derivatives by the parameters `by` (m, 1 + c).
 
         The motion is the displacement, command or reading that the effect acts on (m,) and the rate of it (m,), with dt
-        in s. Of an effect in series with an element or in its place, it is the force that it adds to the element's, to
-        first order.
+        in s. Of one in series with an element or in its place, it is what the element's force gains, linearised.
         """
         values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read

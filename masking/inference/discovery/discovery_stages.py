@@ -139,8 +139,7 @@ def _in_unit(
 ) -> tuple[Discovery, int]:
     """Discovery in a record whose channels are in some unit, and the integration steps of the model alone.
 
-    The problem of the record, simulated whole, and the validation record are as declared; `doubt` is None for these
-    units.
+    The problem of the record, simulated whole, and the validation record are as declared; no doubt means these.
     """
     twin = whole.rig.twin
     if doubt is not None:

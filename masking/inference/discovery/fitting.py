@@ -232,8 +232,7 @@ def together(
 ) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
 
-    The initial states that are found are those of both records, the residuals those of its own. The rival is as in
-    `fit`.
+    The initial states that are found are those of both records, the residuals those of its own; rival as in `fit`.
 
     Raises:
         IntegrationError: the motion is not finite.

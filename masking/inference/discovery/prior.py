@@ -1,7 +1,6 @@
 """Prior of the rig's parameters: normal distributions with bounds; and the split of a record in two.
 
-Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28, for priors in model
-comparison.
+Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28, for priors of models.
 """
 
 from __future__ import annotations

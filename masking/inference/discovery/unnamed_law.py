@@ -218,8 +218,7 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
 def law_of(found: Explained, validation: EstimationProblem, substeps: int, part: float) -> UnnamedLaw | None:
     """Law of a record without a name; None where none makes the simulation of unseen data better.
 
-    The integration steps are those of the model alone. After a part of what a search may simulate, nothing more is
-    fitted.
+    The integration steps are those of the model alone. After a part of the work of a search, no more is fitted.
     """
     found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
     steps = min(found.problem.substeps, MOST_FINER * substeps)

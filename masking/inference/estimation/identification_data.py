@@ -95,8 +95,7 @@ class Data:
 
         Raises:
             ModelError: `hold` is not known.
-            RecordError: a column is missing or not finite, time is not steady, nothing moves, or the record is too
-                short.
+            RecordError: a column is missing or not finite, time is not steady, nothing moves, or it is too short.
         """
         if hold is None:
             hold = "first-order" if twin.measured_actuators else "zero-order"

@@ -1,8 +1,7 @@
 """Channels: which columns of a record a procedure is about, and the unit that they are in.
 
 A record has commands as `input.<name>` and readings as `sensor.<name>`, or plain columns with these names. With a
-plant, readings become what the sensor measures, such as a displacement in m; without one they stay in the sensor's own
-unit.
+plant, readings become what the sensor measures, such as a displacement in m; without one they stay in its own unit.
 """
 
 from __future__ import annotations
