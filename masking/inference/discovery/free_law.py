@@ -255,7 +255,7 @@ def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance]) -> list[
 class _Start:
     """A form at a place, to first order: with its factors (f,), and the penalty on these (f, f).
 
-    Displacement and rate (m,) are those of the place. The cost is what is left, `used` the effective number of factors.
+    Displacement and rate (m,) are those of the place; `used` is the effective number of factors.
     """
 
     ground: _Ground
