@@ -22,18 +22,6 @@ from masking.analysis.synchronisation.measures import (
 from masking.analysis.synchronisation.synchronisation_verdict import Synchronisation, synchronisation
 
 __all__ = [
-    "AntiPhase",
-    "Detector",
-    "Synchronisation",
-    "Watch",
-    "anti_phase",
-    "interpolate",
-    "mean_phase",
-    "peak_sum",
-    "period",
-    "phase_difference",
-    "principal",
-    "running_peak",
-    "synchronisation",
-    "synchronisation_time",
-]
+    "AntiPhase", "Detector", "Synchronisation", "Watch", "anti_phase", "interpolate", "mean_phase", "peak_sum",
+    "period", "phase_difference", "principal", "running_peak", "synchronisation", "synchronisation_time",
+]  # fmt: skip

@@ -195,18 +195,10 @@ def locate_friction(times: ArrayLike, displacement: ArrayLike, force: ArrayLike,
     step, error = float(weights[-1]), float(deviations[-1])
     return LocatedFriction(
         is_found=step > max(5.0 * error, float(weights[0])) and np.abs(fit.x[0] - ends).min() > END_PART * np.ptp(ends),
-        edge=float(fit.x[0]),
-        deviation=min(float(deviations[0]), float(np.ptp(x))),
-        side=side,
-        step=step,
-        step_deviation=error,
-        level=float(weights[0]),
-        viscous=float(weights[1]),
-        width=float(fit.x[1]),
-        displacement=middles,
-        half_gap=gap,
-        fitted=np.asarray(rows @ weights),
-    )
+        edge=float(fit.x[0]), deviation=min(float(deviations[0]), float(np.ptp(x))), side=side, step=step,
+        step_deviation=error, level=float(weights[0]), viscous=float(weights[1]), width=float(fit.x[1]),
+        displacement=middles, half_gap=gap, fitted=np.asarray(rows @ weights),
+    )  # fmt: skip
 
 
 def _at_zero(x: Array, f: Array, first: int, last: int, amplitude: float) -> tuple[float, float] | None:

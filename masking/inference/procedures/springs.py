@@ -166,20 +166,11 @@ def spring_curve(
     _refuse_unexplained(t, x, f, rest, rows)
     convert = _conversion(order, scale, middle, half) / force_scale
     return SpringCurve(
-        coefficients=convert @ weights[: order + 1],
-        covariance=convert @ covariance @ convert.T,
-        scale=float(scale),
-        force_scale=float(force_scale),
-        lowest=lowest,
-        highest=highest,
-        friction=float(weights[order + 1]),
-        hysteresis=float(weights[order + 2 :].sum()),
-        residual=float(np.sqrt(np.mean(rest**2))),
-        freedom=freedom,
-        displacement=x,
-        force=f,
-        direction=direction,
-    )
+        coefficients=convert @ weights[: order + 1], covariance=convert @ covariance @ convert.T,
+        scale=float(scale), force_scale=float(force_scale), lowest=lowest, highest=highest,
+        friction=float(weights[order + 1]), hysteresis=float(weights[order + 2 :].sum()),
+        residual=float(np.sqrt(np.mean(rest**2))), freedom=freedom, displacement=x, force=f, direction=direction,
+    )  # fmt: skip
 
 
 def thinned(column: Array, points: int) -> Array:
