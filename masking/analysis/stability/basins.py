@@ -22,19 +22,12 @@ _TOLERANCE = 1e-8  # local relative error of integration, far below what tells t
 
 @dataclass(frozen=True)
 class Basins:
-    """At which motion each initial state ends.
+    """At which motion each initial state ends."""
 
-    Args:
-        names: of the two states that are varied.
-        first: values of the first (m,), in declared units.
-        second: values of the second (k,).
-        ends: index into `LABELS` (m, k).
-    """
-
-    names: tuple[str, str]
-    first: Array
-    second: Array
-    ends: NDArray[np.int64]
+    names: tuple[str, str]  # of the two states that are varied
+    first: Array  # values of the first (m,), in declared units
+    second: Array  # values of the second (k,)
+    ends: NDArray[np.int64]  # index into `LABELS` (m, k)
 
     def shares(self) -> dict[str, float]:
         """Part of the grid that ends at each motion."""

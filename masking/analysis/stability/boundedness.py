@@ -23,18 +23,13 @@ from masking.errors import ModelError
 
 @dataclass(frozen=True)
 class Boundedness:
-    """Whether every set {V <= c} is compact, angles counted modulo one turn.
+    """Whether every set {V <= c} is compact, angles counted modulo one turn."""
 
-    Args:
-        is_shown: whether that is proved.
-        text: why, or what is missing.
-        is_lone: whether the potential is seen to grow along every ray from 0, so that 0 is the only equilibrium.
-        is_adrift: whether they are so, but only modulo displacements that change neither equations nor energy.
-    """
-
-    is_shown: bool
-    text: str
+    is_shown: bool  # whether that is proved
+    text: str  # why, or what is missing
+    # whether the potential is seen to grow along every ray from 0, so that 0 is the only equilibrium
     is_lone: bool = False
+    # whether they are so, but only modulo displacements that change neither equations nor energy
     is_adrift: bool = False
 
 

@@ -58,33 +58,23 @@ class RestPoint:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What an energy proves.
+    """What an energy proves."""
 
-    Args:
-        name: of the model.
-        status: of the conclusion.
-        conclusion: what every motion does, as far as it is shown.
-        energy: V, in symbols of the hypotheses; None where none is declared.
-        hypotheses: that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the
-            proof holds wherever they do.
-        dissipation: what is known of V'; None where no energy is declared, or the equations are of another kind.
-        boundedness: whether every set {V <= c} is compact.
-        invariant: the largest invariant set in V' = 0; None where it was not looked for.
-        others: equilibria outside of the families of that set; None where they could not be found.
-        reasons: what is missing for more, or must be known to read the conclusion.
-        basins: inner estimates of basins of attraction, where not every motion converges to one equilibrium.
-    """
-
-    name: str
-    status: Status
-    conclusion: str
-    energy: sp.Expr | None = None
+    name: str  # of the model
+    status: Status  # of the conclusion
+    conclusion: str  # what every motion does, as far as it is shown
+    energy: sp.Expr | None = None  # V, in symbols of the hypotheses; None where none is declared
+    # that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the proof holds
+    # wherever they do
     hypotheses: tuple[str, ...] = ()
+    # what is known of V'; None where no energy is declared, or the equations are of another kind
     dissipation: Dissipation | None = None
-    boundedness: Boundedness | None = None
-    invariant: InvariantSet | None = None
+    boundedness: Boundedness | None = None  # whether every set {V <= c} is compact
+    invariant: InvariantSet | None = None  # the largest invariant set in V' = 0; None where it was not looked for
+    # equilibria outside of the families of that set; None where they could not be found
     others: tuple[RestPoint, ...] | None = None
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()  # what is missing for more, or must be known to read the conclusion
+    # inner estimates of basins of attraction, where not every motion converges to one equilibrium
     basins: tuple[Basin, ...] = ()
 
     def __str__(self) -> str:

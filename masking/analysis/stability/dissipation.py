@@ -39,26 +39,18 @@ _FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state
 
 @dataclass(frozen=True)
 class Dissipation:
-    """What is known of V'.
+    """What is known of V'."""
 
-    Args:
-        rate: V', in normal form.
-        status: 'proved': V' <= 0, everywhere or on `box`; 'refuted': V' > 0 at `counterexample`; 'supported
-            numerically': V' <= 0 at all sampled states; 'open' where it could not be looked at, or the energy jumps.
-        method: how that was found.
-        squares: of which -V' is the sum, where it is seen to be one.
-        forms: of the velocities, that are 0 along every motion on which V' is, as far as that is seen.
-        box: where it holds; None for everywhere.
-        counterexample: a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the
-            least V' there.
-    """
-
-    rate: sp.Expr
+    rate: sp.Expr  # V', in normal form
+    # 'proved': V' <= 0, everywhere or on `box`; 'refuted': V' > 0 at `counterexample`; 'supported numerically': V' <= 0
+    # at all sampled states; 'open' where it could not be looked at, or the energy jumps
     status: Status
-    method: str
-    squares: tuple[Square, ...] = ()
+    method: str  # how that was found
+    squares: tuple[Square, ...] = ()  # of which -V' is the sum, where it is seen to be one
+    # of the velocities, that are 0 along every motion on which V' is, as far as that is seen
     forms: tuple[sp.Expr, ...] = ()
-    box: dict[str, tuple[float, float]] | None = None
+    box: dict[str, tuple[float, float]] | None = None  # where it holds; None for everywhere
+    # a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the least V' there
     counterexample: dict[str, float] | None = None
     growth: float = 0.0
 

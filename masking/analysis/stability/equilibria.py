@@ -43,21 +43,14 @@ _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a bo
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A state of rest.
+    """A state of rest."""
 
-    Args:
-        position: by coordinate, in SI units or in the declared scales.
-        radius: half the largest side of a box that is proved to hold exactly one equilibrium.
-        eigenvalues: of the model linearised there (2 n + k,), the slowest last to decay first.
-        verdict: what the eigenvalues tell; see `stability_of`.
-        is_unstable: whether an eigenvalue with positive real part is proved to exist: the determinant of the stiffness
-            is negative all over the box, that of the mass positive.
-    """
-
-    position: dict[str, float]
-    radius: float
-    eigenvalues: Complex
-    verdict: str
+    position: dict[str, float]  # by coordinate, in SI units or in the declared scales
+    radius: float  # half the largest side of a box that is proved to hold exactly one equilibrium
+    eigenvalues: Complex  # of the model linearised there (2 n + k,), the slowest last to decay first
+    verdict: str  # what the eigenvalues tell; see `stability_of`
+    # whether an eigenvalue with positive real part is proved to exist: the determinant of the stiffness is negative all
+    # over the box, that of the mass positive
     is_unstable: bool
 
 
@@ -81,21 +74,13 @@ def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, 
 
 @dataclass(frozen=True)
 class Equilibria:
-    """The equilibria in a box.
+    """The equilibria in a box."""
 
-    Args:
-        points: those that are proved to exist, each alone in a box around it.
-        box: where they were looked for, by coordinate.
-        is_complete: whether there are no others in the box.
-        is_global: whether there are none outside of the box either; angles modulo one turn.
-        undecided: boxes in which it could not be decided whether there are equilibria: least and largest (m, n, 2).
-    """
-
-    points: tuple[Equilibrium, ...]
-    box: dict[str, tuple[float, float]]
-    is_complete: bool
-    is_global: bool
-    undecided: Array
+    points: tuple[Equilibrium, ...]  # those that are proved to exist, each alone in a box around it
+    box: dict[str, tuple[float, float]]  # where they were looked for, by coordinate
+    is_complete: bool  # whether there are no others in the box
+    is_global: bool  # whether there are none outside of the box either; angles modulo one turn
+    undecided: Array  # boxes in which it could not be decided whether there are equilibria: least and largest (m, n, 2)
 
     def __str__(self) -> str:
         count, sides = len(self.points), ", ".join(f"{n} in [{a:.4g}, {b:.4g}]" for n, (a, b) in self.box.items())

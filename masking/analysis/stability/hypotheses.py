@@ -29,15 +29,11 @@ class Hypotheses:
 
     Parameters of the oscillators that have equal values and names that differ in the number alone, such as w1 and w2,
     are one symbol. Every symbol has the sign of its value; what is 0 is 0.
-
-    Args:
-        model: whose values say what holds.
-        extra: further ones that a proof needed, as texts.
-        coincidences: expressions that are not 0 at the declared values, but nearly, so that no proof may rest on that.
     """
 
-    model: Model
-    extra: list[str] = field(default_factory=list)
+    model: Model  # whose values say what holds
+    extra: list[str] = field(default_factory=list)  # further ones that a proof needed, as texts
+    # expressions that are not 0 at the declared values, but nearly, so that no proof may rest on that
     coincidences: list[sp.Expr] = field(default_factory=list)
 
     @cached_property

@@ -43,23 +43,15 @@ class Family:
 
 @dataclass(frozen=True)
 class InvariantSet:
-    """The largest invariant set in V' = 0, found or not.
+    """The largest invariant set in V' = 0, found or not."""
 
-    Args:
-        is_found: whether the elimination came to an end.
-        families: sets of motions in it.
-        equilibria: whether all else in it are equilibria; False where there is nothing else.
-        known: values of coordinates at those equilibria, as far as elimination determines them.
-        is_of_bounded: whether that is so of bounded motions alone.
-        steps: the argument, sentence by sentence.
-    """
-
-    is_found: bool
-    families: tuple[Family, ...] = ()
-    equilibria: bool = False
+    is_found: bool  # whether the elimination came to an end
+    families: tuple[Family, ...] = ()  # sets of motions in it
+    equilibria: bool = False  # whether all else in it are equilibria; False where there is nothing else
+    # values of coordinates at those equilibria, as far as elimination determines them
     known: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    is_of_bounded: bool = False
-    steps: tuple[str, ...] = ()
+    is_of_bounded: bool = False  # whether that is so of bounded motions alone
+    steps: tuple[str, ...] = ()  # the argument, sentence by sentence
 
 
 def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:

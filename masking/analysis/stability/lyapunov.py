@@ -30,21 +30,13 @@ _OFF = 0.3  # of the e-folds by which neighbours part, those by which an unbound
 
 @dataclass(frozen=True)
 class Exponent:
-    """The largest Lyapunov exponent of one motion.
+    """The largest Lyapunov exponent of one motion."""
 
-    Args:
-        value: mean of log |w| per unit of time, after the transient.
-        error: standard error of the mean, from batches of the record.
-        times: end of each interval (m,), after the transient, unit of the model's time.
-        growth: log |w| gained in each interval (m,).
-        spread: log |y| gained in the second half of the record, by the motion itself.
-    """
-
-    value: float
-    error: float
-    times: Array
-    growth: Array
-    spread: float
+    value: float  # mean of log |w| per unit of time, after the transient
+    error: float  # standard error of the mean, from batches of the record
+    times: Array  # end of each interval (m,), after the transient, unit of the model's time
+    growth: Array  # log |w| gained in each interval (m,)
+    spread: float  # log |y| gained in the second half of the record, by the motion itself
 
     @property
     def _late(self) -> float:

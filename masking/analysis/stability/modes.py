@@ -44,16 +44,11 @@ class Driven(Protocol):
 
 @dataclass(frozen=True)
 class Mode(Result):
-    """A motion e^(lambda t) of a linear system.
-
-    Args:
-        eigenvalue: lambda, in 1/s or per unit of time.
-        shape: complex amplitude of each coordinate, the largest is 1.
-    """
+    """A motion e^(lambda t) of a linear system."""
 
     json_names = ("eigenvalue", "frequency", "damping", "shape")
-    eigenvalue: complex
-    shape: dict[str, complex]
+    eigenvalue: complex  # lambda, in 1/s or per unit of time
+    shape: dict[str, complex]  # complex amplitude of each coordinate, the largest is 1
 
     @property
     def frequency(self) -> float:

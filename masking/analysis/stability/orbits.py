@@ -20,19 +20,12 @@ _NEUTRAL = 1e-6  # from 1: a multiplier within this neither grows nor decays, to
 
 @dataclass(frozen=True)
 class Orbit:
-    """A periodic orbit.
+    """A periodic orbit."""
 
-    Args:
-        state: y at its beginning (2 n + k,), in SI units or in the model's scales.
-        period: T, in the same.
-        multipliers: eigenvalues of the monodromy matrix Phi(T), the largest first; one of an orbit is always 1.
-        error: |y(T) - y(0)|, of the size of the orbit.
-    """
-
-    state: Array
-    period: float
-    multipliers: Complex
-    error: float
+    state: Array  # y at its beginning (2 n + k,), in SI units or in the model's scales
+    period: float  # T, in the same
+    multipliers: Complex  # eigenvalues of the monodromy matrix Phi(T), the largest first; one of an orbit is always 1
+    error: float  # |y(T) - y(0)|, of the size of the orbit
 
     @property
     def is_stable(self) -> bool | None:

@@ -43,23 +43,15 @@ Group = tuple[int, ...]  # sign of each oscillator of a kind in a group, 0 outsi
 
 @dataclass(frozen=True)
 class Oscillator:
-    """An oscillator x'' = -stiffness y - cubic y^3 with y = x - centre, or -stiffness sin(x).
+    """An oscillator x'' = -stiffness y - cubic y^3 with y = x - centre, or -stiffness sin(x)."""
 
-    Args:
-        place: x.
-        kind: 'cubic', 'sine' or 'linear'; 'free' where the sum does not hold it.
-        stiffness: a, or w^2 of a pendulum.
-        cubic: b.
-        centre: where it rests; 0 for a pendulum, which may rest at pi, too.
-        weight: of x, or of th''/stiffness, in the sum that is constant.
-    """
-
-    place: sp.Symbol
+    place: sp.Symbol  # x
+    # 'cubic', 'sine' or 'linear'; 'free' where the sum does not hold it
     kind: Literal["cubic", "sine", "linear", "free"]
-    stiffness: sp.Expr = sp.S.Zero
-    cubic: sp.Expr = sp.S.Zero
-    centre: sp.Expr = sp.S.Zero
-    weight: sp.Expr = sp.S.Zero
+    stiffness: sp.Expr = sp.S.Zero  # a, or w^2 of a pendulum
+    cubic: sp.Expr = sp.S.Zero  # b
+    centre: sp.Expr = sp.S.Zero  # where it rests; 0 for a pendulum, which may rest at pi, too
+    weight: sp.Expr = sp.S.Zero  # of x, or of th''/stiffness, in the sum that is constant
 
     @property
     def size(self) -> sp.Expr:

@@ -20,42 +20,27 @@ from masking.model.modelling.model import Model
 
 @dataclass(frozen=True)
 class LoopModes:
-    """Eigenvalues of a closed loop where the virtual system is at an equilibrium, per unit of virtual time.
+    """Eigenvalues of a closed loop where the virtual system is at an equilibrium, per unit of virtual time."""
 
-    Args:
-        eigenvalues: of the loop, the slowest to decay first.
-        distance: from the virtual system's eigenvalues to the nearest of these, at most.
-    """
-
-    eigenvalues: Complex
-    distance: float
+    eigenvalues: Complex  # of the loop, the slowest to decay first
+    distance: float  # from the virtual system's eigenvalues to the nearest of these, at most
 
 
 @dataclass(frozen=True)
 class Stability:
-    """What is known of the stability of a model.
+    """What is known of the stability of a model."""
 
-    Args:
-        name: of the model.
-        coordinates: its coordinates.
-        rest: its equilibria; None where they cannot be looked for, and `reason` then says why.
-        modes: at each of the equilibria.
-        upsilon: 1/|Re| of the slowest eigenvalue of the sum of two oscillators that are alike (8.13), at the first
-            equilibrium in which they rest at 0; None where there is no such sum.
-        certificate: what the energy proves.
-        loop: eigenvalues of the closed loop of an experiment; None for a model.
-        reason: why there is less than that.
-        exponent: the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for.
-    """
-
-    name: str
-    coordinates: tuple[str, ...]
-    rest: Equilibria | None
-    modes: tuple[Modes, ...]
+    name: str  # of the model
+    coordinates: tuple[str, ...]  # its coordinates
+    rest: Equilibria | None  # its equilibria; None where they cannot be looked for, and `reason` then says why
+    modes: tuple[Modes, ...]  # at each of the equilibria
+    # 1/|Re| of the slowest eigenvalue of the sum of two oscillators that are alike (8.13), at the first equilibrium in
+    # which they rest at 0; None where there is no such sum
     upsilon: float | None
-    certificate: Certificate
-    loop: LoopModes | None = None
-    reason: str = ""
+    certificate: Certificate  # what the energy proves
+    loop: LoopModes | None = None  # eigenvalues of the closed loop of an experiment; None for a model
+    reason: str = ""  # why there is less than that
+    # the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for
     exponent: Exponent | None = None
 
     @property

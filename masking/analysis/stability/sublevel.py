@@ -42,18 +42,12 @@ _KINKS = (sp.Abs, sp.sign, sp.Heaviside, sp.Max, sp.Min, sp.Piecewise, sp.floor,
 
 @dataclass(frozen=True)
 class Basin:
-    """An inner estimate of the basin of attraction of an equilibrium, at the declared values.
+    """An inner estimate of the basin of attraction of an equilibrium, at the declared values."""
 
-    Args:
-        position: of the equilibrium, by coordinate.
-        least: V there.
-        level: every motion converges to it that starts with V below this, in the connected part around it.
-        box: of coordinates, in which this part lies; None where the energy alone bounds it.
-    """
-
-    position: dict[str, float]
-    least: float
-    level: float
+    position: dict[str, float]  # of the equilibrium, by coordinate
+    least: float  # V there
+    level: float  # every motion converges to it that starts with V below this, in the connected part around it
+    # of coordinates, in which this part lies; None where the energy alone bounds it
     box: dict[str, tuple[float, float]] | None
 
     def __str__(self) -> str:

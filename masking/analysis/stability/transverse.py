@@ -25,17 +25,12 @@ _SAMPLES = 16
 
 @dataclass(frozen=True)
 class Transverse:
-    """Transverse Lyapunov exponents.
+    """Transverse Lyapunov exponents."""
 
-    Args:
-        exponents: largest first, in 1/s or per unit of time; the manifold attracts nearby motion where all are below 0.
-        spread: by how much the largest is another over the last half of the time: how well it has converged.
-        duration: that was averaged over.
-    """
-
+    # largest first, in 1/s or per unit of time; the manifold attracts nearby motion where all are below 0
     exponents: Array
-    spread: float
-    duration: float
+    spread: float  # by how much the largest is another over the last half of the time: how well it has converged
+    duration: float  # that was averaged over
 
 
 def anti_phase(model: Model) -> Array:

@@ -35,25 +35,17 @@ class Detector:
     In anti-phase they do where |a(t) - alpha b(t + T/2)| <= eps A for some alpha > 0 (definition 5.3), A the amplitude
     of a, so that the phase is within delta = asin(eps) of pi; likewise with another phase, such as 0.
 
-    Args:
-        period: of the oscillators, s or any other unit, within 25 %, in which that of a is followed.
-        step: time between samples, same unit.
-        eps: part of the amplitude, between 0 and 1.
-        phase: of a against b that is wanted, rad.
-        false_alarm: probability that a run of oscillators that have nothing to do with each other is ended.
-        duration: of such a run, unit of `period`.
-        memory: periods after which the phases of such oscillators have nothing to do with what they were; noise: 1/2.
-
     Raises:
         ModelError: a setting is out of its range.
     """
 
-    period: float
-    step: float
-    eps: float = 0.05
-    phase: float = math.pi
-    false_alarm: float = 1e-3
-    duration: float = 0.0
+    period: float  # of the oscillators, s or any other unit, within 25 %, in which that of a is followed
+    step: float  # time between samples, same unit
+    eps: float = 0.05  # part of the amplitude, between 0 and 1
+    phase: float = math.pi  # of a against b that is wanted, rad
+    false_alarm: float = 1e-3  # probability that a run of oscillators that have nothing to do with each other is ended
+    duration: float = 0.0  # of such a run, unit of `period`
+    # periods after which the phases of such oscillators have nothing to do with what they were; noise: 1/2
     memory: float = 0.5
 
     def __post_init__(self) -> None:

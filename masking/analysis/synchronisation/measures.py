@@ -187,15 +187,10 @@ def on_even_grid(t: Series, *series: Series) -> tuple[Series, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Oscillation:
-    """An oscillation about its drift, a cubic polynomial that is fitted together with the oscillation.
+    """An oscillation about its drift, a cubic polynomial that is fitted together with the oscillation."""
 
-    Args:
-        series: evenly sampled, about the drift (samples,).
-        cycles: frequency of its largest line, in periods per record; 0 where it is at rest.
-    """
-
-    series: Series
-    cycles: float
+    series: Series  # evenly sampled, about the drift (samples,)
+    cycles: float  # frequency of its largest line, in periods per record; 0 where it is at rest
 
     @classmethod
     def of(cls, a: Series) -> Oscillation:

@@ -42,39 +42,27 @@ _SINGLE: Final = 0.5  # of the power of that exchange, in its largest line
 
 @dataclass(frozen=True, slots=True)
 class Synchronisation:
-    """What the end of a record shows of two oscillators a and b.
+    """What the end of a record shows of two oscillators a and b."""
 
-    Args:
-        kind: 'in-phase', 'anti-phase', 'locked' (n:m, or 1:1 at another phase), 'beating', 'death' or 'not
-            synchronised'.
-        names: of the two.
-        periods: of the two, unit of time; NaN where one does not oscillate.
-        ratio: (n, m) of a lock, in which n phases of a advance as m of b do; (0, 0) where there is none.
-        phase: mean of n arg A - m arg B over the end, in (-pi, pi], rad; NaN without a lock.
-        steady: length of the mean unit vector of that phase, or of the plain difference: 1 constant, 0 evenly spread.
-        alpha: ratio of the amplitudes, a = alpha b shifted by the phase (5.3); NaN without a lock.
-        eps: largest |a(t) - alpha b(t + shift)| over the end (definition 5.2), unit of a; NaN unless n = m.
-        time: first time after which that stays within `within` of the amplitude of a (definition 8.1), or the phase
-            within as many rad where n != m; NaN where it does not.
-        within: the part of the amplitude that was asked for.
-        beat: period of the beat, unit of time; NaN where there is none.
-        dead: name of the oscillator that has come to rest, "" where there is none.
-        start: where the end that was looked at begins.
-    """
-
+    # 'in-phase', 'anti-phase', 'locked' (n:m, or 1:1 at another phase), 'beating', 'death' or 'not synchronised'
     kind: Kind
-    names: tuple[str, str]
-    periods: tuple[float, float]
+    names: tuple[str, str]  # of the two
+    periods: tuple[float, float]  # of the two, unit of time; NaN where one does not oscillate
+    # (n, m) of a lock, in which n phases of a advance as m of b do; (0, 0) where there is none
     ratio: tuple[int, int] = (0, 0)
-    phase: float = math.nan
+    phase: float = math.nan  # mean of n arg A - m arg B over the end, in (-pi, pi], rad; NaN without a lock
+    # length of the mean unit vector of that phase, or of the plain difference: 1 constant, 0 evenly spread
     steady: float = 0.0
-    alpha: float = math.nan
+    alpha: float = math.nan  # ratio of the amplitudes, a = alpha b shifted by the phase (5.3); NaN without a lock
+    # largest |a(t) - alpha b(t + shift)| over the end (definition 5.2), unit of a; NaN unless n = m
     eps: float = math.nan
+    # first time after which that stays within `within` of the amplitude of a (definition 8.1), or the phase within as
+    # many rad where n != m; NaN where it does not
     time: float = math.nan
-    within: float = math.nan
-    beat: float = math.nan
-    dead: str = ""
-    start: float = math.nan
+    within: float = math.nan  # the part of the amplitude that was asked for
+    beat: float = math.nan  # period of the beat, unit of time; NaN where there is none
+    dead: str = ""  # name of the oscillator that has come to rest, "" where there is none
+    start: float = math.nan  # where the end that was looked at begins
 
     @property
     def is_synchronised(self) -> bool:

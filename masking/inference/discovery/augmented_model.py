@@ -49,21 +49,15 @@ KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
 
 @dataclass(frozen=True)
 class EffectInstance:
-    """An effect at a place with values of all its parameters, and which of them are estimated.
+    """An effect at a place with values of all its parameters, and which of them are estimated."""
 
-    Args:
-        effect: its name in the dictionary, which may be `delay`.
-        at: name of the place, sensor or actuator; '' for a delay of all actuators.
-        values: of its parameters, in the order of the dictionary, in coherent units of the place; the last may be left
-            out, and are then as usual.
-        free: indices of those that are estimated.
-        known: its entry in the dictionary; by default that which comes with the package.
-    """
-
-    effect: str
-    at: str
+    effect: str  # its name in the dictionary, which may be `delay`
+    at: str  # name of the place, sensor or actuator; '' for a delay of all actuators
+    # of its parameters, in the order of the dictionary, in coherent units of the place; the last may be left out, and
+    # are then as usual
     values: tuple[float, ...]
-    free: tuple[int, ...]
+    free: tuple[int, ...]  # indices of those that are estimated
+    # its entry in the dictionary; by default that which comes with the package
     known: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -154,22 +148,15 @@ class Equations:
 
 @dataclass(frozen=True)
 class AugmentedModel:
-    """A twin with open places.
+    """A twin with open places."""
 
-    Args:
-        twin: the rig with its declared values.
-        names: its parameters that may be adjusted.
-        tried: the effects that are tried; by default those of the dictionary, and the bases of laws without a name.
-        at: coordinates at rest (n,), around which it is linearised; 0 if not given.
-        directed: whether directed places are open, too.
-        imperfections: effects with one parameter each, which are adjusted as those of the rig are.
-    """
-
-    twin: Twin
-    names: tuple[str, ...]
+    twin: Twin  # the rig with its declared values
+    names: tuple[str, ...]  # its parameters that may be adjusted
+    # the effects that are tried; by default those of the dictionary, and the bases of laws without a name
     tried: tuple[Effect, ...] = ()
-    at: tuple[float, ...] = ()
-    directed: bool = False
+    at: tuple[float, ...] = ()  # coordinates at rest (n,), around which it is linearised; 0 if not given
+    directed: bool = False  # whether directed places are open, too
+    # effects with one parameter each, which are adjusted as those of the rig are
     imperfections: tuple[EffectInstance, ...] = ()
 
     @cached_property

@@ -21,21 +21,16 @@ SHORTEST, LONGEST = 4.0, 3.0  # samples, and times of the motion, that the longe
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a place, with the starts of its fit.
+    """An effect at a place, with the starts of its fit."""
 
-    Args:
-        effect, at: its name and the place.
-        factors, free: indices of the parameters that are factors, and of all that are estimated.
-        instances: one for each start, with factors 0 or as the start has them.
-        sticks: whether it is fitted with the parameters that follow the step of integration.
-    """
-
+    # effect and at: its name and the place
     effect: str
     at: str
+    # factors and free: indices of the parameters that are factors, and of all that are estimated
     factors: tuple[int, ...]
     free: tuple[int, ...]
-    instances: tuple[EffectInstance, ...]
-    sticks: bool = False
+    instances: tuple[EffectInstance, ...]  # one for each start, with factors 0 or as the start has them
+    sticks: bool = False  # whether it is fitted with the parameters that follow the step of integration
 
     @property
     def key(self) -> tuple[str, str]:

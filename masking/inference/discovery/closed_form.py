@@ -247,17 +247,13 @@ def instance(form: Form, law: FreeLaw) -> EffectInstance:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """A form that was fitted to the record; its values are those of the start.
-
-    Args:
-        hypothesis, validated: the model with it, and with effects elsewhere, in both records.
-        score: cost of both records, with Schwarz's penalty for each number.
-    """
+    """A form that was fitted to the record; its values are those of the start."""
 
     form: Form
+    # hypothesis and validated: the model with it, and with effects elsewhere, in both records
     hypothesis: Hypothesis
     validated: Hypothesis
-    score: float
+    score: float  # cost of both records, with Schwarz's penalty for each number
 
     def tempered(self, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm:
         """Form weighted as `tempered_fits.tempered` says; an IntegrationError where its motion is not finite."""

@@ -16,42 +16,28 @@ BINS = 10  # of the range of displacements, and of that of speeds
 
 @dataclass(frozen=True)
 class Widest:
-    """The part of a range in which a law is known least.
+    """The part of a range in which a law is known least."""
 
-    Args:
-        of: 'displacement' or 'speed'.
-        low, high: ends of the part.
-        band: two standard deviations of the law there, rms, over the rms of the law along the motion.
-        is_end: whether the part is at an end of the range, where the motion turns or is fastest.
-    """
-
-    of: str
+    of: str  # 'displacement' or 'speed'
+    # low and high: ends of the part
     low: float
     high: float
-    band: float
-    is_end: bool
+    band: float  # two standard deviations of the law there, rms, over the rms of the law along the motion
+    is_end: bool  # whether the part is at an end of the range, where the motion turns or is fastest
 
 
 @dataclass(frozen=True)
 class Coverage(Result):
-    """Where a record moves a place, and how well a law without a name is known there.
+    """Where a record moves a place, and how well a law without a name is known there."""
 
-    Args:
-        displacement, rate: the least and the largest of the record.
-        size: rms of the law along the motion.
-        band: two standard deviations of it, rms along the motion, over that size.
-        widest: the part of the range in which it is known least.
-        sides: what the law is of: displacement `d`, rate `v`, or both.
-        visited: part of the rectangle of displacements and rates that the motion visits; 1 of a law of one of them.
-    """
-
+    # displacement and rate: the least and the largest of the record
     displacement: tuple[float, float]
     rate: tuple[float, float]
-    size: float
-    band: float
-    widest: Widest
-    sides: tuple[str, ...]
-    visited: float
+    size: float  # rms of the law along the motion
+    band: float  # two standard deviations of it, rms along the motion, over that size
+    widest: Widest  # the part of the range in which it is known least
+    sides: tuple[str, ...]  # what the law is of: displacement `d`, rate `v`, or both
+    visited: float  # part of the rectangle of displacements and rates that the motion visits; 1 of a law of one of them
     json_names = ("displacement", "rate", "size", "band", "widest", "visited")
 
     @classmethod

@@ -88,42 +88,30 @@ class SimulationError(Result):
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Discovery(Explained):
-    """A discovery.
+    """A discovery."""
 
-    Args:
-        effects: causes, in the order in which they were found.
-        simulation_error: before and after.
-        unexplained_fraction: part of the excess cost that is left in the estimation record.
-        rivals: the explanations that the one was chosen from, itself first.
-        tempering: factor by which costs were divided, see `EstimationProblem.tempering`.
-        validation: the estimation problem of the validation record.
-        before, after: the model as declared and with the causes, on the validation record.
-        adjusted: the model without causes, its parameters adjusted within their priors, on the validation record.
-        next_experiment: that separates the two likeliest explanations, if the record does not.
-        exchanged: whether the record to validate by was searched, since it alone shows the effect.
-        first_order_hold: relative error of each sensor with adjusted parameters alone and inputs in straight lines
-            between samples; None unless that is far less than what was found leaves.
-        law: the law without a name, where no name explains the record.
-        none_of_these: probability that none of the names is right.
-        withheld: what is worse on unseen data than the model as declared, and was found before this.
-        unit: that of a channel which is probably another than declared; the record is converted then.
-    """
-
-    effects: tuple[Named, ...]
-    simulation_error: SimulationError
-    unexplained_fraction: float
-    rivals: tuple[Explanation, ...]
-    tempering: float
-    validation: EstimationProblem
+    effects: tuple[Named, ...]  # causes, in the order in which they were found
+    simulation_error: SimulationError  # before and after
+    unexplained_fraction: float  # part of the excess cost that is left in the estimation record
+    rivals: tuple[Explanation, ...]  # the explanations that the one was chosen from, itself first
+    tempering: float  # factor by which costs were divided, see `EstimationProblem.tempering`
+    validation: EstimationProblem  # the estimation problem of the validation record
+    # before and after: the model as declared and with the causes, on the validation record
     before: Hypothesis
     after: Hypothesis
+    # the model without causes, its parameters adjusted within their priors, on the validation record
     adjusted: Hypothesis
+    # that separates the two likeliest explanations, if the record does not
     next_experiment: NextExperiment | None = None
+    # relative error of each sensor with adjusted parameters alone and inputs in straight lines between samples; None
+    # unless that is far less than what was found leaves
     first_order_hold: dict[str, float] | None = None
-    exchanged: bool = False
-    law: UnnamedLaw | None = None
-    none_of_these: float = 0.0
+    exchanged: bool = False  # whether the record to validate by was searched, since it alone shows the effect
+    law: UnnamedLaw | None = None  # the law without a name, where no name explains the record
+    none_of_these: float = 0.0  # probability that none of the names is right
+    # what is worse on unseen data than the model as declared, and was found before this
     withheld: Withheld | None = None
+    # that of a channel which is probably another than declared; the record is converted then
     unit: UnitDoubt | None = None
 
     def __repr__(self) -> str:

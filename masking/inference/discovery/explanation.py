@@ -28,21 +28,13 @@ ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four
 
 @dataclass(frozen=True)
 class Explanation:
-    """A hypothesis with what it is called and how it scores.
+    """A hypothesis with what it is called and how it scores."""
 
-    Args:
-        kind: `none`, `parameter` or `effects`.
-        names: (parameter, '') or (effect, place) of each cause.
-        hypothesis: fitted.
-        unique: unique fraction, the least part of an effect that parameters could not have.
-        joint: the hypothesis fitted to both records, if it has been validated on another.
-    """
-
-    kind: Kind
-    names: tuple[Key, ...]
-    hypothesis: Hypothesis
-    unique: float = 1.0
-    joint: Hypothesis | None = None
+    kind: Kind  # `none`, `parameter` or `effects`
+    names: tuple[Key, ...]  # (parameter, '') or (effect, place) of each cause
+    hypothesis: Hypothesis  # fitted
+    unique: float = 1.0  # unique fraction, the least part of an effect that parameters could not have
+    joint: Hypothesis | None = None  # the hypothesis fitted to both records, if it has been validated on another
 
     @property
     def cost(self) -> float:

@@ -35,27 +35,16 @@ DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """The rig with effects, fitted.
+    """The rig with effects, fitted."""
 
-    Args:
-        instances: the effects with fitted values.
-        theta: parameters of the rig (k,).
-        start: initial states of the shooting intervals (w, states).
-        cost: -2 log likelihood and prior, up to a constant: squared residuals over their variance.
-        squares: of each sensor (sensors,).
-        covariance: of rig's parameters and free parameters of the effects (k + f, k + f).
-        residuals: of each sample (m, sensors).
-        rules: the thresholds that it was fitted by.
-    """
-
-    instances: tuple[EffectInstance, ...]
-    theta: Array
-    start: Array
-    cost: float
-    squares: Array
-    covariance: Array
-    residuals: Array
-    rules: DecisionRules = RULES
+    instances: tuple[EffectInstance, ...]  # the effects with fitted values
+    theta: Array  # parameters of the rig (k,)
+    start: Array  # initial states of the shooting intervals (w, states)
+    cost: float  # -2 log likelihood and prior, up to a constant: squared residuals over their variance
+    squares: Array  # of each sensor (sensors,)
+    covariance: Array  # of rig's parameters and free parameters of the effects (k + f, k + f)
+    residuals: Array  # of each sample (m, sensors)
+    rules: DecisionRules = RULES  # the thresholds that it was fitted by
 
     @property
     def creeping(self) -> Hypothesis:
@@ -284,22 +273,14 @@ class _LeastSquares:
     """Least squares of records and prior.
 
     The unknowns x (n,) are parameters of rig (k) and effects (f), initial states of effects (s), and of the motion.
-
-    Args:
-        problem: of the record whose residuals are kept.
-        instances: the effects.
-        start: initial states of each record in turn (w, states); those that are not free stay as they are.
-        others: other records.
-        frozen: whether only initial states are estimated.
-        penalty: on the free parameters of the effects (f, f); None for none.
     """
 
-    problem: EstimationProblem
-    instances: tuple[EffectInstance, ...]
-    start: Array
-    others: tuple[EstimationProblem, ...] = ()
-    frozen: bool = False
-    penalty: Array | None = None
+    problem: EstimationProblem  # of the record whose residuals are kept
+    instances: tuple[EffectInstance, ...]  # the effects
+    start: Array  # initial states of each record in turn (w, states); those that are not free stay as they are
+    others: tuple[EstimationProblem, ...] = ()  # other records
+    frozen: bool = False  # whether only initial states are estimated
+    penalty: Array | None = None  # on the free parameters of the effects (f, f); None for none
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:

@@ -71,24 +71,15 @@ class Parts:
 
 @dataclass(frozen=True)
 class ForceDecomposition:
-    """What a force looks like.
+    """What a force looks like."""
 
-    Args:
-        size: its root mean square.
-        mean: its mean.
-        deviation: standard deviation of what it may be wrong by.
-        loss: power that it takes out of the motion, its mean product with the rate.
-        taken: that, as a part of the most that a force of this size can take.
-        parts: of its energy; None where it is not beyond its deviation.
-        regions: of travel, speed and record, each with the part of energy and of time; none where parts are None.
-    """
-
-    size: float
-    mean: float
-    deviation: float
-    loss: float
-    taken: float
-    parts: Parts | None
+    size: float  # its root mean square
+    mean: float  # its mean
+    deviation: float  # standard deviation of what it may be wrong by
+    loss: float  # power that it takes out of the motion, its mean product with the rate
+    taken: float  # that, as a part of the most that a force of this size can take
+    parts: Parts | None  # of its energy; None where it is not beyond its deviation
+    # of travel, speed and record, each with the part of energy and of time; none where parts are None
     regions: Mapping[str, Mapping[str, Region]]
 
     def as_dict(self) -> dict[str, Any]:

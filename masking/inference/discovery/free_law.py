@@ -46,25 +46,17 @@ ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
 
 @dataclass(frozen=True)
 class FreeLaw:
-    """A law without a name, fitted.
+    """A law without a name, fitted."""
 
-    Args:
-        place: where it sits.
-        terms: what it is made of.
-        hypothesis: the model with it, fitted to the record.
-        x, rate: displacement and rate along the record (m,).
-        penalty: on the free parameters of all effects (f, f), as in `fitting.fit`.
-        problem: the record in the shooting intervals of the fit.
-        further: the further places that it sits in one of; None where it sits in a place of the rig itself.
-    """
-
-    place: Place
-    terms: tuple[Term, ...]
-    hypothesis: Hypothesis
+    place: Place  # where it sits
+    terms: tuple[Term, ...]  # what it is made of
+    hypothesis: Hypothesis  # the model with it, fitted to the record
+    # x and rate: displacement and rate along the record (m,)
     x: Array
     rate: Array
-    penalty: Array
-    problem: EstimationProblem
+    penalty: Array  # on the free parameters of all effects (f, f), as in `fitting.fit`
+    problem: EstimationProblem  # the record in the shooting intervals of the fit
+    # the further places that it sits in one of; None where it sits in a place of the rig itself
     further: FurtherPlaces | None = None
 
     @property

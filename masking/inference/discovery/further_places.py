@@ -28,21 +28,14 @@ NOUNS = {"d": "displacement", "v": "rate"}
 
 @dataclass(frozen=True)
 class FurtherPlaces:
-    """A rig with further places for a law.
+    """A rig with further places for a law."""
 
-    Args:
-        rig: of the model that has them.
-        nouns: for each of these elements, what a law calls its displacement `d` and its rate `v`.
-        on: for each, the place whose force it is.
-        time: name of the relaxation time among the parameters; '' without memory.
-        tried: relaxation times, s.
-    """
-
-    rig: AugmentedModel
+    rig: AugmentedModel  # of the model that has them
+    # for each of these elements, what a law calls its displacement `d` and its rate `v`
     nouns: Mapping[str, Mapping[str, str]]
-    on: Mapping[str, str]
-    time: str = ""
-    tried: tuple[float, ...] = field(default=())
+    on: Mapping[str, str]  # for each, the place whose force it is
+    time: str = ""  # name of the relaxation time among the parameters; '' without memory
+    tried: tuple[float, ...] = field(default=())  # relaxation times, s
 
     def problem(self, problem: EstimationProblem, seconds: float) -> EstimationProblem:
         """Problem of this rig, of that without further places; a relaxation time is known as `seconds`, +- as much."""

@@ -24,23 +24,14 @@ _BASES = {"d": "d/x0", "v": "d_rate/v0"}
 
 @dataclass(frozen=True)
 class Shape:
-    """A function of u with numbers that shape it.
+    """A function of u with numbers that shape it."""
 
-    Args:
-        name: of the shape.
-        text: over u and the numbers, in braces.
-        noun: what it is, of x, with the numbers in braces.
-        tried: values from which fits start, by number.
-        bounds: of each number.
-        grows: whether a force of this shape grows with its displacement or rate.
-    """
-
-    name: str
-    text: str
-    noun: str
-    tried: Mapping[str, tuple[float, ...]]
-    bounds: Mapping[str, tuple[float, float]]
-    grows: bool = True
+    name: str  # of the shape
+    text: str  # over u and the numbers, in braces
+    noun: str  # what it is, of x, with the numbers in braces
+    tried: Mapping[str, tuple[float, ...]]  # values from which fits start, by number
+    bounds: Mapping[str, tuple[float, float]]  # of each number
+    grows: bool = True  # whether a force of this shape grows with its displacement or rate
 
 
 def _shape(name: str, text: str, noun: str, /, **tried: Sequence[float]) -> Shape:

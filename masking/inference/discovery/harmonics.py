@@ -29,18 +29,12 @@ LONGEST = 0.75  # of a record: a longer period repeats too little to be found
 
 @dataclass(frozen=True)
 class Harmonics(Result):
-    """Parts of the mean square of a force under periodic commands, less its noise; the first period is left out.
+    """Parts of the mean square of a force under periodic commands, less its noise; the first period is left out."""
 
-    Args:
-        base: frequency of the first multiple in Hz.
-        periods: that are used.
-        only_odd: whether odd multiples alone are excited: `even` is then what does not turn round with the motion.
-        excited, even, odd: parts at excited multiples, and at others that are even, 0 included, or odd; sum 1.
-    """
-
-    base: float
-    periods: int
-    only_odd: bool
+    base: float  # frequency of the first multiple in Hz
+    periods: int  # that are used
+    only_odd: bool  # whether odd multiples alone are excited: `even` is then what does not turn round with the motion
+    # excited, even, odd: parts at excited multiples, and at others that are even, 0 included, or odd; sum 1
     excited: float
     even: float
     odd: float

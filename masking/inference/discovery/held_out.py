@@ -29,34 +29,22 @@ from masking.inference.discovery.verdict import Cause
 
 @dataclass(frozen=True)
 class Withheld(Result):
-    """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given.
+    """What fits the estimation record best, but is worse on unseen data than the model as declared: it is not given."""
 
-    Args:
-        causes: (parameter, '') or (effect, place) of each; none for adjusted parameters alone.
-        validation_error: relative error of each sensor in the validation record, by name; None where the motion is not
-            finite.
-    """
-
-    causes: tuple[Cause, ...]
+    causes: tuple[Cause, ...]  # (parameter, '') or (effect, place) of each; none for adjusted parameters alone
+    # relative error of each sensor in the validation record, by name; None where the motion is not finite
     validation_error: dict[str, float] | None
 
 
 @dataclass(frozen=True)
 class Given:
-    """The explanation to give.
+    """The explanation to give."""
 
-    Args:
-        rivals: the explanations that it was chosen from, itself first.
-        explanation: the prior holds what the record hardly determines.
-        after: the explanation on the validation record.
-        withheld: what was worse on that, and came before.
-        alone: relative error of each sensor there of a fit to the estimation record alone, where it is fitted to both.
-    """
-
-    rivals: tuple[Explanation, ...]
-    explanation: Explanation
-    after: Hypothesis
-    withheld: Withheld | None = None
+    rivals: tuple[Explanation, ...]  # the explanations that it was chosen from, itself first
+    explanation: Explanation  # the prior holds what the record hardly determines
+    after: Hypothesis  # the explanation on the validation record
+    withheld: Withheld | None = None  # what was worse on that, and came before
+    # relative error of each sensor there of a fit to the estimation record alone, where it is fitted to both
     alone: dict[str, float] | None = None
 
 

@@ -64,17 +64,11 @@ def _in_problem(search: Search, substeps: int) -> tuple[SearchResult, Estimation
 
 @dataclass
 class _Trial:
-    """Whether imperfections hide what is missing, by laws of a first round that are fitted with them.
+    """Whether imperfections hide what is missing, by laws of a first round that are fitted with them."""
 
-    Args:
-        is_likely: whether the laws leave far less with them.
-        is_near: whether one leaves hardly anything.
-        is_shown: whether it does so with more than a few imperfections.
-    """
-
-    is_likely: bool = False
-    is_near: bool = False
-    is_shown: bool = False
+    is_likely: bool = False  # whether the laws leave far less with them
+    is_near: bool = False  # whether one leaves hardly anything
+    is_shown: bool = False  # whether it does so with more than a few imperfections
 
     def ends(self, problem: EstimationProblem, found: Sequence[Explanation]) -> bool:
         """Whether the search ends after its first round, to be repeated with imperfections."""

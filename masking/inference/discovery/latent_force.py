@@ -38,29 +38,17 @@ FEWEST = 30  # samples of a bin
 
 @dataclass(frozen=True)
 class LatentForce:
-    """The latent force, command or reading at a place along the record.
+    """The latent force, command or reading at a place along the record."""
 
-    Args:
-        place: name of the element, coordinate, sensor or actuator.
-        where: 'element', 'actuator' or 'sensor'.
-        x: displacement of an element, command of an actuator, or simulated reading of a sensor (m,).
-        rate: of it (m,).
-        before: the latent force, command or reading (m,).
-        after: its residual with the causes (m,); None if no cause is known, or the residual cannot be found.
-        deviations: standard deviations of `before` and of `after`.
-        units: of `before`, `x` and `rate`.
-        known: whether displacement and rate are known.
-    """
-
-    place: str
-    where: str
-    x: Array
-    rate: Array
-    before: Array
-    after: Array | None
-    deviations: tuple[float, float]
-    units: tuple[str, str, str]
-    known: tuple[bool, bool] = (True, True)
+    place: str  # name of the element, coordinate, sensor or actuator
+    where: str  # 'element', 'actuator' or 'sensor'
+    x: Array  # displacement of an element, command of an actuator, or simulated reading of a sensor (m,)
+    rate: Array  # of it (m,)
+    before: Array  # the latent force, command or reading (m,)
+    after: Array | None  # its residual with the causes (m,); None if no cause is known, or the residual cannot be found
+    deviations: tuple[float, float]  # standard deviations of `before` and of `after`
+    units: tuple[str, str, str]  # of `before`, `x` and `rate`
+    known: tuple[bool, bool] = (True, True)  # whether displacement and rate are known
 
     @property
     def seen(self) -> list[tuple[Array, str]]:
@@ -71,17 +59,11 @@ class LatentForce:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Latent forces along the record, of the model with the parameters that were found beside the causes.
+    """Latent forces along the record, of the model with the parameters that were found beside the causes."""
 
-    Args:
-        before: the motion with the latent forces without causes.
-        after: with the causes taken out of the readings; None if none is known, or it cannot be found.
-        error: readings less the simulation without causes (m, sensors).
-    """
-
-    before: Motion
-    after: Motion | None
-    error: Array
+    before: Motion  # the motion with the latent forces without causes
+    after: Motion | None  # with the causes taken out of the readings; None if none is known, or it cannot be found
+    error: Array  # readings less the simulation without causes (m, sensors)
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

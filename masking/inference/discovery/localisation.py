@@ -28,23 +28,14 @@ BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
 
 @dataclass(frozen=True)
 class LocatedForce:
-    """The latent force at a place.
+    """The latent force at a place."""
 
-    Args:
-        name: of the place.
-        share: of all latent forces, the part that a force at this place alone would make.
-        decomposition: of that force, in the place's units.
-        harmonics: of it; None if the commands are not periodic, or there is no such force.
-        units: of force, displacement and rate.
-        frequency: of the motion in Hz; None if it has not one alone.
-    """
-
-    name: str
-    share: float
-    decomposition: ForceDecomposition
-    harmonics: Harmonics | None
-    units: tuple[str, str, str]
-    frequency: float | None = None
+    name: str  # of the place
+    share: float  # of all latent forces, the part that a force at this place alone would make
+    decomposition: ForceDecomposition  # of that force, in the place's units
+    harmonics: Harmonics | None  # of it; None if the commands are not periodic, or there is no such force
+    units: tuple[str, str, str]  # of force, displacement and rate
+    frequency: float | None = None  # of the motion in Hz; None if it has not one alone
 
     @property
     def explained(self) -> float:
@@ -72,19 +63,15 @@ class LocatedForce:
 
 @dataclass(frozen=True)
 class LatentForces:
-    """The latent forces along the record, by coordinate, place, actuator and sensor.
+    """The latent forces along the record, by coordinate, place, actuator and sensor."""
 
-    Args:
-        coordinates: share of each coordinate, or state or output that forces act on, in the energy of the latent
-            forces beyond their deviations; sum 1, or all 0 if there are none.
-        places: each place; a force between two coordinates is nearly one on either of them, so that shares overlap.
-        actuators: share of all latent forces that a function of the command of each would make.
-        sensors: part of the residual of each sensor beyond noise that is a function of what it should read.
-    """
-
+    # share of each coordinate, or state or output that forces act on, in the energy of the latent forces beyond their
+    # deviations; sum 1, or all 0 if there are none
     coordinates: Mapping[str, float]
+    # each place; a force between two coordinates is nearly one on either of them, so that shares overlap
     places: tuple[LocatedForce, ...]
-    actuators: Mapping[str, float]
+    actuators: Mapping[str, float]  # share of all latent forces that a function of the command of each would make
+    # part of the residual of each sensor beyond noise that is a function of what it should read
     sensors: Mapping[str, float]
 
     @property

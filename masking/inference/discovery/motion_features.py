@@ -39,21 +39,14 @@ class Kept:
 
 @dataclass(frozen=True)
 class MotionFeatures:
-    """What effects do along a motion.
-
-    Args:
-        motion: the smoothed record.
-        simulated: readings as they are simulated (m, sensors).
-        thinning: samples over which means are taken.
-        kept: what is known of this motion already; it is added to.
-    """
+    """What effects do along a motion."""
 
     rig: AugmentedModel
     record: Data
-    motion: Motion
-    simulated: Array
-    thinning: Thinning
-    kept: Kept
+    motion: Motion  # the smoothed record
+    simulated: Array  # readings as they are simulated (m, sensors)
+    thinning: Thinning  # samples over which means are taken
+    kept: Kept  # what is known of this motion already; it is added to
 
     def with_slopes(self, instance: EffectInstance) -> Features:
         """Signal that an instance adds where it acts, with slopes by its free parameters."""

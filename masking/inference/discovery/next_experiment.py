@@ -38,23 +38,14 @@ STEPS = "row of growing steps"
 
 @dataclass(frozen=True)
 class NextExperiment(Result):
-    """An excitation that separates two explanations.
+    """An excitation that separates two explanations."""
 
-    Args:
-        excitation: what it is, such as "ramp".
-        settings: peak of each actuator in its unit, and what else it takes.
-        separation: of the two explanations, as a difference of -2 log likelihood; the smaller of both ways.
-        between: their names.
-        commands: of the actuators (m, actuators).
-        threshold: separation from which they are separated.
-    """
-
-    excitation: str
-    settings: dict[str, Any]
-    separation: float
-    between: tuple[str, str]
-    commands: Array
-    threshold: float = RULES.separation
+    excitation: str  # what it is, such as "ramp"
+    settings: dict[str, Any]  # peak of each actuator in its unit, and what else it takes
+    separation: float  # of the two explanations, as a difference of -2 log likelihood; the smaller of both ways
+    between: tuple[str, str]  # their names
+    commands: Array  # of the actuators (m, actuators)
+    threshold: float = RULES.separation  # separation from which they are separated
     json_names = ("excitation", "settings", "separation", "separates", "between")
 
     @property

@@ -36,26 +36,16 @@ ON = " on "  # between what a force follows and what it acts on, in the name of 
 
 @dataclass(frozen=True)
 class Place:
-    """One place.
+    """One place."""
 
-    Args:
-        name: of its element.
-        element: what it follows and acts on.
-        declared: whether the model declares it.
-        coordinate: the degree that it is a place of, if one.
-        has_rate: whether it is known how fast it is stretched.
-        is_of_coordinates: whether coordinates alone stretch it.
-        has_force: whether it declares a force of its own, with which effects may be in series.
-        directed: what it follows, if it acts on a coordinate by something else than the motion of this alone.
-    """
-
-    name: str
-    element: Element
-    declared: bool
-    coordinate: str | None = None
-    has_rate: bool = True
-    is_of_coordinates: bool = True
-    has_force: bool = False
+    name: str  # of its element
+    element: Element  # what it follows and acts on
+    declared: bool  # whether the model declares it
+    coordinate: str | None = None  # the degree that it is a place of, if one
+    has_rate: bool = True  # whether it is known how fast it is stretched
+    is_of_coordinates: bool = True  # whether coordinates alone stretch it
+    has_force: bool = False  # whether it declares a force of its own, with which effects may be in series
+    # what it follows, if it acts on a coordinate by something else than the motion of this alone
     directed: Directed = ""
 
     @property

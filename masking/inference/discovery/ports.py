@@ -18,27 +18,16 @@ from masking.model.effects import Effect
 
 @dataclass(frozen=True)
 class Instances:
-    """Tables of effect instances, as kernels read them.
+    """Tables of effect instances, as kernels read them."""
 
-    Args:
-        table: a row for each instance, those of sensors last (i, 5); columns as `numerics.instances` says.
-        estimated: the column of each parameter in the normal equations, or -1 (i, parameters).
-        values: all parameters, one after the other.
-        support: displacements, then rates, between which each acts, as `laws.support` has them (i, 4).
-        acting: places, then actuators, where an effect acts, by their numbers.
-        late: delay of each actuator, s (actuators,).
-        late_columns: column of this delay, or -1 (actuators,).
-        states: how many states the effects have.
-    """
-
-    table: IntMatrix
-    estimated: IntMatrix
-    values: Array
-    support: Array
-    acting: IntVector
-    late: Array
-    late_columns: IntVector
-    states: int
+    table: IntMatrix  # a row for each instance, those of sensors last (i, 5); columns as `numerics.instances` says
+    estimated: IntMatrix  # the column of each parameter in the normal equations, or -1 (i, parameters)
+    values: Array  # all parameters, one after the other
+    support: Array  # displacements, then rates, between which each acts, as `laws.support` has them (i, 4)
+    acting: IntVector  # places, then actuators, where an effect acts, by their numbers
+    late: Array  # delay of each actuator, s (actuators,)
+    late_columns: IntVector  # column of this delay, or -1 (actuators,)
+    states: int  # how many states the effects have
 
     def known(self) -> Instances:
         """Same with all parameters known: none has a column."""

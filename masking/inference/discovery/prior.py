@@ -19,16 +19,11 @@ from masking.inference.estimation.identification_data import Data
 
 @dataclass(frozen=True)
 class Prior:
-    """The distribution of the rig's k parameters before the record, in declared units.
+    """The distribution of the rig's k parameters before the record, in declared units."""
 
-    Args:
-        mean: means (k,).
-        deviation: standard deviations (k,).
-        low, high: bounds (k,); infinite if there are none.
-    """
-
-    mean: Array
-    deviation: Array
+    mean: Array  # means (k,)
+    deviation: Array  # standard deviations (k,)
+    # low and high: bounds (k,); infinite if there are none
     low: Array
     high: Array
 

@@ -23,26 +23,16 @@ from masking.inference.estimation.simulation import relative
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """A record and the rig that is fitted to it.
+    """A record and the rig that is fitted to it."""
 
-    Args:
-        rig: the rig.
-        record: commands and readings.
-        prior: of the rig's parameters.
-        sigma: standard deviation of the noise of each reading (sensors,).
-        substeps: integration steps between samples.
-        interval: samples of a shooting interval; 0 for one interval that is the whole record.
-        rules: the thresholds of all decisions.
-        work: simulation that was done for it; problems that are made of it share that.
-    """
-
-    rig: AugmentedModel
-    record: Data
-    prior: Prior
-    sigma: Array
-    substeps: int
-    interval: int = 0
-    rules: DecisionRules = RULES
+    rig: AugmentedModel  # the rig
+    record: Data  # commands and readings
+    prior: Prior  # of the rig's parameters
+    sigma: Array  # standard deviation of the noise of each reading (sensors,)
+    substeps: int  # integration steps between samples
+    interval: int = 0  # samples of a shooting interval; 0 for one interval that is the whole record
+    rules: DecisionRules = RULES  # the thresholds of all decisions
+    # simulation that was done for it; problems that are made of it share that
     work: Work = field(default_factory=partial(Work, np.inf), compare=False)
 
     def apart(self, part: float = 1.0) -> EstimationProblem:

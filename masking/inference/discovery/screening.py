@@ -41,38 +41,25 @@ LIGHTEST = 0.7  # of a mass: most that an inertia may take away
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate could take off the cost, with the effect instance from which to begin.
-
-    Args:
-        instance: with the best shape, and its factors.
-        gain: of the cost (-2 log likelihood).
-        unique: unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia,
-            that no one of them could have: equations that are divided by a mass hold it in several.
-    """
+    """What a candidate could take off the cost, with the effect instance from which to begin."""
 
     candidate: Candidate
-    instance: EffectInstance
-    gain: float
+    instance: EffectInstance  # with the best shape, and its factors
+    gain: float  # of the cost (-2 log likelihood)
+    # unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia, that no
+    # one of them could have: equations that are divided by a mass hold it in several
     unique: float
 
 
 @dataclass(frozen=True)
 class Products:
-    """Products of columns, of what candidates do to the sensors.
+    """Products of columns, of what candidates do to the sensors."""
 
-    Args:
-        rows: the columns (r, c), in standard deviations.
-        gram: products of the columns (c, c), with what is taken out projected out.
-        right: products of the columns with the residual (c,).
-        squares: of the columns before the projection (c,).
-        columns: the numbers of those of each candidate.
-    """
-
-    rows: Array
-    gram: Array
-    right: Array
-    squares: Array
-    columns: Sequence[IntVector]
+    rows: Array  # the columns (r, c), in standard deviations
+    gram: Array  # products of the columns (c, c), with what is taken out projected out
+    right: Array  # products of the columns with the residual (c,)
+    squares: Array  # of the columns before the projection (c,)
+    columns: Sequence[IntVector]  # the numbers of those of each candidate
 
 
 class Screen:

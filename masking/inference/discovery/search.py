@@ -48,40 +48,29 @@ FAR = 4.0  # times the cost of the best fit in large steps, from which one is no
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found: the steps that were taken, and the explanations of the last, best first.
+    """What a search found: the steps that were taken, and the explanations of the last, best first."""
 
-    Args:
-        base: the model, its parameters fitted within their priors.
-        steps: the explanations that were compared in each step, the best first.
-        motion: smoothed record.
-        tried: what each candidate could take off at first, the best first.
-        problem: the record, in the integration steps that the laws need; by default those of the model.
-        passed_over: steps of which the last is the likeliest law, in the place of which a nested one was taken.
-    """
-
-    base: Explanation
-    steps: tuple[tuple[Explanation, ...], ...]
-    motion: Motion
-    tried: tuple[Score, ...] = ()
+    base: Explanation  # the model, its parameters fitted within their priors
+    steps: tuple[tuple[Explanation, ...], ...]  # the explanations that were compared in each step, the best first
+    motion: Motion  # smoothed record
+    tried: tuple[Score, ...] = ()  # what each candidate could take off at first, the best first
+    # the record, in the integration steps that the laws need; by default those of the model
     problem: EstimationProblem | None = None
+    # steps of which the last is the likeliest law, in the place of which a nested one was taken
     passed_over: tuple[tuple[Explanation, ...], ...] = ()
 
 
 @dataclass(frozen=True)
 class Search:
-    """A search in one record.
-
-    Args:
-        tell: called with what is done, and the fraction done.
-        rough: the problem in the integration steps of the model alone, where laws need smaller ones.
-        fits: of each round by the causes before it, in those steps.
-        ends: given the explanations of the first round, returns whether the search ends there.
-    """
+    """A search in one record."""
 
     problem: EstimationProblem
-    tell: Tell = lambda text, part: None
+    tell: Tell = lambda text, part: None  # called with what is done, and the fraction done
+    # the problem in the integration steps of the model alone, where laws need smaller ones
     rough: EstimationProblem | None = None
+    # of each round by the causes before it, in those steps
     fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
+    # given the explanations of the first round, returns whether the search ends there
     ends: Callable[[EstimationProblem, Sequence[Explanation]], bool] = lambda problem, found: False
 
     @property

@@ -41,26 +41,16 @@ SHORT = 8000  # samples of the record by which the intensity is chosen
 
 @dataclass(frozen=True)
 class Motion:
-    """A smoothed record.
+    """A smoothed record."""
 
-    Args:
-        states: of the rig (m, n).
-        forces: latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states
-            and outputs.
-        deviation: standard deviation of these forces (degrees,); infinite where no sensor shows a force at once.
-        innovations: what each reading adds to the past, in standard deviations (m, sensors).
-        displacement: of each place (m, places).
-        rate: of each place (m, places).
-        acceleration: of each place (m, places): what the rig's own equations make of the motion, the commands and these
-            forces. Differences of velocities would miss what commands change within a sample.
-    """
-
-    states: Array
-    forces: Array
-    deviation: Array
-    innovations: Array
-    displacement: Array
-    rate: Array
+    states: Array  # of the rig (m, n)
+    forces: Array  # latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states and outputs
+    deviation: Array  # standard deviation of these forces (degrees,); infinite where no sensor shows a force at once
+    innovations: Array  # what each reading adds to the past, in standard deviations (m, sensors)
+    displacement: Array  # of each place (m, places)
+    rate: Array  # of each place (m, places)
+    # of each place (m, places): what the rig's own equations make of the motion, the commands and these forces.
+    # Differences of velocities would miss what commands change within a sample
     acceleration: Array
 
     def acted_on(self, effect: Effect, at: int) -> tuple[Array, Array]:

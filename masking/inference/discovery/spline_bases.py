@@ -89,19 +89,12 @@ class Curve:
 
 @dataclass(frozen=True)
 class Term:
-    """A part of a law: curves over displacement or rate, alone or multiplied.
+    """A part of a law: curves over displacement or rate, alone or multiplied."""
 
-    Args:
-        kind: name of its basis.
-        curves: over displacement, rate, or both in this order.
-        sharp: rate below which the sign of the rate is smooth.
-        unit: size of what a curve is multiplied by.
-    """
-
-    kind: str
-    curves: tuple[Curve, ...] = ()
-    sharp: float = 0.0
-    unit: float = 1.0
+    kind: str  # name of its basis
+    curves: tuple[Curve, ...] = ()  # over displacement, rate, or both in this order
+    sharp: float = 0.0  # rate below which the sign of the rate is smooth
+    unit: float = 1.0  # size of what a curve is multiplied by
 
     def values(self, x: Array, rate: Array) -> Array:
         """Functions along a motion (m, f)."""

@@ -49,27 +49,19 @@ ALIKE = 0.05  # relative difference of errors or sizes from which two units do t
 
 @dataclass(frozen=True)
 class UnitDoubt:
-    """A unit or a sign that is probably another than declared.
+    """A unit or a sign that is probably another than declared."""
 
-    Args:
-        names: the channels; `t` is the clock.
-        kind: 'sensor', 'actuator' or 'clock'.
-        unit: what they are probably in, and `declared`: what they are declared in; of several units, each once.
-        factor: how many declared units one of the other is; -1 where the sign is probably reversed.
-        error: largest relative error of a sensor with the model as declared, in the declared and in the other unit.
-        otherwise: gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many
-            times what is declared they are there.
-        alike: other channels and units that would do the same.
-    """
-
-    names: tuple[str, ...]
-    kind: str
-    unit: str
+    names: tuple[str, ...]  # the channels; `t` is the clock
+    kind: str  # 'sensor', 'actuator' or 'clock'
+    unit: str  # what they are probably in, and `declared`: what they are declared in; of several units, each once
     declared: str
-    factor: float
+    factor: float  # how many declared units one of the other is; -1 where the sign is probably reversed
+    # largest relative error of a sensor with the model as declared, in the declared and in the other unit
     error: tuple[float, float] = (np.inf, np.inf)
+    # gains (effect, place) and parameters (name, '') that are far off in the declared unit, and how many times what is
+    # declared they are there
     otherwise: tuple[tuple[Key, float], ...] = ()
-    alike: tuple[UnitDoubt, ...] = ()
+    alike: tuple[UnitDoubt, ...] = ()  # other channels and units that would do the same
 
     @property
     def is_sign(self) -> bool:

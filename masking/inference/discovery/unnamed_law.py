@@ -41,27 +41,17 @@ LITTLE = 0.1  # of what the names leave beyond noise, which a form must take to 
 
 @dataclass(frozen=True)
 class UnnamedLaw:
-    """A law without a name.
+    """A law without a name."""
 
-    Args:
-        free: the law as curves, fitted.
-        explanation: the model with the law as it is written, and with effects elsewhere.
-        validated: the same on the validation record.
-        error: relative error of each sensor with it, in the estimation and in the validation record.
-        closed: whether it leaves no more than noise in the validation record.
-        form: its closed form; None where none was found.
-        is_formula: whether the closed form is what is written; else tables are.
-        problem: the validation record in the shooting intervals of `validated`.
-    """
-
-    free: FreeLaw
-    explanation: Explanation
-    validated: Hypothesis
+    free: FreeLaw  # the law as curves, fitted
+    explanation: Explanation  # the model with the law as it is written, and with effects elsewhere
+    validated: Hypothesis  # the same on the validation record
+    # relative error of each sensor with it, in the estimation and in the validation record
     error: tuple[dict[str, float], dict[str, float]]
-    closed: bool
-    problem: EstimationProblem
-    form: ClosedForm | None = None
-    is_formula: bool = False
+    closed: bool  # whether it leaves no more than noise in the validation record
+    problem: EstimationProblem  # the validation record in the shooting intervals of `validated`
+    form: ClosedForm | None = None  # its closed form; None where none was found
+    is_formula: bool = False  # whether the closed form is what is written; else tables are
 
     @property
     def instance(self) -> EffectInstance:

@@ -63,32 +63,24 @@ AnyFitted = TypeVar("AnyFitted", bound=Fitted)
 
 @dataclass(frozen=True)
 class Scored:
-    """A fitted and scored hypothesis as plain data.
+    """A fitted and scored hypothesis as plain data."""
 
-    Args:
-        kind: 'none' for the model with its parameters adjusted, 'parameter' for one parameter that is off, or
-            'effects'.
-        names: (parameter, '') or (effect, place) of each cause, in the order in which they were found.
-        cost: -2 log posterior density up to a constant: squared residuals over noise variances, and priors.
-        score: the cost over the tempering factor, and the Occam factor of the effects.
-        misfit: of the cost, the part of the residuals, with the noise of the validation record.
-        validation_cost: squared residuals over noise variances in the validation record; infinite if the simulation
-            does not stay finite there.
-        estimates: of the last cause: each parameter's value less its reference (0 for an effect, the declared value
-            for a parameter), and its standard deviation.
-        absorbed: of each cause, whether free parameters of the model could have the form of its law.
-        unique: fraction of the response of the effects outside of the span of the parameters' responses.
-    """
-
+    # 'none' for the model with its parameters adjusted, 'parameter' for one parameter that is off, or 'effects'
     kind: Kind
+    # (parameter, '') or (effect, place) of each cause, in the order in which they were found
     names: tuple[Key, ...] = ()
-    cost: float = 0.0
-    score: float = 0.0
-    misfit: float = 0.0
+    cost: float = 0.0  # -2 log posterior density up to a constant: squared residuals over noise variances, and priors
+    score: float = 0.0  # the cost over the tempering factor, and the Occam factor of the effects
+    misfit: float = 0.0  # of the cost, the part of the residuals, with the noise of the validation record
+    # squared residuals over noise variances in the validation record; infinite if the simulation does not stay finite
+    # there
     validation_cost: float = 0.0
+    # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
+    # parameter), and its standard deviation
     estimates: tuple[tuple[float, float], ...] = ()
+    # of each cause, whether free parameters of the model could have the form of its law
     absorbed: tuple[bool, ...] = ()
-    unique: float = 1.0
+    unique: float = 1.0  # fraction of the response of the effects outside of the span of the parameters' responses
 
     def is_like_parameter(self, cause: int, rules: DecisionRules) -> bool:
         """Whether a cause, by its number, is a parameter of the model or has the effect of one."""
@@ -101,19 +93,12 @@ class Scored:
 
 @dataclass(frozen=True)
 class Law:
-    """A cause as part of an explanation.
+    """A cause as part of an explanation."""
 
-    Args:
-        is_linear: whether its law is linear.
-        seat: the element that it acts on, or the coordinate, sensor or actuator.
-        follows: what its force is a function of, such as 'd' or 'd and d_rate'; '' if that does not matter.
-        family: of its physics, such as 'friction'.
-    """
-
-    is_linear: bool
-    seat: str
-    follows: str
-    family: str = ""
+    is_linear: bool  # whether its law is linear
+    seat: str  # the element that it acts on, or the coordinate, sensor or actuator
+    follows: str  # what its force is a function of, such as 'd' or 'd and d_rate'; '' if that does not matter
+    family: str = ""  # of its physics, such as 'friction'
 
 
 def noise_threshold(readings: int, rules: DecisionRules) -> float:

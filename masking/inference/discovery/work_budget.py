@@ -16,18 +16,12 @@ class Work:
 
     That are states, and columns of sensitivities. Steps are counted and no seconds, so that a search ends in the same
     place on any machine.
-
-    Args:
-        most: steps, so weighted, after which a search begins nothing more.
-        whole: work that this is a part of; None where there is none.
-        done: those that have been done.
-        is_cut: whether a search has ended for that.
     """
 
-    most: float
-    whole: Work | None = None
-    done: float = 0.0
-    is_cut: bool = False
+    most: float  # steps, so weighted, after which a search begins nothing more
+    whole: Work | None = None  # work that this is a part of; None where there is none
+    done: float = 0.0  # those that have been done
+    is_cut: bool = False  # whether a search has ended for that
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     @classmethod

@@ -43,28 +43,19 @@ FEWEST = 5  # samples of each sensor for each unknown
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Estimate:
-    """Parameters of a twin that were found from records, by any method.
+    """Parameters of a twin that were found from records, by any method."""
 
-    Args:
-        twin: the plant with these parameters.
-        names: of the parameters.
-        values: in the units in which they are declared (k,).
-        covariance: of the values (k, k).
-        chi: relative error (4.12) of each sensor in the records together, simulated with the values from the best
-            initial states, by name; not a number if that motion is not finite.
-        floor: chi that the noise of the records alone makes, by name.
-        validation: chi in records that were not used, by name; empty if there are none.
-        notes: what must be known to trust the values.
-    """
-
-    twin: Twin
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
+    twin: Twin  # the plant with these parameters
+    names: tuple[str, ...]  # of the parameters
+    values: Array  # in the units in which they are declared (k,)
+    covariance: Array  # of the values (k, k)
+    # relative error (4.12) of each sensor in the records together, simulated with the values from the best initial
+    # states, by name; not a number if that motion is not finite
     chi: dict[str, float]
-    floor: dict[str, float]
+    floor: dict[str, float]  # chi that the noise of the records alone makes, by name
+    # chi in records that were not used, by name; empty if there are none
     validation: dict[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what must be known to trust the values
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.names, self.values, strict=True))
@@ -121,15 +112,10 @@ class Estimate:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Fit(Estimate):
-    """Parameters that reproduce records.
+    """Parameters that reproduce records."""
 
-    Args:
-        sigma: standard deviation of the residual of each sensor (sensors,).
-        rounds: of the method.
-    """
-
-    sigma: Array
-    rounds: int
+    sigma: Array  # standard deviation of the residual of each sensor (sensors,)
+    rounds: int  # of the method
 
     def as_dict(self) -> dict[str, Any]:
         """Fit as JSON can hold it."""

@@ -51,27 +51,21 @@ def _refusal(hold: str) -> str:
 class Data:
     """Commands and readings of one record.
 
-    Args:
-        name: of the record, for messages.
-        rate: samples per second.
-        commands: of the actuators, in their units (m, actuators).
-        readings: of the sensors, in their units (m, sensors).
-        late: samples after which a command of each actuator acts (actuators,), or one number for all.
-        hold: 'zero-order': each command acts until the next, as the output of a converter does. 'first-order': inputs
-            go in straight lines between samples, for inputs that were measured, not commanded. `band_limited` makes
-            such lines of inputs that were filtered before they were sampled.
-
     Raises:
         ModelError: `hold` is neither.
 
     Source: Pintelon and Schoukens, System Identification (2012), section 13.2.
     """
 
-    name: str
-    rate: float
-    commands: Array
-    readings: Array
+    name: str  # of the record, for messages
+    rate: float  # samples per second
+    commands: Array  # of the actuators, in their units (m, actuators)
+    readings: Array  # of the sensors, in their units (m, sensors)
+    # samples after which a command of each actuator acts (actuators,), or one number for all
     late: Array = field(default_factory=lambda: NOT_LATE)
+    # 'zero-order': each command acts until the next, as the output of a converter does. 'first-order': inputs go in
+    # straight lines between samples, for inputs that were measured, not commanded. `band_limited` makes such lines of
+    # inputs that were filtered before they were sampled
     hold: Hold = "zero-order"
 
     def __post_init__(self) -> None:

@@ -20,24 +20,15 @@ class KalmanFit(Estimate):
     """Final values of parameters that a filter found, how sure it is of them, and whether its assumptions hold.
 
     The covariance is that of the values if the noise is as assumed by the filter.
-
-    Args:
-        times: of the samples, s (m,).
-        trajectory: values after each sample (m, k).
-        deviations: standard deviations after each sample (m, k).
-        states: the twin's state after each sample (m, states), in SI units.
-        innovations: readings less what was expected of them, in their units (m, sensors).
-        normalised: innovations made independent with deviation 1, if the filter's assumptions hold (m, sensors).
-        final: covariance of state and parameters after the last sample (states + k, states + k).
     """
 
-    times: Array
-    trajectory: Array
-    deviations: Array
-    states: Array
-    innovations: Array
-    normalised: Array
-    final: Array
+    times: Array  # of the samples, s (m,)
+    trajectory: Array  # values after each sample (m, k)
+    deviations: Array  # standard deviations after each sample (m, k)
+    states: Array  # the twin's state after each sample (m, states), in SI units
+    innovations: Array  # readings less what was expected of them, in their units (m, sensors)
+    normalised: Array  # innovations made independent with deviation 1, if the filter's assumptions hold (m, sensors)
+    final: Array  # covariance of state and parameters after the last sample (states + k, states + k)
 
     @property
     def nis(self) -> Array:

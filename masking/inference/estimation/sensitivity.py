@@ -49,37 +49,25 @@ _LATER = (
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of a record for parameters and initial state, the columns in this order.
+    """Normal equations of a record for parameters and initial state, the columns in this order."""
 
-    Args:
-        matrix: J^T W J (k + states, k + states) for the derivatives J of the readings.
-        gradient: J^T W r (k + states,) for the residuals r, measured less simulated.
-        squares: sum of squared residuals of each sensor (sensors,).
-        simulated: what the sensors would read (m, sensors).
-        end: the state at the end of the record (states,).
-    """
-
-    matrix: Array
-    gradient: Array
-    squares: Array
-    simulated: Array
-    end: Array
+    matrix: Array  # J^T W J (k + states, k + states) for the derivatives J of the readings
+    gradient: Array  # J^T W r (k + states,) for the residuals r, measured less simulated
+    squares: Array  # sum of squared residuals of each sensor (sensors,)
+    simulated: Array  # what the sensors would read (m, sensors)
+    end: Array  # the state at the end of the record (states,)
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """A twin with the parameters that may change.
+    """A twin with the parameters that may change."""
 
-    Args:
-        twin: the rig.
-        names: parameters of its model, those of the effects in its elements included (`friction1_fc`), and of effects
-            in its sensors and actuators (`offset_s1_e0`).
-        shared: parameters that others of the same twin may change, whose derivatives are compiled too, so that all
-            have the same functions.
-    """
-
-    twin: Twin
+    twin: Twin  # the rig
+    # parameters of its model, those of the effects in its elements included (`friction1_fc`), and of effects in its
+    # sensors and actuators (`offset_s1_e0`)
     names: tuple[str, ...]
+    # parameters that others of the same twin may change, whose derivatives are compiled too, so that all have the same
+    # functions
     shared: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -38,20 +38,13 @@ MOST_REFINEMENT = 16
 
 @dataclass(frozen=True)
 class Simulated:
-    """What sensors read, and what they would read.
+    """What sensors read, and what they would read."""
 
-    Args:
-        record: commands and readings.
-        sensors: their names.
-        units: of the readings.
-        readings: simulated (m, sensors), from the best initial state.
-        shooting_interval: s of each simulation with its own initial state; None for one of the whole record.
-    """
-
-    record: Data
-    sensors: tuple[str, ...]
-    units: tuple[str, ...]
-    readings: Array
+    record: Data  # commands and readings
+    sensors: tuple[str, ...]  # their names
+    units: tuple[str, ...]  # of the readings
+    readings: Array  # simulated (m, sensors), from the best initial state
+    # s of each simulation with its own initial state; None for one of the whole record
     shooting_interval: float | None = None
 
     @property

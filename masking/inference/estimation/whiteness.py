@@ -27,19 +27,12 @@ SLOW = 0.25  # of the frequency at which a sensor moves: what is below is called
 
 @dataclass(frozen=True)
 class Whiteness:
-    """How white residuals are.
+    """How white residuals are."""
 
-    Args:
-        p: probability of residuals at least as correlated, or as uneven in their spectrum, if they were white.
-        beyond: part of their mean square that is beyond the noise of the sensor.
-        frequency: in Hz, where they are furthest above white noise; 0 for a constant.
-        slow: whether that is far below the frequencies at which the sensor moves.
-    """
-
-    p: float
-    beyond: float
-    frequency: float
-    slow: bool
+    p: float  # probability of residuals at least as correlated, or as uneven in their spectrum, if they were white
+    beyond: float  # part of their mean square that is beyond the noise of the sensor
+    frequency: float  # in Hz, where they are furthest above white noise; 0 for a constant
+    slow: bool  # whether that is far below the frequencies at which the sensor moves
 
     @property
     def white(self) -> bool:

@@ -27,27 +27,17 @@ LEAST_READINGS = 12
 
 @dataclass(frozen=True)
 class ActuatorRatio:
-    """The gain of one actuator at which it balances another.
+    """The gain of one actuator at which it balances another."""
 
-    Args:
-        ratio: command of the second per command of the first that leaves no motion.
-        deviation: standard deviation of the ratio.
-        freedom: degrees of freedom of the deviation.
-        gains: mean gain of each reading (readings,).
-        motion: complex amplitude of the motion at the drive's frequency, phase against the drive (readings,).
-        fitted: the part of `motion` that the ratio and the lag explain (readings,).
-        used: True for readings near the balance, which the ratio rests on (readings,).
-        residual: amplitude of motion that is left at the balance.
-    """
-
-    ratio: float
-    deviation: float
-    freedom: int
-    gains: Array
+    ratio: float  # command of the second per command of the first that leaves no motion
+    deviation: float  # standard deviation of the ratio
+    freedom: int  # degrees of freedom of the deviation
+    gains: Array  # mean gain of each reading (readings,)
+    # complex amplitude of the motion at the drive's frequency, phase against the drive (readings,)
     motion: NDArray[np.complex128]
-    fitted: NDArray[np.complex128]
-    used: NDArray[np.bool_]
-    residual: float
+    fitted: NDArray[np.complex128]  # the part of `motion` that the ratio and the lag explain (readings,)
+    used: NDArray[np.bool_]  # True for readings near the balance, which the ratio rests on (readings,)
+    residual: float  # amplitude of motion that is left at the balance
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of the ratio; a ModelError where the level is not between 0 and 1."""

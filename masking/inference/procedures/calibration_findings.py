@@ -29,19 +29,13 @@ _STEP = 1e-4  # of a parameter, relative, for differences
 
 @dataclass(frozen=True)
 class Records:
-    """Records of a rig under multisines: the one to fit, and the validation record.
-
-    Args:
-        size: part of the largest command that these reach.
-        limits: largest command of each actuator, in its unit (actuators,).
-        missed: samples of each record that were missed, by its name.
-    """
+    """Records of a rig under multisines: the one to fit, and the validation record."""
 
     fit: Data
     unseen: Data
-    size: float
-    limits: Array
-    missed: Mapping[str, int]
+    size: float  # part of the largest command that these reach
+    limits: Array  # largest command of each actuator, in its unit (actuators,)
+    missed: Mapping[str, int]  # samples of each record that were missed, by its name
 
 
 @dataclass(frozen=True)
@@ -60,49 +54,35 @@ class Stage:
 
 @dataclass(frozen=True)
 class Curve:
-    """The force of a spring over its displacement, at rest, in SI units.
-
-    Args:
-        unit: of the force, as the model declares it.
-        measured: SI unit of the displacement.
-        displacement: (m,).
-        force: of the best model (m,).
-        std: standard deviation of that (m,).
-        declared: force of what the plant file said (m,).
-        linear: force of the simplest model (m,).
-        low, high: least and largest displacement that the fitted record reached.
-    """
+    """The force of a spring over its displacement, at rest, in SI units."""
 
     element: str
     meaning: str
-    unit: str
-    measured: str
-    displacement: Array
-    force: Array
-    std: Array
-    declared: Array
-    linear: Array
+    unit: str  # of the force, as the model declares it
+    measured: str  # SI unit of the displacement
+    displacement: Array  # (m,)
+    force: Array  # of the best model (m,)
+    std: Array  # standard deviation of that (m,)
+    declared: Array  # force of what the plant file said (m,)
+    linear: Array  # force of the simplest model (m,)
+    # low and high: least and largest displacement that the fitted record reached
     low: float
     high: float
 
 
 @dataclass(frozen=True)
 class Excited:
-    """Commands of one actuator in the fitted record, in its unit, as long as one period.
-
-    Args:
-        times, values: s, and commands (m,).
-        frequencies, amplitudes: of the sines, Hz (lines,).
-        limit: its largest command.
-    """
+    """Commands of one actuator in the fitted record, in its unit, as long as one period."""
 
     name: str
     unit: str
+    # times and values: s, and commands (m,)
     times: Array
     values: Array
+    # frequencies and amplitudes: of the sines, Hz (lines,)
     frequencies: Array
     amplitudes: Array
-    limit: float
+    limit: float  # its largest command
 
     @property
     def peak(self) -> float:

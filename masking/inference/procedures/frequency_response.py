@@ -36,19 +36,12 @@ SILENT_PART = 1e-9
 
 @dataclass(frozen=True)
 class Spectra:
-    """Periods of a record as spectra, period by period.
+    """Periods of a record as spectra, period by period."""
 
-    Args:
-        rate: samples per second.
-        length: samples per period.
-        inputs: (experiments, periods, lines, inputs), at harmonics 0 to half the length.
-        outputs: (experiments, periods, lines, outputs).
-    """
-
-    rate: float
-    length: int
-    inputs: Complex
-    outputs: Complex
+    rate: float  # samples per second
+    length: int  # samples per period
+    inputs: Complex  # (experiments, periods, lines, inputs), at harmonics 0 to half the length
+    outputs: Complex  # (experiments, periods, lines, outputs)
 
     @property
     def base(self) -> float:
@@ -74,27 +67,17 @@ class Spectra:
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """A frequency response G with its uncertainty; the best linear approximation where the rig is not linear.
+    """A frequency response G with its uncertainty; the best linear approximation where the rig is not linear."""
 
-    Args:
-        harmonics: lines as multiples of the base (lines,).
-        frequencies: of the lines, Hz (lines,).
-        response: G, output per input (lines, outputs, inputs).
-        noise: variance E|G - E G|^2 that the differences between periods explain (lines, outputs, inputs).
-        total: variance that the differences between realisations show, distortion included; None where there is one.
-        periods: periods of each experiment.
-        realisations: groups of experiments with phases of their own.
-        freedom: complex degrees of freedom of `noise`.
-    """
-
-    harmonics: Indices
-    frequencies: Array
-    response: Complex
-    noise: Array
+    harmonics: Indices  # lines as multiples of the base (lines,)
+    frequencies: Array  # of the lines, Hz (lines,)
+    response: Complex  # G, output per input (lines, outputs, inputs)
+    noise: Array  # variance E|G - E G|^2 that the differences between periods explain (lines, outputs, inputs)
+    # variance that the differences between realisations show, distortion included; None where there is one
     total: Array | None
-    periods: int
-    realisations: int
-    freedom: int
+    periods: int  # periods of each experiment
+    realisations: int  # groups of experiments with phases of their own
+    freedom: int  # complex degrees of freedom of `noise`
 
     @property
     def variance(self) -> Array:
@@ -130,22 +113,14 @@ class Distortion:
 
     Levels are squared peak amplitudes of the output, averaged over realisations; at a line without distortion the
     level of the output is that of the noise.
-
-    Args:
-        harmonics: all lines up to the highest excited one (lines,).
-        frequencies: Hz (lines,).
-        excited: True where the input was excited (lines,).
-        level: mean squared amplitude of the output's mean over periods (lines,).
-        noise: part of `level` that noise explains (lines,).
-        response: best linear approximation at the excited lines.
     """
 
-    harmonics: Indices
-    frequencies: Array
-    excited: NDArray[np.bool_]
-    level: Array
-    noise: Array
-    response: FrequencyResponse
+    harmonics: Indices  # all lines up to the highest excited one (lines,)
+    frequencies: Array  # Hz (lines,)
+    excited: NDArray[np.bool_]  # True where the input was excited (lines,)
+    level: Array  # mean squared amplitude of the output's mean over periods (lines,)
+    noise: Array  # part of `level` that noise explains (lines,)
+    response: FrequencyResponse  # best linear approximation at the excited lines
 
     @property
     def even(self) -> Indices:

@@ -32,22 +32,14 @@ class EquilibriumShift:
         delta = constant + growth theta,   theta = (max x - min x) / 2
 
     Dry friction shifts the equilibrium by the same however far the motion went, hysteresis by more after longer travel.
-
-    Args:
-        travel: theta of each tooth (teeth,).
-        shift: delta, between its two passages of zero force (teeth,).
-        constant: delta of the shortest travel, extrapolated to none.
-        growth: delta per travel.
-        covariance: of (constant, growth) (2, 2).
-        stiffness: slope of force over displacement where the force is zero.
     """
 
-    travel: Array
-    shift: Array
-    constant: float
-    growth: float
-    covariance: Array
-    stiffness: float
+    travel: Array  # theta of each tooth (teeth,)
+    shift: Array  # delta, between its two passages of zero force (teeth,)
+    constant: float  # delta of the shortest travel, extrapolated to none
+    growth: float  # delta per travel
+    covariance: Array  # of (constant, growth) (2, 2)
+    stiffness: float  # slope of force over displacement where the force is zero
 
     @property
     def friction(self) -> float:
@@ -67,35 +59,23 @@ class LocatedFriction:
         h = level + viscous |v| + hysteresis + step (1 + tanh(side (x - edge) / width)) / 2
 
     h(x) is half the gap between the way up and the way down.
-
-    Args:
-        is_found: True where the step is larger than chance and than `level` explain; otherwise the rest is no finding.
-        edge: displacement at which half of the step is reached.
-        deviation: standard deviation of the edge by scatter, at most the travel; a friction that depends on speed
-            shifts the edge by a part of the width beside that.
-        side: 1: the friction is beyond the edge upwards, -1: downwards.
-        step: friction force that is added there.
-        step_deviation: standard deviation of the step.
-        level: friction force elsewhere.
-        viscous: force per speed.
-        width: over which it begins.
-        displacement: middle of each bin (bins,).
-        half_gap: half the force between the way up and down in each bin (bins,).
-        fitted: what the formula gives (bins,).
     """
 
+    # True where the step is larger than chance and than `level` explain; otherwise the rest is no finding
     is_found: bool
-    edge: float
+    edge: float  # displacement at which half of the step is reached
+    # standard deviation of the edge by scatter, at most the travel; a friction that depends on speed shifts the edge by
+    # a part of the width beside that
     deviation: float
-    side: int
-    step: float
-    step_deviation: float
-    level: float
-    viscous: float
-    width: float
-    displacement: Array
-    half_gap: Array
-    fitted: Array
+    side: int  # 1: the friction is beyond the edge upwards, -1: downwards
+    step: float  # friction force that is added there
+    step_deviation: float  # standard deviation of the step
+    level: float  # friction force elsewhere
+    viscous: float  # force per speed
+    width: float  # over which it begins
+    displacement: Array  # middle of each bin (bins,)
+    half_gap: Array  # half the force between the way up and down in each bin (bins,)
+    fitted: Array  # what the formula gives (bins,)
 
 
 def shift_of_equilibrium(times: ArrayLike, displacement: ArrayLike, force: ArrayLike) -> EquilibriumShift:

@@ -33,18 +33,12 @@ REPEATED = 0.1
 
 @dataclass(frozen=True)
 class Response:
-    """Frequency responses, and distortions where the excitation leaves lines free.
+    """Frequency responses, and distortions where the excitation leaves lines free."""
 
-    Args:
-        inputs: their names.
-        outputs: names of the sensors.
-        responses: for each input the response (lines, outputs, 1) at its lines.
-        distortions: for each output what an odd multisine shows; empty where the excitation does not.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    responses: Mapping[str, FrequencyResponse]
+    inputs: tuple[str, ...]  # their names
+    outputs: tuple[str, ...]  # names of the sensors
+    responses: Mapping[str, FrequencyResponse]  # for each input the response (lines, outputs, 1) at its lines
+    # for each output what an odd multisine shows; empty where the excitation does not
     distortions: Mapping[str, Distortion]
 
 

@@ -54,27 +54,17 @@ class Row:
 
 @dataclass(frozen=True)
 class Measurement(Generic[FoundT]):
-    """What a procedure found.
+    """What a procedure found."""
 
-    Args:
-        procedure: its name, such as springs.
-        records: that it was found from.
-        channels: the columns that were used, by what they stand for.
-        found: what the procedure returned.
-        sentence: the finding.
-        rows: the numbers.
-        series: what is drawn, by name: equally long lists are columns of one table.
-        notes: what must be known to trust the numbers.
-    """
-
-    procedure: str
-    records: tuple[str, ...]
-    channels: Mapping[str, Channel]
-    found: FoundT
-    sentence: str
-    rows: tuple[Row, ...]
+    procedure: str  # its name, such as springs
+    records: tuple[str, ...]  # that it was found from
+    channels: Mapping[str, Channel]  # the columns that were used, by what they stand for
+    found: FoundT  # what the procedure returned
+    sentence: str  # the finding
+    rows: tuple[Row, ...]  # the numbers
+    # what is drawn, by name: equally long lists are columns of one table
     series: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what must be known to trust the numbers
 
     def as_dict(self) -> dict[str, Any]:
         """Measurement as JSON can hold it."""

@@ -43,38 +43,23 @@ UNEXPLAINED_PART = 0.25
 class SpringCurve:
     """Force of a spring over its displacement, and what comes on top of it in each direction.
 
-        f / force_scale = sum_j rho_j (x / scale)^j                                                  (4.14), Table B.4
-
-    Args:
-        coefficients: rho (order + 1,), without unit.
-        covariance: of the coefficients (order + 1, order + 1).
-        scale: unit of displacement in which the coefficients are, such as 5e-3 m.
-        force_scale: unit of force in which they are, such as 0.42 V.
-        lowest: least displacement that was reached.
-        highest: largest displacement that was reached.
-        friction: force against the motion that is there as soon as it turns; viscous forces at the speed of the ramp
-            are part of it.
-        hysteresis: force against the motion that builds up after it turned.
-        residual: root mean square of the force that is not explained.
-        freedom: degrees of freedom of the covariance.
-        displacement: averaged record (points,).
-        force: averaged record (points,).
-        direction: 1 where the force rises, -1 where it falls (points,).
+    f / force_scale = sum_j rho_j (x / scale)^j                                                  (4.14), Table B.4
     """
 
-    coefficients: Array
-    covariance: Array
-    scale: float
-    force_scale: float
-    lowest: float
-    highest: float
+    coefficients: Array  # rho (order + 1,), without unit
+    covariance: Array  # of the coefficients (order + 1, order + 1)
+    scale: float  # unit of displacement in which the coefficients are, such as 5e-3 m
+    force_scale: float  # unit of force in which they are, such as 0.42 V
+    lowest: float  # least displacement that was reached
+    highest: float  # largest displacement that was reached
+    # force against the motion that is there as soon as it turns; viscous forces at the speed of the ramp are part of it
     friction: float
-    hysteresis: float
-    residual: float
-    freedom: int
-    displacement: Array
-    force: Array
-    direction: Array
+    hysteresis: float  # force against the motion that builds up after it turned
+    residual: float  # root mean square of the force that is not explained
+    freedom: int  # degrees of freedom of the covariance
+    displacement: Array  # averaged record (points,)
+    force: Array  # averaged record (points,)
+    direction: Array  # 1 where the force rises, -1 where it falls (points,)
 
     @property
     def half_gap(self) -> float:
