@@ -70,7 +70,7 @@ def test_a_relaxing_spring_decays_as_its_characteristic_polynomial_says():
     np.testing.assert_allclose(found.displacement[:, 0], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("effect", ["dry_friction", "play"])
+@pytest.mark.parametrize("effect", [pytest.param("dry_friction", marks=pytest.mark.search), "play"])
 def test_what_hides_in_a_short_record_is_named(effect):
     how, words = judged(Case(4, effect, rate=200.0, seconds=8.0))
     assert how == "strict", words

@@ -73,7 +73,9 @@ def late(tmp_path_factory):
     return saved(tmp_path_factory.mktemp("late"), DRIVEN, columns)
 
 
-@pytest.mark.parametrize("k2", [90.0, 99.0], ids=["as declared", "a stiff joint"])
+@pytest.mark.parametrize(
+    "k2", [pytest.param(90.0, marks=pytest.mark.search, id="as declared"), pytest.param(99.0, id="a stiff joint")]
+)
 def test_a_free_decay_needs_no_inputs(tmp_path, k2):
     t = np.arange(1500) / RATE
     a, _ = matrices((K[0], k2))
@@ -115,7 +117,10 @@ def free_decay(k, band, samples, vs):
     return t, np.where(half < len(turns) - 1, side + (turn - side) * np.cos(w * t - np.pi * half), turn)
 
 
-@pytest.mark.parametrize(("samples", "vs"), [(3600, 0.0), (4200, 7e-4)], ids=["sticks", "creeps"])
+@pytest.mark.parametrize(
+    ("samples", "vs"),
+    [pytest.param(3600, 0.0, id="sticks"), pytest.param(4200, 7e-4, marks=pytest.mark.search, id="creeps")],
+)
 def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_path, samples, vs):
     """Where the mass comes to rest, and how it creeps, shows in the last part alone, which is held out."""
     k, band, noise = 40.0, 1.3e-3, 1e-4  # N/m, m, m
@@ -140,6 +145,7 @@ def test_friction_is_named_that_ends_a_free_decay_beyond_the_fitted_part(tmp_pat
         assert errors.fitted_alone["x"] > 1.2 * errors.validation_noise_floor["x"]
 
 
+@pytest.mark.search
 def test_stribeck_friction_that_creeps_is_one_law(tmp_path):
     """A disc whose speed alone is known, by the classical Runge-Kutta method in steps of 0.5 ms."""
     inertia, drag, low, high, falls, vs, rate = 0.01, 0.02, 0.03, 0.05, 0.4, 0.01, 200.0

@@ -237,6 +237,7 @@ elements: {shaft: {displacement: th, unit: N*m, acts: {th: -1}}}
 """
 
 
+@pytest.mark.search
 def test_cogging_is_named_over_many_turns(tmp_path):
     """Seven teeth pull at a shaft that turns some twenty times: its force repeats a hundred times within the travel."""
     rate, rng = 200.0, np.random.default_rng(14)
@@ -283,7 +284,8 @@ elements:
 """
 
 
-@pytest.mark.parametrize("drag", [300.0, pytest.param(60.0, marks=pytest.mark.search)])
+@pytest.mark.parametrize("drag", [300.0, 60.0])
+@pytest.mark.search
 def test_strong_damping_is_found_in_a_free_decay_of_which_one_of_two_masses_is_seen(tmp_path, drag):
     """The parameters of the model alone would run to a tenth of their values, since masses have no scale here."""
     times, rng = np.arange(3000) / 100.0, np.random.default_rng(17)

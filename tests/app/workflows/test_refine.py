@@ -17,7 +17,8 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 
-SECONDS = 12.0
+SECONDS = 6.0
+HIDDEN = 0.005 * 5e-3 * ((12.5521 + 14.0337) / 2.0) ** 2  # dry friction: 0.005 of the stroke times wbar^2
 EXPERIMENT = """
 name: on a rig that rubs
 plant: linear_rig
@@ -28,29 +29,35 @@ effects:
   damping2: true
   damping3: true
   gains: {enabled: true, parameters: {e: -0.05}}
-  friction1: true
-  friction2: true
   friction3: true
 duration: 100
 """
 
 
-@pytest.fixture(scope="module")
-def rubs(tmp_path_factory):
-    """Return the folder of an experiment on the imperfect rig, all that is wrong with it hidden, and records."""
-    folder = tmp_path_factory.mktemp("refine")
-    (folder / "e.yaml").write_text(EXPERIMENT)
+def recorded(folder, experiment, seconds):
+    """Write an experiment, and what is recorded of its imperfect rig, all that is wrong with it hidden."""
+    (folder / "e.yaml").write_text(experiment)
     twin = Experiment.load(folder / "e.yaml").twin
-    settings = {"seconds": SECONDS, "lockstep": True, "seed": 1, "say": lambda text: None, "progress": lambda p: None}
+    settings = {"seconds": seconds, "lockstep": True, "seed": 1, "say": lambda text: None, "progress": lambda p: None}
     calibration_records.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
     return folder
 
 
+def refine(folder):
+    at = folder / "records"
+    settings = {"record": at / "fit", "validation": at / "unseen", "tolerance": 0.05}
+    return masking.refine(folder / "e.yaml", **settings, out=folder / "out")
+
+
+@pytest.fixture(scope="module")
+def rubs(tmp_path_factory):
+    """Return the folder of an experiment on a rig of which one bearing rubs, with records."""
+    return recorded(tmp_path_factory.mktemp("refine"), EXPERIMENT, SECONDS)
+
+
 @pytest.fixture(scope="module")
 def found(rubs):
-    at = rubs / "records"
-    settings = {"record": at / "fit", "validation": at / "unseen", "tolerance": 0.05}
-    return masking.refine(rubs / "e.yaml", **settings, out=rubs / "out")
+    return refine(rubs)
 
 
 @pytest.fixture
@@ -75,16 +82,26 @@ def test_the_controller_believes_neither_hidden_effects_nor_gains(rubs):
 
 
 def test_friction_is_found_and_masking_is_truer(found, told):
-    """Dry friction of 0.005 of the stroke times wbar^2 is hidden at each of the three places, and is found there."""
-    effects, hidden = told["discovery"]["effects"], 0.005 * 5e-3 * ((12.5521 + 14.0337) / 2.0) ** 2
-    assert {(effect["name"], effect["on"]) for effect in effects} == {
-        ("dry_friction", place) for place in ("spring1", "spring2", "beam")
-    }
-    assert [effect["parameters"]["fc"]["value"] for effect in effects] == pytest.approx([hidden] * 3, rel=0.01)
+    effects = told["discovery"]["effects"]
+    assert [(effect["name"], effect["on"]) for effect in effects] == [("dry_friction", "beam")]
+    assert effects[0]["parameters"]["fc"]["value"] == pytest.approx(HIDDEN, rel=0.01)
     assert max(told["after"]["masking_error"].values()) == found.after.worst < 0.02
     assert max(told["before"]["masking_error"].values()) == found.before.worst > 0.05
     assert told["sentence"].startswith("With ")
     assert " and adjusted parameters in the controller's model, masking error chi went " in told["sentence"]
+
+
+@pytest.mark.search
+def test_friction_at_three_places_is_found(tmp_path):
+    everywhere = EXPERIMENT.replace("  friction3: true", "".join(f"  friction{i}: true\n" for i in (1, 2, 3)).rstrip())
+    found = refine(recorded(tmp_path, everywhere, 12.0))
+    assert {(effect.name, effect.on) for effect in found.discovery.effects} == {
+        ("dry_friction", place) for place in ("spring1", "spring2", "beam")
+    }
+    values = [effect.parameters["fc"].value for effect in found.discovery.effects]
+    assert values == pytest.approx([HIDDEN] * 3, rel=0.01)
+    assert found.before.worst > 0.05
+    assert found.after.worst < 0.02
 
 
 def test_everything_is_saved_and_runs_again(found, told):

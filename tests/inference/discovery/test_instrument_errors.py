@@ -89,6 +89,7 @@ def test_many_imperfections_are_adjusted_beside_a_law_and_written(tmp_path):
     assert "small errors that a rig has" in discovery_text.sentence(found)
 
 
+@pytest.mark.search
 def test_a_single_imperfection_beside_a_law_is_a_cause(tmp_path):
     case = Case(3, "hardening_spring", replace(REAL, gain=0.0, offset=0.0, late=(4, 4)), RATE, 12.0)
     twin, record = record_of(case, tmp_path)

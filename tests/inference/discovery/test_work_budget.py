@@ -51,6 +51,7 @@ def found(folder, u, y):
     return masking.discover(folder / "record.npz", model=folder / "model.yaml", out=folder / "out")
 
 
+@pytest.mark.search
 def test_a_delay_of_half_a_period_is_named(tmp_path):
     one = found(tmp_path, *moved(late=8))
     assert (one.verdict, one.closed, [cause.name for cause in one.effects]) == ("named", True, ["delay"])
@@ -65,6 +66,7 @@ def test_the_limit_of_a_sensor_is_named(tmp_path):
     assert one.effects[0].parameters["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
+@pytest.mark.search
 def test_an_offset_and_a_constant_force_are_one_to_a_record(tmp_path):
     u, y = moved()
     one = found(tmp_path, u, y + 0.4 * y.std())
