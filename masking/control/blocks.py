@@ -290,12 +290,9 @@ def decouple(
 def check_actuation(model: Model, transform: Transform) -> None:
     """Refuse a rig whose inputs cannot accelerate each virtual coordinate independently of the others.
 
-    The rank of W = J B is taken at random states and parameters, where it is as large as it can be. Coordinates that
-    no virtual one stands for stay as the rig has them, and need no input.
-
-    Raises:
-        ActuationError: names the virtual coordinates that cannot be masked.
-        ModelError: the transform is not invertible.
+    The rank of W = J B is taken at random states and parameters, where it is as large as it can be. Coordinates that no
+    virtual one stands for stay as the rig has them, and need no input. An ActuationError names the virtual coordinates
+    that cannot be masked; a ModelError where the transform is not invertible.
     """
     s = model.equations.symbols
     generator = np.random.default_rng(0)
@@ -349,8 +346,7 @@ def product(graph: Graph, a: Sequence[Sequence[Node]], b: Sequence[Sequence[Node
     found = []
     for row in a:
         filled = [(x, other) for x, other in zip(row, b, strict=True) if not graph.is_number(x, 0.0)]
-        columns = range(len(b[0]))
-        found.append([graph.total([graph.mul(x, other[j]) for x, other in filled]) for j in columns])
+        found.append([graph.total([graph.mul(x, other[j]) for x, other in filled]) for j in range(len(b[0]))])
     return found
 
 

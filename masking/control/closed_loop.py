@@ -214,8 +214,7 @@ def module(loop: ClosedLoop) -> Module:
         # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
         "method": "runge_kutta",
     }
-    title = f"{loop.plant.name}, masked as {controller.virtual.name}"
-    made = Module(title, meta)
+    made = Module(f"{loop.plant.name}, masked as {controller.virtual.name}", meta)
 
     def add(signature: str, target: str, nodes: list[Node], returns: Node | None = None) -> None:
         reads = joined if ", y," in signature else split

@@ -101,8 +101,7 @@ class Instruments:
 
     def unit(self, actuator: str) -> str:
         """Unit of an actuator."""
-        known = self.plant.actuators or self.model.declaration.inputs
-        return known[actuator].unit
+        return (self.plant.actuators or self.model.declaration.inputs)[actuator].unit
 
     def plan(self, rate: float, noise: float | None) -> Plan:
         """Plan of an observer: the model linearised at rest, the sensors and their noise, one for all if given.

@@ -62,8 +62,7 @@ class Controller:
     @property
     def driven(self) -> Array:
         """Slope of the virtual coordinates by those of the rig at zero (k, n), per SI unit of the latter."""
-        slope = self.transform.slope(self.transform_parameters)
-        return np.asarray(slope / self.lengths, dtype=np.float64)
+        return np.asarray(self.transform.slope(self.transform_parameters) / self.lengths, dtype=np.float64)
 
     def values(self) -> Array:
         """Parameter array of the control law: model, virtual system, transform, lengths, time scale."""

@@ -140,10 +140,8 @@ class Kalman:
 
         The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
         bandwidth stays within 40 degrees; then lower, coordinate by coordinate, until the noise of the readings makes
-        no more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule.
-
-        Raises:
-            ModelError: the chosen bandwidth is faster than the sampling allows, or the noise is too large for any.
+        no more noise in a command than 2 % of its largest value. A chosen bandwidth overrides the rule. A ModelError
+        where that is faster than the sampling allows, or the noise is too large for any.
         """
         if self.bandwidth is not None:
             refused, fast = REFUSED_PART / plan.late, float(np.max(self.bandwidth))

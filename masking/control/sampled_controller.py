@@ -120,10 +120,8 @@ class SampledController:
 
         A ModelError where it is faster than the sampling allows, or the noise or a limit is not known.
         """
-        noise = self.noise if self.has_model else 1.0
-        plan = self.instruments.plan(self.rate, noise)
-        offset = self.sizes.states - 2 * self.sizes.coordinates
-        return np.ascontiguousarray(self.observer.gain(plan, offset))
+        plan = self.instruments.plan(self.rate, self.noise if self.has_model else 1.0)
+        return np.ascontiguousarray(self.observer.gain(plan, self.sizes.states - 2 * self.sizes.coordinates))
 
     @cached_property
     def limits(self) -> Array:
@@ -140,10 +138,9 @@ class SampledController:
 
     def structure(self) -> dict[str, object]:
         """All that the compiled step depends on, apart from values."""
-        sensors = self.instruments.plant.sensors.values()
         return {
             "controller": self.controller.structure(),
-            "sensors": [s.measures.text for s in sensors],
+            "sensors": [s.measures.text for s in self.instruments.plant.sensors.values()],
             "actuators": list(self.instruments.actuators),
             "has_model": self.has_model,
             "order": self.observer.order,
@@ -209,10 +206,8 @@ class SampledController:
         acting = self.instruments.allocation @ command
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
-        balance = np.zeros(sizes.balance.stop - sizes.balance.start)
-        kept = (balance, self._standing(q), self._past())
-        x = np.concatenate([estimate, power, estimate, *kept, np.tile(acting, self.delay)])
-        return Beginning(x, p, command)
+        kept = (np.zeros(sizes.balance.stop - sizes.balance.start), self._standing(q), self._past())
+        return Beginning(np.concatenate([estimate, power, estimate, *kept, np.tile(acting, self.delay)]), p, command)
 
     def _past(self) -> Array:
         """Memory of delayed expressions before the release, as `Sizes.past` says."""

@@ -209,16 +209,8 @@ class LawStep:
         time, self._first = np.zeros(1), np.zeros(1)
         self._time: Any = time.data
         self._schedule, self._parameters = schedule, loop.values()
-        given = (
-            time,
-            self.state,
-            self._parameters,
-            np.ascontiguousarray(inverse),
-            self.inputs,
-            self.applied,
-            self._first,
-        )
-        self._bound = loop.kernels.answer.bind(*given)
+        given = (time, self.state, self._parameters, np.ascontiguousarray(inverse))
+        self._bound = loop.kernels.answer.bind(*given, self.inputs, self.applied, self._first)
         self._results = self._bound.results
         self.reset()
 

@@ -91,8 +91,7 @@ class Feed:
     def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
         """Add the step with inputs that are read or estimated."""
         sensors = tuple((one.cell, one.sensor) for one in self.sensors)
-        pushes = tuple(one.cell for one in self.pushes)
-        given = ("bare_control", "push", len(self.series), sensors, pushes, sizes)
+        given = ("bare_control", "push", len(self.series), sensors, tuple(one.cell for one in self.pushes), sizes)
         module.add_factory("control", virtual_input_kernels.control, *given, work=work)
 
     @property

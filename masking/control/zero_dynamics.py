@@ -45,8 +45,7 @@ class ZeroDynamics:
     @property
     def slowest(self) -> complex:
         """Eigenvalue that says most: that with the largest real part, above the real axis."""
-        found = max(self.eigenvalues, key=lambda x: (round(x.real, 12), x.imag))
-        return complex(found)
+        return complex(max(self.eigenvalues, key=lambda x: (round(x.real, 12), x.imag)))
 
     @property
     def how(self) -> str:

@@ -87,10 +87,8 @@ def _begin(sampled: SampledController, operations: Operations) -> dict[str, Arra
         start = unit_kernels.Start(len(begun.x), len(begun.p), homing, 1.0 / sampled.rate, is_held)
         parts = ("clear", "measure", "still", "allocate", "wire", sizes, start)
         found["memory0"][:n] = found["memory0"][sizes.next][:n] = 0.0
-        sensing = known.sensing()[:, :n]
-        found |= {"inverse": np.ascontiguousarray(np.linalg.pinv(sensing)), "limits": sampled.limits}
-        arguments = f"{common} work memory0 values inverse limits"
-        operations.add("init", INIT, arguments, unit_kernels.beginning, *parts)
+        found |= {"inverse": np.ascontiguousarray(np.linalg.pinv(known.sensing()[:, :n])), "limits": sampled.limits}
+        operations.add("init", INIT, f"{common} work memory0 values inverse limits", unit_kernels.beginning, *parts)
     return found
 
 

@@ -145,8 +145,7 @@ def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str
     listed = SubElement(root, "ModelVariables")
     for variable in found:
         _variable(listed, variable, version)
-    structure = SubElement(root, "ModelStructure")
-    _structure(structure, found, version)
+    _structure(SubElement(root, "ModelStructure"), found, version)
     return root
 
 

@@ -26,11 +26,11 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     operations = Operations(module, 0, period)
     begin = (unit_kernels.rig_beginning, "clear", len(state), len(values), rows, a)
     operations.add("init", "Begin at rest, without power.", "y p queue acting counters state0 values", *begin)
-    text, arguments = (
+    text, read = (
         "Read the sensors; noise holds samples of mean 0 and deviation 1.",
         "noise readings y p acting counters",
     )
-    operations.add("read", text, arguments, unit_kernels.rig_reading, "sense_under", "instant")
+    operations.add("read", text, read, unit_kernels.rig_reading, "sense_under", "instant")
     step = (unit_kernels.rig_step, "move", "instant", a, substeps, period)
     arguments = "commands y p queue acting work counters late"
     operations.add("step", "Move by one period under commands.", arguments, *step)
@@ -63,8 +63,7 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     model.check_ordinary("an exported model")
     module = lowering.module(model.equations)
     d, n, values, period = model.declaration, len(model.coordinates), model.values(), 1.0 / rate
-    missing = {c: 0.0 for c, x in d.coordinates.items() if x.initial is None}
-    state = model.initial_state(missing)
+    state = model.initial_state({c: 0.0 for c, x in d.coordinates.items() if x.initial is None})
     size, u = len(state), np.zeros(len(model.inputs))
     lengths = np.resize(model.lengths, size) if n else np.ones(size)
     substeps = steps_between(lambda y, out: model.kernels.derivative(0.0, y, u, values, out), state, lengths, rate)

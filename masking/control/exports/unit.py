@@ -65,8 +65,7 @@ class Unit:
 
     def written(self, operation: str) -> tuple[str, ...]:
         """Ports that an operation writes."""
-        is_written = self._output in self.operations[operation].arguments
-        return (self._output,) if is_written else ()
+        return (self._output,) if self._output in self.operations[operation].arguments else ()
 
 
 class Operations(dict[str, Operation]):

@@ -56,20 +56,15 @@ class PlacedEffect:
 
 @dataclass(frozen=True)
 class Twin:
-    """A simulated rig.
+    """A simulated rig."""
 
-    Args:
-        declaration: the content of a plant file.
-        base: the model that it names.
-        changes: what an experiment changes of its effects, by their names.
-        chosen: values of parameters of effects in sensors and actuators at one place, such as `offset_s1_e0`.
-        built: what is known of it from the twin that it was made from, by the name of the property.
-    """
-
-    declaration: schema.PlantDeclaration
-    base: schema.ModelDeclaration
+    declaration: schema.PlantDeclaration  # the content of a plant file
+    base: schema.ModelDeclaration  # the model that it names
+    # what an experiment changes of its effects, by their names
     changes: Mapping[str, schema.EffectChange] = field(default_factory=dict)
+    # values of parameters of effects in sensors and actuators at one place, such as `offset_s1_e0`
     chosen: Mapping[str, float] = field(default_factory=dict)
+    # what is known of it from the twin that it was made from, by the name of the property
     built: InitVar[Mapping[str, object] | None] = None
 
     def __post_init__(self, built: Mapping[str, object] | None) -> None:

@@ -208,8 +208,7 @@ class AuthenticatedHub:
 
     def _nonce(self, session: int) -> bytes:
         """Nonce of a session, which nobody can know before: the same for the same one, until a new start."""
-        made = hashlib.blake2b(session.to_bytes(8, "little"), key=self._secret, digest_size=16)
-        return made.hexdigest().encode()
+        return hashlib.blake2b(session.to_bytes(8, "little"), key=self._secret, digest_size=16).hexdigest().encode()
 
 
 def _unauthenticated() -> WireError:

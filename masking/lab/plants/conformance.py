@@ -162,8 +162,7 @@ def _shapes(plant: Plant, settings: Settings, amplitude: float) -> Iterator[str]
     plant.activate()
     index, size = plant.read().index, len(plant.actuators)
     for shape in ((size + 1,), (size - 1,), (1, size), ()):
-        command = np.full(shape, amplitude)
-        yield from _must_refuse(f"a command of shape {shape}", partial(plant.write, index, command))
+        yield from _must_refuse(f"a command of shape {shape}", partial(plant.write, index, np.full(shape, amplitude)))
 
 
 def _finite(plant: Plant, settings: Settings, _amplitude: float) -> Iterator[str]:

@@ -218,8 +218,7 @@ class _Server:
                 self.plant.deactivate()
                 refusal = str(error) if isinstance(error, MaskingError) else f"{type(error).__name__}: {error}"
         elif session is not None and (frame.session, address) != (session.number, session.address):
-            holder = ":".join(map(str, session.address))
-            refusal = f"a controller at {holder} has this plant; stop that one first"
+            refusal = f"a controller at {':'.join(map(str, session.address))} has this plant; stop that one first"
             session.counters["refused controllers"] += 1
         if session is not None and not refusal:
             self.reply(session, Kind.ACCEPT, wire.channels_text(self.plant.sensors, self.plant.actuators))

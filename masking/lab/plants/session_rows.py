@@ -64,16 +64,13 @@ class SessionRows:
 
     def recording(self, manifest: Mapping[str, Any]) -> Recording:
         """Rows; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
-        table = np.concatenate(self.chunks)[: self.count]
-        columns = dict(zip(self.names, table.T, strict=True))
+        columns = dict(zip(self.names, np.concatenate(self.chunks)[: self.count].T, strict=True))
         for name, column in list(columns.items()):
             finite = np.isfinite(column)
             if not finite.all():
                 columns[name] = np.where(finite, column, 0.0)
                 columns[f"nonfinite.{name}"] = np.where(finite, 0.0, 1.0)
-        head = {
-            "name": "a plant's own record",
-            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        }
+        created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        head = {"name": "a plant's own record", "created": created}
         clock = {"lateness": columns["late"]} if manifest["clock"] == "real" else {}
         return Recording(columns, {**head, **manifest, "timing": timing(columns["tick"].astype(np.int64), **clock)})

@@ -88,8 +88,7 @@ def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUE
         count = len(values)
     if len(payload) > LARGEST:
         raise PlantError(f"a frame of {len(payload)} bytes does not fit into a datagram; use fewer channels")
-    head = _HEADER.pack(MAGIC, VERSION, kind, 0, session % _U64, index, time.monotonic_ns(), count)
-    body = head + payload
+    body = _HEADER.pack(MAGIC, VERSION, kind, 0, session % _U64, index, time.monotonic_ns(), count) + payload
     return body + _CHECK.pack(zlib.crc32(body))
 
 
@@ -202,16 +201,14 @@ def channels_text(sensors: tuple[str, ...], actuators: tuple[str, ...]) -> str:
 def read_channels(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Read the text of an accept: the names of sensors and of actuators, two lists of different names."""
     content = _object(text)
-    names: list[tuple[str, ...]] = []
     for kind in ("sensors", "actuators"):
-        given = content.get(kind)
-        if isinstance(given, list) and given and all(isinstance(name, str) and name for name in given):
-            names.append(tuple(given))
-        if not names or len(set(names[-1])) != len(given or ()):
+        given: Any = content.get(kind)
+        are_names = isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)
+        if not are_names or len(set(given)) != len(given):
             raise PlantMismatchError(
                 f"the plant does not name its {kind}: {text}; it must give a list of different names"
             )
-    return names[0], names[1]
+    return tuple(content["sensors"]), tuple(content["actuators"])
 
 
 def parse_address(address: str) -> tuple[str, int]:

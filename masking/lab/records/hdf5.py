@@ -29,13 +29,9 @@ def is_hdf5(file: Path) -> bool:
 def read(file: Path) -> dict[str, NDArray[np.float64]]:
     """Read every vector of numbers as float64, by its path in the file, such as `multisine/u`.
 
-    Vectors and columns of matrices are as in `nested.vectors`. Scalars, texts, compounds and references are left out,
-    and what only MATLAB understands. Nothing is read from other files: a file with external links, external storage or
-    virtual datasets is refused.
-
-    Raises:
-        RecordError: it is no HDF5 file, is cut off or damaged, refers to other files, unpacks to too much, or holds no
-            vectors.
+    Vectors and columns of matrices are as in `nested_data.vectors`. Scalars, texts, compounds and references are left
+    out, and what only MATLAB understands. Nothing is read from other files: a file with external links, external
+    storage or virtual datasets is refused, as is one that is damaged, unpacks to too much, or holds no vectors.
     """
     total = 0
     found: dict[str, NDArray[np.float64]] = {}

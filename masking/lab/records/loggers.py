@@ -101,11 +101,8 @@ def _unpacked_mdf(file: Path) -> int:
             _, kind, _, _, original, size = struct.unpack("<2sBBIQQ", head)
             total += int(original)
             packed = data[block.start() + 48 :][:size]
-            if (
-                kind in _MDF_DEFLATED
-                and original <= unpacked_size.limit(file)
-                and unpacked_size.inflated(packed, original) > original
-            ):
+            is_read = kind in _MDF_DEFLATED and original <= unpacked_size.limit(file)
+            if is_read and unpacked_size.inflated(packed, original) > original:
                 raise ValueError("a block unpacks to more than it says")
     return total
 
@@ -120,9 +117,8 @@ def _unpacked_mcap(file: Path) -> int:
                 if one.compression == "zstd":
                     found = importlib.import_module("zstandard").frame_content_size(one.data)
                 elif one.compression == "lz4" and said <= most:
-                    found = len(
-                        importlib.import_module("lz4.frame").LZ4FrameDecompressor().decompress(one.data, said + 1)
-                    )
+                    unpacking = importlib.import_module("lz4.frame").LZ4FrameDecompressor()
+                    found = len(unpacking.decompress(one.data, said + 1))
                 if found > said:
                     raise ValueError("a chunk unpacks to more than it says")
                 total += said

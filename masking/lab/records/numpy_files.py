@@ -39,8 +39,7 @@ def _size(stream: IO[bytes], length: int) -> int:
 
     A ValueError where it is no array of numbers, or the header says that it is longer than the file.
     """
-    version = npy.read_magic(stream)
-    header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    header = npy.read_array_header_1_0 if npy.read_magic(stream) == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = header(stream)
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are not unpickled")

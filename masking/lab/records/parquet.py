@@ -85,8 +85,7 @@ class Writer:
         """
         if self._writer is None:
             # Statistics of all columns of all groups: measured 8 MB of memory for each hour at 1 kHz.
-            schema = _schema(columns, facts)
-            self._writer = pq.ParquetWriter(self._stream, schema, write_statistics=["t"], **_WRITTEN)
+            self._writer = pq.ParquetWriter(self._stream, _schema(columns, facts), write_statistics=["t"], **_WRITTEN)
         self._writer.write_table(_table(columns, self._writer.schema), row_group_size=ROWS)
 
     def close(self, manifest: bytes) -> None:
@@ -216,15 +215,11 @@ def _check_size(path: Path, metadata: pq.FileMetaData) -> None:
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:
-    kind = column.type
-    if kind != pa.float64():
+    if column.type != pa.float64():
         column = column.cast(pa.float64(), safe=False)  # large integers are rounded
     if column.null_count:
         column = column.fill_null(float("nan"))
     # From buffers for the reason given in `write`.
-    parts = [
-        np.frombuffer(chunk.buffers()[1], np.float64, len(chunk), 8 * chunk.offset)
-        for chunk in column.chunks
-        if len(chunk)
-    ]
+    chunks = [chunk for chunk in column.chunks if len(chunk)]
+    parts = [np.frombuffer(one.buffers()[1], np.float64, len(one), 8 * one.offset) for one in chunks]
     return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])

@@ -71,8 +71,7 @@ class Recording:
         try:
             return self.columns[column]
         except KeyError:
-            message = f"the recording has no column '{column}'; {nearest(column, self.columns)}"
-            raise RecordError(message) from None
+            raise RecordError(f"the recording has no column '{column}'; {nearest(column, self.columns)}") from None
 
     def __len__(self) -> int:
         return self.columns.rows if isinstance(self.columns, StoredColumns) else len(self.columns["t"])
@@ -313,8 +312,7 @@ class Recording:
             raise RecordError(f"{path}: the manifest inside the table is not JSON ({error})") from error
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             found = manifest.get("format") if isinstance(manifest, dict) else None
-            message = f"{path}: its format is '{found}'; this program reads '{FORMAT}'"
-            raise RecordError(message)
+            raise RecordError(f"{path}: its format is '{found}'; this program reads '{FORMAT}'")
         for old in RENAMED.keys() & manifest.keys():
             raise RecordError(
                 f"{path}: an older version of this program wrote it: '{old}' in its manifest is called "
@@ -392,5 +390,4 @@ def _check(columns: Mapping[str, NDArray[np.float64]]) -> None:
     rising = np.diff(t) > 0
     if not rising.all():
         row = int(np.argmin(rising)) + 1
-        message = f"column 't' must increase strictly: row {row} is {t[row]:.9g} after {t[row - 1]:.9g}"
-        raise RecordError(message)
+        raise RecordError(f"column 't' must increase strictly: row {row} is {t[row]:.9g} after {t[row - 1]:.9g}")

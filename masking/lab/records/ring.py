@@ -73,8 +73,7 @@ class Ring:
         rows: int = ROWS,
         **more: Any,  # noqa: ANN401
     ) -> None:
-        facts = {"columns": list(columns), "rate": rate, "units": dict(units or {}), **more}
-        text = json.dumps(facts).encode()
+        text = json.dumps({"columns": list(columns), "rate": rate, "units": dict(units or {}), **more}).encode()
         text += b" " * (-len(text) % 8)
         rows = 1 << max(rows - 1, 1).bit_length()
         handle, self.path = shared_file(".ring")
@@ -127,8 +126,7 @@ class RingReader:
             if int(self._head[_MAGIC]) != MAGIC:
                 raise ValueError("it does not begin as one")
             self._table = _table(self._memory, self._head)
-            text = self._memory[8 * _HEAD : 8 * _HEAD + int(self._head[_TEXT])]
-            self.facts: dict[str, Any] = json.loads(text)
+            self.facts: dict[str, Any] = json.loads(self._memory[8 * _HEAD : 8 * _HEAD + int(self._head[_TEXT])])
             self.columns = tuple(map(str, self.facts["columns"]))
             self.rate, self.units = float(self.facts["rate"]), dict(self.facts["units"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:

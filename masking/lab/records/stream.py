@@ -95,11 +95,8 @@ def parts(folder: Path, content: bytes | None = None) -> tuple[Path, ...]:
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         manifest = json.loads((folder / MANIFEST).read_bytes() if content is None else content)
         number = str(manifest["number"])
-        return (
-            (folder / ROWS, Path(manifest["spare"]) / f"masking-{number}.rows")
-            if number.isalnum()
-            else (folder / ROWS,)
-        )
+        if number.isalnum():
+            return folder / ROWS, Path(manifest["spare"]) / f"masking-{number}.rows"
     return (folder / ROWS,)
 
 

@@ -227,11 +227,8 @@ def _row(line: str, table: _Table) -> list[str] | None:
         return whole
     if not line[:remark].strip():
         has_numbers = len(whole) == len(table.names) > 1 and any(is_number(cell) for cell in whole[1:])
-        return (
-            whole
-            if has_numbers and not is_number(whole[0].lstrip("# ")) and line[remark + 1 : remark + 2].strip()
-            else None
-        )
+        is_cell = has_numbers and not is_number(whole[0].lstrip("# ")) and line[remark + 1 : remark + 2].strip()
+        return whole if is_cell else None
     before = [cell.strip() for cell in _cells(line[:remark], table.separator)]
     return before if len(before) == len(table.names) and before[-1] else whole
 

@@ -51,11 +51,8 @@ def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...
     experiment = Experiment(registry.assemble(registry.load_experiment(declared.experiment, reference)))
     power = experiment.assembly.plant.limits.power
     if declared.budget.energy is not None and (power is None or power.heating is None):
-        message, mend = (
-            f"{experiment.assembly.plant.name} does not say how its commands heat",
-            "give limits.power.heating",
-        )
-        raise DeclarationError(Problem(declared.key_place("budget.energy"), "budget.energy", message, mend))
+        message, path = f"{experiment.assembly.plant.name} does not say how its commands heat", "budget.energy"
+        raise DeclarationError(Problem(declared.key_place(path), path, message, "give limits.power.heating"))
     values = list(itertools.product(*declared.vary.values()))
     settings = [dict(zip(declared.vary, one, strict=True)) for _ in range(declared.repeats) for one in values]
     runs = tuple(Run(number, one) for number, one in enumerate(settings, 1))

@@ -89,8 +89,8 @@ class Budget:
 
         def entry(row: Row) -> dict[str, Any]:
             change = 0.0 if row.rms == whole.rms else row.rms - whole.rms  # both may be infinite
-            facts = {**asdict(row), "effects": [*row.effects]}
-            return {**facts, "worst": row.worst, "rms": row.rms, "change": change}
+            own = {"effects": [*row.effects], "worst": row.worst, "rms": row.rms, "change": change}
+            return asdict(row) | own
 
         return {
             "sentence": self.sentence,
@@ -122,15 +122,13 @@ def run(experiment: Experiment, wanted: bool | None = None, progress: Progress |
         return recording
     if (recording.manifest.get("stop") or {}).get("met"):  # the same length for all runs
         experiment = in_full(experiment, recording.manifest["stop"]["at"])
-    facts = budget(experiment, progress).as_dict()
-    return replace(recording, manifest={**recording.manifest, "budget": facts})
+    return replace(recording, manifest={**recording.manifest, "budget": budget(experiment, progress).as_dict()})
 
 
 def in_full(experiment: Experiment, duration: float | None = None) -> Experiment:
     """Experiment that nothing ends before its duration, or before another one in virtual time."""
     changes = {"stop": None, "duration": duration or experiment.declaration.duration}
-    declaration = experiment.declaration.model_copy(update=changes)
-    return Experiment(replace(experiment.assembly, experiment=declaration))
+    return Experiment(replace(experiment.assembly, experiment=experiment.declaration.model_copy(update=changes)))
 
 
 def expected_time(experiment: Experiment, recording: Recording) -> float:

@@ -149,8 +149,7 @@ class Experiment:
     @property
     def has_observer(self) -> bool:
         """Whether the controller runs at a rate and reads sensors."""
-        settings = self.declaration.controller
-        return settings.rate is not None and self.observer_settings.kind != "exact"
+        return self.declaration.controller.rate is not None and self.observer_settings.kind != "exact"
 
     @property
     def observer_settings(self) -> schema.ObserverSettings:

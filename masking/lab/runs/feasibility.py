@@ -94,12 +94,10 @@ class Mend:
 
     def __str__(self) -> str:
         if self.factor is None or self.shown is None:
-            why = "; ".join(map(str, self.left))
-            return f"{_NOTHING[self.what]} not help: {why} even then"
+            return f"{_NOTHING[self.what]} not help: {'; '.join(map(str, self.left))} even then"
         if self.what == "time_scale":
-            change = (
-                f"{self.shown:g} times slower" if self.factor > 1.0 else f"{_digits(1.0 / self.shown)} times faster"
-            )
+            is_slower = self.factor > 1.0
+            change = f"{self.shown:g} times slower" if is_slower else f"{_digits(1.0 / self.shown)} times faster"
             return f"time_scale x {self.shown:g} (a virtual system {change})"
         if self.what == "transform":
             return f"a transform that maps to {self.shown:g} of the stroke"
@@ -135,8 +133,7 @@ class Feasibility:
     def verdict(self) -> str:
         """Whether it fits and what to change, in words."""
         if self.fits:
-            most = max(self.uses, key=lambda use: use.part)
-            return f"fits: {most} at most"
+            return f"fits: {max(self.uses, key=lambda use: use.part)} at most"
         needs = "; ".join(str(use) for use in sorted(self.uses, key=lambda use: -use.part) if not use.fits)
         ways = ", or ".join(str(mend) for mend in self.mends if mend.factor is not None)
         vain = [str(mend) for mend in self.mends if mend.factor is None]
@@ -185,13 +182,9 @@ def feasibility(experiment: Experiment) -> Feasibility:
         uses, rows, settled = motion.resolve()
     except (SingularityError, IntegrationError) as error:
         raise DeclarationError(_problem(experiment, error)) from error
-    notes = (
-        motion.notes if settled else (*motion.notes, f"peaks between the {rows} rows of the simulation may be higher")
-    )
-    if all(use.fits for use in uses):
-        return Feasibility(experiment.declaration.name, uses, (), notes)
-
-    mends = tuple(_mend(motion, what, rows, uses) for what in LADDERS)
+    unsettled = () if settled else (f"peaks between the {rows} rows of the simulation may be higher",)
+    notes = (*motion.notes, *unsettled)
+    mends = () if all(use.fits for use in uses) else tuple(_mend(motion, what, rows, uses) for what in LADDERS)
     return Feasibility(experiment.declaration.name, uses, mends, notes)
 
 
@@ -396,8 +389,7 @@ def _problem(experiment: Experiment, error: MaskingError) -> Problem:
         path = "initial"
         message = f"the virtual motion cannot be followed to its end: {error}"
         mend = "start elsewhere, or change the virtual system so that it stays in reach"
-    place = declaration.key_place(path) or declaration.key_place("virtual")
-    return Problem(place, path, message, mend)
+    return Problem(declaration.key_place(path) or declaration.key_place("virtual"), path, message, mend)
 
 
 def _can_follow_virtual(experiment: Experiment) -> bool:

@@ -241,8 +241,7 @@ class _Run:
     def _accept(self, plant: Plant) -> None:
         declared, instruments = self.experiment.assembly.plant, self.experiment.instruments
         wanted = Path(next(iter(declared.files), declared.name)).stem
-        whose = f"the experiment is for {wanted}"
-        check_channels(plant, instruments.sensors, instruments.actuators, whose, _MEND)
+        check_channels(plant, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND)
 
     def _end(self, ran: RigRun) -> None:
         self.ended = ran

@@ -43,8 +43,8 @@ def run(
 ) -> Recording:
     """Run an experiment, with its recording in a folder; the recording that is returned is on disk if it is large.
 
-    The folder is made if need be; after an error it is as it was. Raises what `Experiment.run` does, and a MaskingError
-    where a virtual system needs the whole run in memory, or there is no room on disk.
+    The folder is made if need be; after an error it is as it was. Fails as `Experiment.run` does, and where a virtual
+    system needs the whole run in memory, or there is no room on disk.
     """
     folder, stages = Path(folder), [time.perf_counter()]
     if experiment.ideal.needs_memory:
@@ -63,8 +63,7 @@ def run(
             is_over = is_stopped
         stages.append(time.perf_counter())
         timing = dict(zip(("compilation", "preparation", "run"), np.diff(stages).tolist(), strict=True))
-        content = experiment.manifest(made, summary, timing, is_stopped=is_over)
-        text = json_text({"format": FORMAT, **content}).encode()
+        text = json_text({"format": FORMAT, **experiment.manifest(made, summary, timing, is_stopped=is_over)}).encode()
         manifest.write(text)
         writer.close(text)
     return Recording.load(folder)

@@ -73,7 +73,6 @@ class RowLayout:
         index, answered = (table[:, i].astype(np.int64) for i in (INDEX, ANSWERED))
         kept = np.flatnonzero((answered > 0) & (index >= 0) & (index < after) & (index % every == 0))
         parts = {name: np.ascontiguousarray(table[kept, place]) for name, place in self.slices.items()}
-        has_disturbances = self.experiment.sampled.sizes.order > 0
         return TwinRun(
             index[kept] / rate,
             parts["estimate"],
@@ -82,7 +81,7 @@ class RowLayout:
             parts["demanded"],
             parts["input"],
             parts["power"],
-            parts["disturbance"] if has_disturbances else None,
+            parts["disturbance"] if self.experiment.sampled.sizes.order else None,
             parts["lasting"][:1] if len(kept) else np.empty((1, parts["lasting"].shape[1])),
         )
 

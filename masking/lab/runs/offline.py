@@ -239,8 +239,7 @@ def twin_chunks(
         if end > 0 and (end % span == 0 or end == samples):
             states, memories, readings, demanded, applied = out
             estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-            disturbed = slice(sizes.states, sizes.states + sizes.coordinates)
-            disturbances = memories[:, disturbed] if sizes.order else None
+            disturbances = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
             yield TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
 
 
@@ -296,8 +295,7 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
         with contextlib.suppress(RootError):
             q, slope = root(system, start, error=error, lengths=lengths, longest=2.0)
             return np.concatenate([q, np.linalg.lstsq(slope, rates, rcond=None)[0]])
-    names = loop.controller.virtual.coordinates
-    wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(names, eta, strict=True))
+    wanted = ", ".join(f"{n} = {value:g}" for n, value in zip(loop.controller.virtual.coordinates, eta, strict=True))
     raise ModelError(
         f"transform: no rig position gives the initial {wanted}; start elsewhere, or change the transform so that its "
         "range includes this state"

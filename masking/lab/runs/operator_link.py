@@ -42,17 +42,10 @@ Attend = Callable[[Path, Path], Attendant]
 class Operator:
     """Whoever looks at a run, as a context: `masking rig stop` finds its switch while inside.
 
-    Attributes:
-        trip: why the run tripped, the homing included; None where it did not.
-
-    Args:
-        attend: called with the files of the ring and the switch once both are there; starts the process that shows the
-            rows. None where nobody does.
-        is_attended: the run trips where the operator's page is not heard of for `ABSENCE`, and waits for it before.
-        stop_file: the run trips as soon as there is such a file, on a disk of this machine; None for none.
-
-    Raises:
-        OperatorError: there is such a file already, or no folder for it.
+    `attend` is called with the files of the ring and the switch once both are there, and starts the process that shows
+    the rows. An attended run trips where the operator's page is not heard of for `ABSENCE`, and waits for it before. It
+    also trips as soon as there is the `stop_file`, on a disk of this machine. `trip` is why it did, the homing
+    included. An OperatorError where there is such a file already, or no folder for it.
     """
 
     def __init__(

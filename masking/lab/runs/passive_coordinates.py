@@ -72,16 +72,11 @@ class Passive:
             found = self.zero_dynamics.as_dict()
         except ModelError as error:
             found = {"coordinates": list(self.names), "verdict": "unknown", "how": "no rest", "words": str(error)}
-        peaks = dict(zip(self.names, np.abs(states[:, self.indices]).max(axis=0).tolist(), strict=True))
-        found |= {"peak": peaks}
+        found["peak"] = dict(zip(self.names, np.abs(states[:, self.indices]).max(axis=0).tolist(), strict=True))
         energy = self._energy(states) if found["verdict"] != "unknown" else None
         if energy is not None:
-            found["energy"] = {
-                "start": float(energy[0]),
-                "end": float(energy[-1]),
-                "peak": float(energy.max()),
-                "unit": self._energy_unit(),
-            }
+            numbers = {"start": float(energy[0]), "end": float(energy[-1]), "peak": float(energy.max())}
+            found["energy"] = {**numbers, "unit": self._energy_unit()}
         return found
 
     @staticmethod

@@ -78,24 +78,18 @@ class RigRun:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions that a run calls besides those of its controller and its plant; each may be left out.
+    """Functions that a run calls besides those of its controller and its plant; each may be left out."""
 
-    Args:
-        accept: called with the configured plant before it is activated; raises what it refuses the plant with.
-        on_tick: called with the row after each tick, within the tick's time.
-        on_row: each called once with each row, as `Rows.table` has it, as soon as its command was written.
-        stop: looked at before each tick; the run ends where it is true.
-        emergency: likewise; the run then trips.
-        look: called with the safety chain, which it may stop, and the tick of each sample.
-        on_end: called with the record once the plant is at zero, also before an error is raised.
-    """
-
+    # called with the configured plant before it is activated; raises what it refuses the plant with
     accept: Callable[[Plant], None] | None = None
-    on_tick: Callable[[int], None] | None = None
+    on_tick: Callable[[int], None] | None = None  # called with the row after each tick, within the tick's time
+    # each called once with each row, as `Rows.table` has it, as soon as its command was written
     on_row: Sequence[Callable[[Row], None]] = ()
-    stop: Stop | None = None
-    emergency: Stop | None = None
+    stop: Stop | None = None  # looked at before each tick; the run ends where it is true
+    emergency: Stop | None = None  # likewise; the run then trips
+    # called with the safety chain, which it may stop, and the tick of each sample
     look: Callable[[Chain, int], None] | None = None
+    # called with the record once the plant is at zero, also before an error is raised
     on_end: Callable[[RigRun], None] | None = None
 
 
@@ -124,21 +118,12 @@ def run_rig(
 ) -> RigRun:
     """Configure and activate a plant, run a controller on it, and deactivate it on every way out.
 
-    SIGINT, SIGTERM and SIGHUP end the run in order. Where the plant does not own the clock, ticks are kept here.
+    `step` takes the tick of a sample and its sensors (sensors,), and returns the command (actuators,). `limits` are
+    what the rig is held to, or (actuators,), the largest magnitude of each command, positive. SIGINT, SIGTERM and
+    SIGHUP end the run in order. Where the plant does not own the clock, ticks are kept here.
 
-    Args:
-        step: takes the tick of a sample and its sensors (sensors,), and returns the command (actuators,).
-        plant: any plant that is not active.
-        settings: that the plant is configured with.
-        samples: ticks.
-        limits: what the rig is held to; or (actuators,), the largest magnitude of each command, positive.
-        hooks: what else is called.
-        known: what else is looked at.
-
-    Raises:
-        CommandError: the controller returned something else than one finite number for each actuator.
-        PlantError: the plant is lost, refuses, or has other channels.
-        Exception: what the controller raised.
+    A CommandError where the controller returned something else than one finite number for each actuator; a PlantError
+    where the plant is lost, refuses, or has other channels; and what the controller raised.
     """
     rows, reason, note = None, FAILED, ""
     try:

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.newton import jacobian
 from masking.lab.runs.offline import samples_until
 from masking.model.modelling.model import Model
 
@@ -52,11 +53,11 @@ def _fastest(virtual: Model, state: Array) -> float:
     """Largest angular frequency of the motion about a state; 0 where it has none."""
     size, p, u = len(state), virtual.values(), np.zeros(len(virtual.inputs))
     lengths = np.ones(size) if virtual.is_dimensionless else np.resize(virtual.lengths, size)
-    jacobian, ahead, behind = np.empty((size, size)), np.empty(size), np.empty(size)
-    for i, step in enumerate(_STEP * lengths):
-        for sign, out in ((1.0, ahead), (-1.0, behind)):
-            virtual.kernels.derivative(0.0, state + sign * step * np.eye(size)[i], u, p, out)
-        jacobian[:, i] = (ahead - behind) / (2.0 * step)
-    if not np.all(np.isfinite(jacobian)):
-        return 0.0
-    return float(np.abs(np.linalg.eigvals(jacobian).imag).max(initial=0.0))
+
+    def rate(y: Array) -> Array:
+        out = np.empty(size)
+        virtual.kernels.derivative(0.0, y, u, p, out)
+        return out
+
+    slope = jacobian(rate, state, _STEP * lengths)
+    return float(np.abs(np.linalg.eigvals(slope).imag).max(initial=0.0)) if np.all(np.isfinite(slope)) else 0.0

@@ -294,14 +294,9 @@ class _Builder:
         sensors = len(self.table)
         spans = []
         for j, largest in enumerate(self.commands[:, LARGEST]):
-            own = [
-                8.0
-                * safety_tables.CLEAR
-                * self.table[i, safety_tables.OFF]
-                / (_PART * largest * abs(motion[i, sensors + j]))
-                for i in range(sensors)
-                if self.table[i, safety_tables.SPAN] and motion[i, sensors + j]
-            ]
+            seen = [i for i in range(sensors) if self.table[i, safety_tables.SPAN] and motion[i, sensors + j]]
+            noise = 8.0 * safety_tables.CLEAR * self.table[:, safety_tables.OFF]
+            own = [noise[i] / (_PART * largest * abs(motion[i, sensors + j])) for i in seen]
             if own:
                 spans.append(math.sqrt(min(own)))
         return min(max(2, math.ceil(max(spans) * self.rate)), round(_LONGEST * self.rate)) if spans else 0

@@ -97,8 +97,7 @@ def self_test(
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
-    instruments = Instruments.of(twin)
-    held = _held(safety_limits.rules(instruments, rate, twin), size)
+    held = _held(safety_limits.rules(Instruments.of(twin), rate, twin), size)
     quiet = {e.path.removeprefix("effects.") for e in twin.effects if e.entry.where == "sensor" and e.entry.deviation}
     ideal = twin.changed({**twin.changes, **dict.fromkeys(quiet, EffectChange(enabled=False))})
     answers = list[Answer]()
@@ -154,9 +153,8 @@ class _Pulse:
         k = tick - self.first
         self.read.append(readings.copy())
         if len(self.read) > self.stop and not len(self.read) % self.begin:
-            self.is_over = _is_still(
-                *(np.array(x) for x in (self.read[-self.begin :], self.read[: self.begin], self.read))
-            )
+            read = np.array(self.read)
+            self.is_over = _is_still(read[-self.begin :], read[: self.begin], read)
         self.command[self.at] = self.rules.commands[self.at, LARGEST] if self.begin <= k < self.end else 0.0
         return self.command
 
@@ -168,12 +166,9 @@ class _Pulse:
 
         def accept(found: Plant) -> None:
             if twin is not None:
-                whose = (
-                    f"the plant file is that of {Path(next(iter(twin.declaration.files), twin.declaration.name)).stem}"
-                )
-                check_channels(
-                    found, twin.sensors, twin.actuators, whose, "give the plant file of the rig that is there"
-                )
+                stem = Path(next(iter(twin.declaration.files), twin.declaration.name)).stem
+                whose, mend = f"the plant file is that of {stem}", "give the plant file of the rig that is there"
+                check_channels(found, twin.sensors, twin.actuators, whose, mend)
 
         ran = run_rig(
             self.step, plant, Settings(rate, lockstep=lockstep, acknowledge=acknowledge), samples=self.stop + rest,

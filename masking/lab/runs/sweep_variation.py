@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from masking.errors import DeclarationError, Problem, nearest
 from masking.lab.runs.experiment import Experiment
-from masking.model.declaration import schema
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.units import pretty
 from masking.model.modelling.model import Model
@@ -93,11 +92,8 @@ def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]
     sections, parameters = dict[str, Any](), dict[str, float]()
     values = [(where.path, value(where, number, is_factor=by)) for where, number, by in settings]
     is_light = all(path[0] in _LIGHT and isinstance(one, float) for path, one in values)
-    whole: Mapping[str, Any] = {
-        "parameters": experiment.declaration.parameters,
-        "initial": experiment.declaration.initial,
-    }
-    whole = whole if is_light else experiment.declaration.canonical()
+    own = experiment.declaration
+    whole: Mapping[str, Any] = {"parameters": own.parameters, "initial": own.initial} if is_light else own.canonical()
     for path, one in values:
         if path[0] == PLANT:
             parameters[path[1]] = float(one)
@@ -107,8 +103,7 @@ def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]
             sections.setdefault(path[0], whole.get(path[0], {}))
             sections[path[0]] = _put(sections[path[0]], path[1:], one)
     if is_light:
-        declaration = experiment.declaration.model_copy(update=sections)
-        return Experiment(replace(experiment.assembly, experiment=declaration))
+        return Experiment(replace(experiment.assembly, experiment=own.model_copy(update=sections)))
     made = experiment.changed(**sections) if sections else experiment
     return _with_plant(made, parameters) if parameters else made
 
@@ -135,21 +130,10 @@ def _put(section: Mapping[str, Any], path: Sequence[str], one: float | str) -> d
 def _with_plant(experiment: Experiment, parameters: Mapping[str, float]) -> Experiment:
     """Experiment whose plant has other parameters, of which its controller knows nothing."""
     assembly, declaration = experiment.assembly, experiment.declaration
-    known = (
-        {}
-        if declaration.controller.model
-        else {name: place(experiment, f"{PLANT}.{name}").declared for name in parameters}
-    )
-    controller = declaration.controller.model_copy(
-        update={
-            "parameters": {
-                **{n: float(x) for n, x in known.items() if isinstance(x, float)},
-                **declaration.controller.parameters,
-            }
-        }
-    )
-    plant: schema.PlantDeclaration = assembly.plant.model_copy(
-        update={"parameters": {**assembly.plant.parameters, **parameters}}
-    )
+    names = () if declaration.controller.model else parameters
+    known = {name: place(experiment, f"{PLANT}.{name}").declared for name in names}
+    believed = {n: x for n, x in known.items() if isinstance(x, float)} | dict(declaration.controller.parameters)
+    controller = declaration.controller.model_copy(update={"parameters": believed})
     changed = declaration.model_copy(update={"controller": controller})
+    plant = assembly.plant.model_copy(update={"parameters": {**assembly.plant.parameters, **parameters}})
     return Experiment(replace(assembly, experiment=changed, plant=plant))
