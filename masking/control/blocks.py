@@ -111,11 +111,8 @@ class Transform:
     @cached_property
     def bias(self) -> sp.ImmutableMatrix:
         """(dJ/dt) v (k, 1), the virtual acceleration at zero rig acceleration."""
-        s = self.rig.equations.symbols
-        rows = [
-            sp.Add(*(rate(j, s.q, s.v) * v for j, v in zip(row, s.v, strict=True) if j != 0))
-            for row in self.jacobian.tolist()
-        ]
+        s, slopes = self.rig.equations.symbols, self.jacobian.tolist()
+        rows = [sp.Add(*(rate(j, s.q, s.v) * v for j, v in zip(row, s.v, strict=True) if j != 0)) for row in slopes]
         return sp.ImmutableMatrix(len(rows), 1, rows)
 
     def lower(self, graph: Graph, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]) -> MappedCoordinates:

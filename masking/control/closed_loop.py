@@ -186,9 +186,8 @@ def module(loop: ClosedLoop) -> Module:
     )
     law = ControlLaw.of(controller, graph, rig)
     known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
-    driven = LoweredEquations.of(
-        loop.plant.equations, graph, known={**known, **dict(zip(s.u, law.inputs, strict=True))}
-    )
+    fed = known | dict(zip(s.u, law.inputs, strict=True))
+    driven = LoweredEquations.of(loop.plant.equations, graph, known=fed)
     plant = LoweredEquations.of(loop.plant.equations, graph, known=known)
 
     p = ControllerParameters.of(controller, graph)
@@ -226,12 +225,8 @@ def module(loop: ClosedLoop) -> Module:
     add("drive(t: float, q, v, p, out)", "out", law.drive)
     add("input_matrix(t: float, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
     add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
-    add(
-        "plant_derivative(t: float, y, u, p, dy)",
-        "dy",
-        [*rig.v, *plant.accelerations, *plant.rates, *law.remembered],
-        plant.health,
-    )
+    by_plant = [*rig.v, *plant.accelerations, *plant.rates, *law.remembered]
+    add("plant_derivative(t: float, y, u, p, dy)", "dy", by_plant, plant.health)
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
     added = Added(law.lagged, law.delays, law.conditions, targets)
     add_runge_kutta(made, graph, added, joined, (size, len(loop.plant.inputs)))

@@ -130,9 +130,8 @@ class Kalman:
         seen, n, sensors = plan.seen, plan.coordinates, len(plan.sensing)
         found = _steady(plan.of_seen(), self.order, self.bandwidths(plan)[seen])
         steady = np.zeros((2 + self.order, n, sensors))
-        steady[:, seen] = (found.gain * found.unit[:, None] / found.deviation).reshape(
-            2 + self.order, len(seen), sensors
-        )
+        gain = found.gain * found.unit[:, None] / found.deviation
+        steady[:, seen] = gain.reshape(2 + self.order, len(seen), sensors)
         return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
     def bandwidths(self, plan: Plan) -> Array:

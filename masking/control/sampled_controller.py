@@ -279,9 +279,8 @@ class _Lowered:
         self.law = ControlLaw.of(controller, self.graph, replace(rig, disturbance=disturbance), homing)
         self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
         s = equations.symbols
-        known = dict(
-            zip((s.t, *s.q, *s.v, *s.s, *s.u, *s.p), (time, *y["q"], *y["v"], *y["s"], *u, *p.model), strict=True)
-        )
+        nodes = (time, *y["q"], *y["v"], *y["s"], *u, *p.model)
+        known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.u, *s.p), nodes, strict=True))
         model = LoweredEquations.of(equations, self.graph, known=known)
         self.rates = [*y["v"], *model.accelerations, *model.rates, *[self.graph.number(0.0)] * len(memory)]
         self.virtual, self.momentum = list[Node](), list[Node]()

@@ -82,11 +82,9 @@ class Feed:
         """Add the control law, what the energy balance calls and rates of internal states, with their series."""
         if self.series:
             cells = tuple(cell for cell, _ in self.series)
-            module.add_factory("law", virtual_input_kernels.law, "bare_law", cells, self.scale, exported=False)
-            for name in ("virtual", "remember"):
-                module.add_factory(
-                    name, virtual_input_kernels.virtual, f"bare_{name}", cells, self.scale, exported=False
-                )
+            for name in ("law", "virtual", "remember"):
+                kernel = virtual_input_kernels.law if name == "law" else virtual_input_kernels.virtual
+                module.add_factory(name, kernel, f"bare_{name}", cells, self.scale, exported=False)
 
     def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
         """Add the step with inputs that are read or estimated."""

@@ -68,9 +68,8 @@ def _write(unit: Unit, path: Path, version: int) -> Path:
     token = digest(unit.title, *sources.values())
     token = "{" + "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:])) + "}"
     sources["fmu_unit.h"] = _glue(unit, token)
-    sources[f"fmi{version}.c"] = calls.filled(
-        f"fmi{version}.c", {"SHARED": calls.filled("fmi_shared.c", MARKS[version])}
-    )
+    shared = calls.filled("fmi_shared.c", MARKS[version])
+    sources[f"fmi{version}.c"] = calls.filled(f"fmi{version}.c", {"SHARED": shared})
     files: dict[str, bytes] = {"modelDescription.xml": _xml(_description(unit, token, version, sources))}
     if version == 3:
         files["sources/buildDescription.xml"] = _xml(_build(unit, sources))

@@ -26,11 +26,9 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     operations = Operations(module, 0, period)
     begin = (unit_kernels.rig_beginning, "clear", len(state), len(values), rows, a)
     operations.add("init", "Begin at rest, without power.", "y p queue acting counters state0 values", *begin)
-    text, read = (
-        "Read the sensors; noise holds samples of mean 0 and deviation 1.",
-        "noise readings y p acting counters",
-    )
-    operations.add("read", text, read, unit_kernels.rig_reading, "sense_under", "instant")
+    text = "Read the sensors; noise holds samples of mean 0 and deviation 1."
+    arguments = "noise readings y p acting counters"
+    operations.add("read", text, arguments, unit_kernels.rig_reading, "sense_under", "instant")
     step = (unit_kernels.rig_step, "move", "instant", a, substeps, period)
     arguments = "commands y p queue acting work counters late"
     operations.add("step", "Move by one period under commands.", arguments, *step)

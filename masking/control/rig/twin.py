@@ -173,9 +173,8 @@ class Twin:
     @cached_property
     def attached(self) -> schema.ModelDeclaration:
         """Declaration of the rig's model with the effects of its elements."""
-        return attach_all(
-            self.base, [Attachment(e.entry, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
-        )
+        placed = [Attachment(e.entry, e.at, e.label, _as_text(e.parameters)) for e in self._of("element")]
+        return attach_all(self.base, placed)
 
     @cached_property
     def model(self) -> Model:
@@ -401,13 +400,11 @@ class Twin:
         nothing is.
         """
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
-        lowered = LoweredTwin(self)
-        module.add("sense_under(t: float, y, u, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
+        nodes = LoweredTwin(self)
+        module.add("sense_under(t: float, y, u, p, noise, s)", nodes.graph, nodes.readings, nodes.loads)
         if not any(couplings.is_commanded(self.base, sensor.measures) for sensor in self.declaration.sensors.values()):
-            module.add("sense(t: float, y, p, noise, s)", lowered.graph, lowered.readings, lowered.loads)
-        module.add(
-            "twin_derivative(t: float, y, u, p, dy)", lowered.graph, lowered.derivatives, lowered.loads, lowered.health
-        )
+            module.add("sense(t: float, y, p, noise, s)", nodes.graph, nodes.readings, nodes.loads)
+        module.add("twin_derivative(t: float, y, u, p, dy)", nodes.graph, nodes.derivatives, nodes.loads, nodes.health)
         size = len(self.state_names)
         module.add_factory("advance", integrators.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
         module.add_factory("move", integrators.steps_under_way, "twin_derivative", size, work=(5, size))

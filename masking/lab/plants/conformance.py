@@ -35,9 +35,8 @@ class Verdict:
     broken: tuple[str, ...]
 
     def __str__(self) -> str:
-        return "\n".join(
-            [f"{'fails' if self.broken else 'passes'}  {self.rule}", *(f"        {b}" for b in self.broken)]
-        )
+        head = f"{'fails' if self.broken else 'passes'}  {self.rule}"
+        return "\n".join([head, *(f"        {text}" for text in self.broken)])
 
 
 def check(make_plant: MakePlant, settings: Settings = STANDARD, *, amplitude: float = AMPLITUDE) -> list[str]:

@@ -33,9 +33,8 @@ _MDF_DEFLATED = (0, 1)  # plain and transposed
 
 def read(file: Path) -> dict[str, Column]:
     """Read the channels of numbers in a .tdms, .mf4 or .mcap file, by the package for it."""
-    package, reader = {".tdms": ("nptdms", _tdms), ".mf4": ("asammdf", _mdf), ".mcap": ("mcap.reader", _mcap)}[
-        file.suffix.lower()
-    ]
+    known = {".tdms": ("nptdms", _tdms), ".mf4": ("asammdf", _mdf), ".mcap": ("mcap.reader", _mcap)}
+    package, reader = known[file.suffix.lower()]
     try:
         module = importlib.import_module(package)
     except ImportError:

@@ -78,14 +78,9 @@ class _Reader:
             raise RecordError(f"{self.folder / MANIFEST} is damaged, and so is its copy ({error})") from error
         tables = [table for table in self.tables if table.shape[1] == width]
         numbers = [first + np.arange(len(t)) for first, t in zip(self.first, tables, strict=True)]
-        return Stream(
-            manifest,
-            np.concatenate([np.empty(0, dtype=np.int64), *numbers]),
-            np.concatenate([np.empty((0, width)), *tables]),
-            tuple(self.damages),
-            self.end,
-            self.folder,
-        )
+        rows = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
+        table = np.concatenate([np.empty((0, width)), *tables])
+        return Stream(manifest, rows, table, tuple(self.damages), self.end, self.folder)
 
     def _part(self, path: Path, number: int) -> None:
         try:

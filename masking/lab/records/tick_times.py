@@ -33,12 +33,5 @@ def histogram(values: Array, index: NDArray[np.int64]) -> dict[str, Any]:
     counts = np.bincount(np.searchsorted(edges, values, side="right"), minlength=len(edges) + 1)
     median, p99 = np.quantile(values, [0.5, 0.99])
     worst = int(np.argmax(values))
-    return {
-        "unit": "s",
-        "median": float(median),
-        "p99": float(p99),
-        "max": float(values[worst]),
-        "at": int(index[worst]),
-        "edges": edges.tolist(),
-        "counts": counts.tolist(),
-    }
+    found = {"unit": "s", "median": float(median), "p99": float(p99), "max": float(values[worst])}
+    return found | {"at": int(index[worst]), "edges": edges.tolist(), "counts": counts.tolist()}

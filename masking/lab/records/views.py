@@ -69,9 +69,8 @@ def figure(
         for name, colour in zip(names, COLOURS * len(names), strict=False):
             prefix, _, short = name.rpartition(".")
             unit = "" if len(common) == 1 else units.get(name, "")
-            each.plot(
-                *thin(columns["t"], columns[name]), color=colour, lw=1.2, label=axes.with_unit(_label(short), unit)
-            )
+            label = axes.with_unit(_label(short), unit)
+            each.plot(*thin(columns["t"], columns[name]), color=colour, lw=1.2, label=label)
             ideal = columns.get(f"{IDEAL}.{short}") if prefix == "virtual" else None
             if ideal is not None:
                 each.plot(*thin(columns["t"], ideal), color=INK, lw=0.8, ls=axes.DASHED)

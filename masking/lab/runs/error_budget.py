@@ -227,14 +227,9 @@ class _Bench:
         """Run the experiment without some causes, recorded at the instants at which it is recorded as it is."""
         experiment, loop = self.experiment, self.loop(without)
         sampled = loop.sampled
-        return run_twin(
-            loop,
-            sampled.end,
-            duration=experiment.declaration.duration * experiment.time_scale,
-            seed=experiment.declaration.seed,
-            every=experiment.every * round(sampled.rate / self.rate),
-            progress=progress,
-        )
+        duration, seed = experiment.declaration.duration * experiment.time_scale, experiment.declaration.seed
+        every = experiment.every * round(sampled.rate / self.rate)
+        return run_twin(loop, sampled.end, duration=duration, seed=seed, every=every, progress=progress)
 
     def loop(self, without: frozenset[str]) -> SampledLoop:
         """Controller and twin without some causes; the compiled functions are those of the run as it is."""

@@ -281,15 +281,8 @@ class Motion:
         p[first : first + n] *= stroke
         times = np.linspace(0.0, experiment.declaration.duration * changed.time_scale, rows)
         schedule = experiment.inputs.of_rig(changed.time_scale)
-        found = input_series.integrate(
-            loop.kernels,
-            times,
-            state,
-            np.zeros(len(loop.plant.inputs)),
-            p,
-            schedule=schedule,
-            tolerance=experiment.declaration.tolerance,
-        )
+        u, tolerance = np.zeros(len(loop.plant.inputs)), experiment.declaration.tolerance
+        found = input_series.integrate(loop.kernels, times, state, u, p, schedule=schedule, tolerance=tolerance)
         return times, found.states, complete(loop, times, found.states, p, schedule).inputs
 
 

@@ -195,23 +195,18 @@ class _Run:
         if operator is not None:
             operator.begin(self.experiment, keeper.controller, self.rules)
         samples = keeper.before + self.after
-        return run_rig(
-            keeper.step,
-            plant,
-            Settings(keeper.controller.rate, settings.watchdog, settings.lockstep, settings.acknowledge),
-            samples=samples,
-            limits=self.rules,
-            hooks=Hooks(
-                accept=self._accept,
-                on_tick=None if settings.progress is None else every(settings.progress, samples),
-                on_row=[one.put for one in (self.streamed, operator) if one is not None and one.put is not None],
-                stop=self._is_over,
-                emergency=settings.emergency,
-                look=None if operator is None else operator.look,
-                on_end=self._end,
-            ),
-            known=known(keeper.controller, keeper.lasting),
+        own = Settings(keeper.controller.rate, settings.watchdog, settings.lockstep, settings.acknowledge)
+        hooks = Hooks(
+            accept=self._accept,
+            on_tick=None if settings.progress is None else every(settings.progress, samples),
+            on_row=[one.put for one in (self.streamed, operator) if one is not None and one.put is not None],
+            stop=self._is_over,
+            emergency=settings.emergency,
+            look=None if operator is None else operator.look,
+            on_end=self._end,
         )
+        state = known(keeper.controller, keeper.lasting)
+        return run_rig(keeper.step, plant, own, samples=samples, limits=self.rules, hooks=hooks, known=state)
 
     def recording(self, ran: RigRun) -> Recording:
         """Recording of what there is since the release."""

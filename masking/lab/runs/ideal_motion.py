@@ -39,18 +39,17 @@ class Ideal:
 
         `live` are inputs that the run alone knows, by name (m,).
         """
-        (begin, state), parts = reached, list[Array]()
-        schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(self.virtual.kernels, len(times))
+        (begin, state), parts, virtual = reached, list[Array](), self.virtual
+        schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(virtual.kernels, len(times))
         for first in starts:
             part = times[first : first + starts.step]
-            found = input_series.integrate(
-                self.virtual.kernels,
+            span, u, p = (
                 np.concatenate([[begin], part]) / self.time_scale,
-                state,
-                np.zeros(len(self.virtual.inputs)),
-                self.virtual.values(),
-                schedule=schedule,
-                tolerance=self.tolerance,
+                np.zeros(len(virtual.inputs)),
+                virtual.values(),
+            )
+            found = input_series.integrate(
+                virtual.kernels, span, state, u, p, schedule=schedule, tolerance=self.tolerance
             )
             parts.append(found.states[1:])
             begin, state = float(part[-1]), found.states[-1, : len(state)].copy()

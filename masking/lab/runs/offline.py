@@ -73,9 +73,8 @@ def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
     runs = [*chunks_of_run]
     if len(runs) == 1:
         return runs[0]
-    names = [
-        part.name for part in fields(runs[0]) if getattr(runs[0], part.name) is not None and part.name != "lasting"
-    ]
+    kept = {part.name: getattr(runs[0], part.name) for part in fields(runs[0]) if part.name != "lasting"}
+    names = [name for name, part in kept.items() if part is not None]
     parts: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
     return replace(runs[0], **parts)
 
@@ -211,6 +210,7 @@ def twin_chunks(
     memory = sampled.begin(reading)
     late = twin.late(rate)
     queue = np.tile(memory.holding, (1 + math.ceil(late.max(initial=0.0)), 1))
+    rig, unit = Rig(y, p, queue, late), Unit(memory.x, memory.p, sampled.gain, sampled.limits)
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     lasting = np.empty((1, 0))
     mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
@@ -224,14 +224,8 @@ def twin_chunks(
         more = generator.standard_normal((count - len(noise), len(twin.sensors)))
         noise = np.concatenate([noise, more]) if len(noise) else more
         row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
-        status, done, first = kernels.run(
-            Samples(begin, count, 1.0 / rate, substeps, every),
-            Rig(y, p, queue, late),
-            Unit(memory.x, memory.p, sampled.gain, sampled.limits),
-            noise,
-            first,
-            Recorded(*(table[row:] for table in out)),
-        )
+        piece, kept = Samples(begin, count, 1.0 / rate, substeps, every), Recorded(*(table[row:] for table in out))
+        status, done, first = kernels.run(piece, rig, unit, noise, first, kept)
         check_status(kernels, status, (begin + done) / rate, y, mend)
         noise = noise[:0]
         if progress is not None:

@@ -57,9 +57,7 @@ class Passive:
 
     def check_still(self) -> None:
         """Refuse initial velocities, which a controller that reads sensors cannot give."""
-        moving = [
-            name for name in self.names if self.given.get(f"{name}'") and name not in self.law.virtual.coordinates
-        ]
+        moving = [n for n in self.names if self.given.get(f"{n}'") and n not in self.law.virtual.coordinates]
         if moving:
             raise ModelError(
                 f"initial.{moving[0]}': a rig that is read by sensors starts at rest; leave it out, or take 'observer: "

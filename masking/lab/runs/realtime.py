@@ -339,9 +339,8 @@ class Rows:
         self.sensors, self.applied = self.table[:, ends[0] : ends[1]], self.table[:, ends[1] : ends[2]]
         self._cells = cells(self.table)
         # Memory to memory; measured: a third of the time of arrays.
-        self._known = [
-            (end - len(part), end, part.data) for end, part in zip(ends[3:], known.columns, strict=True) if len(part)
-        ]
+        parts = zip(ends[3:], known.columns, strict=True)
+        self._known = [(end - len(part), end, part.data) for end, part in parts if len(part)]
 
     def begin(self, tick: int, values: Array, wall: float, missed: int, lateness: float | None = None) -> int:
         """Begin the next row with a sample (sensors,); return the samples that were missed before it.

@@ -39,11 +39,8 @@ class Columns:
         The states (m, .) are in SI units for the rig, and in the virtual system's for the others; times (m,) in s.
         """
         self.add("t", times, "s", "time")
-        for prefix, model, states in (
-            ("rig", self.plant, rig),
-            ("virtual", self.virtual, virtual),
-            ("ideal", self.virtual, ideal),
-        ):
+        motions = ("rig", self.plant, rig), ("virtual", self.virtual, virtual), ("ideal", self.virtual, ideal)
+        for prefix, model, states in motions:
             n = len(model.coordinates)
             for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
                 unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si

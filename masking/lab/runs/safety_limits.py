@@ -103,13 +103,7 @@ class _Builder:
         motion, pushed = self._motion()
         self._jumps(places, pushed)
         self._sticking()
-        return replace(
-            self._within(),
-            motion=motion,
-            half=self._half(motion),
-            delay=self.instruments.delay,
-            notes=tuple(self.notes),
-        )
+        return replace(self._within(), motion=motion, half=self._half(motion), delay=self.instruments.delay)
 
     def limits(self) -> Rules:
         """Rules of what is limited alone: readings are finite and within their range."""

@@ -52,13 +52,8 @@ def multisine(
         size = count("periods", periods) * _whole_period(signal, rate)
     else:
         size = samples("a multisine", positive("duration", duration, "s"), rate, 1)
-    meta = {
-        "frequencies": signal.frequencies.tolist(),
-        "amplitudes": signal.amplitudes.tolist(),
-        "phases": signal.phases.tolist(),
-        "period": signal.period,
-        "periods": periods,
-    }
+    lines = {name: getattr(signal, name).tolist() for name in ("frequencies", "amplitudes", "phases")}
+    meta = {**lines, "period": signal.period, "periods": periods}
     return Excitation("multisine", rate, signal.sample(np.arange(size) / rate)[:, None], (channel,), (unit,), meta)
 
 
