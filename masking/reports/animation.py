@@ -34,21 +34,13 @@ PERIODS: Final = 12.0  # that the traces show at once
 
 @dataclass(frozen=True)
 class Scene:
-    """One system of a recording, as it is drawn.
+    """One system of a recording, as it is drawn."""
 
-    Args:
-        prefix: of its columns.
-        what: it is, in words.
-        drawing: of the system.
-        view: extent (left, right, bottom, top), in the unit of the drawing.
-        factor: by which its motion is magnified.
-    """
-
-    prefix: str
-    what: str
-    drawing: Drawing
-    view: tuple[float, float, float, float]
-    factor: int
+    prefix: str  # of its columns
+    what: str  # it is, in words
+    drawing: Drawing  # of the system
+    view: tuple[float, float, float, float]  # extent (left, right, bottom, top), in the unit of the drawing
+    factor: int  # by which its motion is magnified
 
 
 @dataclass(frozen=True)

@@ -40,31 +40,18 @@ _TITLES: Final = {"virtual": "Virtual system", "rig": "Rig", "sensor": "Sensors"
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """One thing that is limited: the magnitude of zero + weights of columns.
+    """One thing that is limited: the magnitude of zero + weights of columns."""
 
-    Args:
-        kind: "limit", "command" or "heat".
-        label: its name.
-        unit: of its bound.
-        bound: the largest magnitude that is allowed.
-        trip: the least that is too much.
-        zero: its value where all columns are zero.
-        columns: places of the columns that it is made of.
-        weights: of these.
-        over: rows over which the rate of the expression is taken, 0 for the expression itself.
-        rate: rows per second.
-    """
-
-    kind: str
-    label: str
-    unit: str
-    bound: float
-    trip: float
-    zero: float
-    columns: list[int]
-    weights: Array
-    over: int
-    rate: float
+    kind: str  # "limit", "command" or "heat"
+    label: str  # its name
+    unit: str  # of its bound
+    bound: float  # the largest magnitude that is allowed
+    trip: float  # the least that is too much
+    zero: float  # its value where all columns are zero
+    columns: list[int]  # places of the columns that it is made of
+    weights: Array  # of these
+    over: int  # rows over which the rate of the expression is taken, 0 for the expression itself
+    rate: float  # rows per second
 
     @classmethod
     def of(cls, entry: Mapping[str, Any], reader: RingReader) -> Bound:
@@ -271,19 +258,12 @@ class _Bins:
 
 @dataclass
 class _Times:
-    """How long the controller took in each tick, and which were late.
+    """How long the controller took in each tick, and which were late."""
 
-    Args:
-        counts: of durations in each bin.
-        worst: the longest, s.
-        late: ticks that were.
-        missed: samples that never came.
-    """
-
-    counts: Array = field(default_factory=lambda: np.zeros(len(_EDGES) + 1, dtype=np.int64))
-    worst: float = 0.0
-    late: int = 0
-    missed: int = 0
+    counts: Array = field(default_factory=lambda: np.zeros(len(_EDGES) + 1, dtype=np.int64))  # of durations in each bin
+    worst: float = 0.0  # the longest, s
+    late: int = 0  # ticks that were
+    missed: int = 0  # samples that never came
     _last: float = math.nan
 
     def add(self, table: Array, columns: Sequence[str]) -> None:

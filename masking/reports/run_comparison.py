@@ -53,16 +53,12 @@ class Measure:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs side by side.
+    """Two runs side by side."""
 
-    Args:
-        first, second: the recordings.
-        names: of the runs.
-    """
-
+    # first, second: the recordings
     first: Recording
     second: Recording
-    names: tuple[str, str]
+    names: tuple[str, str]  # of the runs
 
     @cached_property
     def studies(self) -> tuple[Study, Study]:

@@ -31,23 +31,14 @@ _CODE: Final = {
 
 @dataclass(frozen=True)
 class Drawing:
-    """A system that can be drawn at any instant.
+    """A system that can be drawn at any instant."""
 
-    Args:
-        title: of the system.
-        unit: of its lengths, "" for none.
-        coordinates: their names, in the order of the series.
-        shapes: to draw, those behind first.
-        parameters: values of the parameters in the expressions, by name.
-        note: what must be known to read it, "" for nothing.
-    """
-
-    title: str
-    unit: str
-    coordinates: tuple[str, ...]
-    shapes: tuple[Shape, ...]
-    parameters: Mapping[str, float]
-    note: str = ""
+    title: str  # of the system
+    unit: str  # of its lengths, "" for none
+    coordinates: tuple[str, ...]  # their names, in the order of the series
+    shapes: tuple[Shape, ...]  # to draw, those behind first
+    parameters: Mapping[str, float]  # values of the parameters in the expressions, by name
+    note: str = ""  # what must be known to read it, "" for nothing
 
     @property
     def colours(self) -> list[str]:

@@ -16,36 +16,25 @@ from masking.app.workflows.settings_keywords import Parameter, parameters
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb of the command line.
+    """A verb of the command line."""
 
-    Args:
-        name: as it is typed.
-        text: its help.
-        function: `module:name` below `masking`, whose parameters are the arguments; imported if the verb is asked for,
-            since it may load packages. By default that of the verb's name in a module of its name in `app.workflows`.
-        act: does it, and returns the exit status; by default what the function returns is printed.
-        out: folder of the results by default, with the names of arguments in braces; empty where the function has one.
-        doing: what the progress bar says; empty where the verb takes no time.
-        interrupted: what an interrupt leaves, with `{out}`.
-        has_json_file: whether `--json` takes a file.
-        metavars: placeholders of arguments by their parameters.
-        note: below the help.
-        select: those of the function's parameters that are arguments; by default all.
-        verbs: of a group.
-    """
-
-    name: str
-    text: str
+    name: str  # as it is typed
+    text: str  # its help
+    # `module:name` below `masking`, whose parameters are the arguments; imported if the verb is asked for, since it may
+    # load packages. By default that of the verb's name in a module of its name in `app.workflows`.
     function: str = ""
+    # does it, and returns the exit status; by default what the function returns is printed
     act: Callable[[Call], int] = lambda call: call.answered()
+    # folder of the results by default, with the names of arguments in braces; empty where the function has one
     out: str = ""
-    doing: str = ""
-    interrupted: str = NOTHING_SAVED
-    has_json_file: bool = False
-    metavars: Mapping[str, str] = field(default_factory=dict)
-    note: str = ""
+    doing: str = ""  # what the progress bar says; empty where the verb takes no time
+    interrupted: str = NOTHING_SAVED  # what an interrupt leaves, with `{out}`
+    has_json_file: bool = False  # whether `--json` takes a file
+    metavars: Mapping[str, str] = field(default_factory=dict)  # placeholders of arguments by their parameters
+    note: str = ""  # below the help
+    # those of the function's parameters that are arguments; by default all
     select: Callable[[dict[str, Parameter]], dict[str, Parameter]] = dict
-    verbs: tuple[Verb, ...] = ()
+    verbs: tuple[Verb, ...] = ()  # of a group
 
     def loaded(self) -> Callable[..., Any]:
         """The function that does it."""

@@ -35,23 +35,15 @@ _STATES: Final = 20_000_000  # numbers of the states that are in memory together
 
 @dataclass(frozen=True)
 class Plan:
-    """All that makes the rows of a sweep what they are.
+    """All that makes the rows of a sweep what they are."""
 
-    Args:
-        experiment: that varies.
-        design: the values of each run.
-        measures: names, or functions of a recording that return a number.
-        virtual: whether the virtual system runs by itself, without a rig.
-        continuation: whether the last axis of the grid is followed up and then down, each run from the end of the last.
-        trajectories: whether the virtual motion is kept.
-    """
-
-    experiment: Experiment
-    design: Design
-    measures: tuple[Measure, ...]
-    virtual: bool = False
+    experiment: Experiment  # that varies
+    design: Design  # the values of each run
+    measures: tuple[Measure, ...]  # names, or functions of a recording that return a number
+    virtual: bool = False  # whether the virtual system runs by itself, without a rig
+    # whether the last axis of the grid is followed up and then down, each run from the end of the last
     continuation: bool = False
-    trajectories: bool = False
+    trajectories: bool = False  # whether the virtual motion is kept
 
     def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
         """Pickled form: without compiled code, which each process has of its own."""

@@ -40,27 +40,16 @@ COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
 
 @dataclass(frozen=True)
 class Value:
-    """What an expression of a kernel is.
+    """What an expression of a kernel is."""
 
-    Args:
-        kind: of what it is.
-        text: in C; of an array, a pointer to its first element.
-        level: of the operation that is done last, as `printers` counts.
-        known: its value, where it is known when the C is written.
-        shape: of an array; None for a length that is not known.
-        root: the argument that an array is part of.
-        parts: of a tuple.
-        fields: names of the parts of a named one.
-    """
-
-    kind: str
-    text: str = ""
-    level: int = ATOM
-    known: Any = None
-    shape: tuple[int | None, ...] = ()
-    root: str = ""
-    parts: tuple[Value, ...] = ()
-    fields: tuple[str, ...] = ()
+    kind: str  # of what it is
+    text: str = ""  # in C; of an array, a pointer to its first element
+    level: int = ATOM  # of the operation that is done last, as `printers` counts
+    known: Any = None  # its value, where it is known when the C is written
+    shape: tuple[int | None, ...] = ()  # of an array; None for a length that is not known
+    root: str = ""  # the argument that an array is part of
+    parts: tuple[Value, ...] = ()  # of a tuple
+    fields: tuple[str, ...] = ()  # names of the parts of a named one
 
     @property
     def flat(self) -> tuple[Value, ...]:

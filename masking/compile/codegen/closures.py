@@ -22,17 +22,11 @@ class Named:
 
 @dataclass(frozen=True)
 class Closure:
-    """A kernel.
+    """A kernel."""
 
-    Args:
-        function: its Python function.
-        tree: the definition, as it is written.
-        names: what its free names stand for: numbers, slices, modules, `Named`, and functions.
-    """
-
-    function: FunctionType
-    tree: ast.FunctionDef
-    names: Mapping[str, Any]
+    function: FunctionType  # its Python function
+    tree: ast.FunctionDef  # the definition, as it is written
+    names: Mapping[str, Any]  # what its free names stand for: numbers, slices, modules, `Named`, and functions
 
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Closure:

@@ -38,19 +38,12 @@ DECORATORS = "from masking.compile.numerics.compilation import compiled, inlined
 
 @dataclass(frozen=True)
 class Template:
-    """A kernel.
+    """A kernel."""
 
-    Args:
-        text: of the template, Python.
-        sizes: the whole numbers, in the order of their symbols.
-        uses: names of the functions of the model that it calls.
-        content: hash of the text and of all that it imports.
-    """
-
-    text: str
-    sizes: tuple[int, ...]
-    uses: tuple[str, ...]
-    content: str
+    text: str  # of the template, Python
+    sizes: tuple[int, ...]  # the whole numbers, in the order of their symbols
+    uses: tuple[str, ...]  # names of the functions of the model that it calls
+    content: str  # hash of the text and of all that it imports
 
 
 def template(module: Module, name: str) -> Template:

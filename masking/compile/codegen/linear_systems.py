@@ -46,15 +46,10 @@ class Algebra(Protocol[X]):
 
 @dataclass(frozen=True)
 class Divisor(Generic[X]):
-    """What a solution was divided by: the matrix is singular where it is zero.
+    """What a solution was divided by: the matrix is singular where it is zero."""
 
-    Args:
-        value: a pivot, or the determinant of a small block.
-        entry: of a pivot, what the matrix itself has in its place; None for a determinant.
-    """
-
-    value: X
-    entry: X | None
+    value: X  # a pivot, or the determinant of a small block
+    entry: X | None  # of a pivot, what the matrix itself has in its place; None for a determinant
 
 
 def solve(

@@ -56,41 +56,27 @@ RESULTS = 4  # room for the results of a function
 
 @dataclass(frozen=True, eq=False)
 class BoundFunction:
-    """A function with its arguments, which costs little to call: machine code that passes the same arrays each time.
+    """A function with its arguments, which costs little to call: machine code that passes the same arrays each time."""
 
-    Args:
-        call: calls it; other threads of Python wait meanwhile, so that the caller never waits for them.
-        results: of the last call, (RESULTS,).
-        arguments: the arrays, kept alive.
-        code: the machine code, kept alive.
-    """
-
+    # calls it; other threads of Python wait meanwhile, so that the caller never waits for them
     call: Callable[[], object]
-    results: ctypes.Array[ctypes.c_double]
-    arguments: Sequence[np.ndarray]
-    code: object = field(repr=False)
+    results: ctypes.Array[ctypes.c_double]  # of the last call, (RESULTS,)
+    arguments: Sequence[np.ndarray]  # the arrays, kept alive
+    code: object = field(repr=False)  # the machine code, kept alive
 
 
 @dataclass
 class NativeFunction:
-    """A function of a generated module, called with numpy arrays.
+    """A function of a generated module, called with numpy arrays."""
 
-    Args:
-        name: its name in the module.
-        arguments: the types of its arguments by their names, such as `float` or `Matrix`.
-        results: the types of its results: none, or `float` and `int`.
-        work: the shape of its work space, which callers need not give; None if it has none.
-        assembled: returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet.
-        stem: path of its machine code, which the processor and an ending follow.
-        links: functions whose machine code it calls, by the names that it has for them.
-    """
-
-    name: str
-    arguments: Mapping[str, str]
-    results: Sequence[str]
-    work: tuple[int, int] | None
+    name: str  # its name in the module
+    arguments: Mapping[str, str]  # the types of its arguments by their names, such as `float` or `Matrix`
+    results: Sequence[str]  # the types of its results: none, or `float` and `int`
+    work: tuple[int, int] | None  # the shape of its work space, which callers need not give; None if it has none
+    # returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet
     assembled: Callable[[], Any]
-    stem: Path
+    stem: Path  # path of its machine code, which the processor and an ending follow
+    # functions whose machine code it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     _call: Any = field(default=None, repr=False)
 

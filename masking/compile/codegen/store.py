@@ -51,25 +51,17 @@ def key(made_from: Mapping[str, object]) -> str:
 
 @dataclass(frozen=True)
 class Generated:
-    """A generated module on disk.
+    """A generated module on disk."""
 
-    Args:
-        path: of its text.
-        text: Python, as it is executed; never read again from the disk.
-        meta: what it says of itself.
-        objects: the content hash of each function.
-        kernels: of each kernel that has a template, the hashes of that, its whole numbers and the functions it calls.
-        links: functions of other modules that it calls, by the names that it has for them.
-        work: the shape of the work space of functions that do not say it.
-    """
-
-    path: Path
-    text: str = field(repr=False)
-    meta: Mapping[str, Any]
-    objects: Mapping[str, str] = field(repr=False)
+    path: Path  # of its text
+    text: str = field(repr=False)  # Python, as it is executed; never read again from the disk
+    meta: Mapping[str, Any]  # what it says of itself
+    objects: Mapping[str, str] = field(repr=False)  # the content hash of each function
+    # of each kernel that has a template, the hashes of that, its whole numbers and the functions it calls
     kernels: Mapping[str, Any] = field(repr=False)
+    # functions of other modules that it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
-    work: tuple[int, int] | None = None
+    work: tuple[int, int] | None = None  # the shape of the work space of functions that do not say it
 
     def module(self) -> ModuleType:
         """Import the module, if it is Python, and numba with it."""

@@ -12,34 +12,21 @@ LARGEST, HEATING, POWER, TIME = range(4)
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of a sampled controller.
+    """Sizes of a sampled controller."""
 
-    Args:
-        coordinates: n.
-        states: length of [q, v, s]; at the end of s are what a virtual system remembers, and the balance's damping.
-        inputs: of the rig's model.
-        actuators: channels that are commanded.
-        order: derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line.
-        balanced: virtual coordinates whose energy balance is held; 0 where none is.
-        offsets: sensors whose offset is measured at rest; 0 where none is.
-        remembered: internal states of the virtual system.
-        lags: its delayed expressions.
-        kept: samples of them that are kept; 0 where there are none.
-        events: of the virtual system.
-        targets: for each value that jumps in them, the index of its event and that of the state in [q, v, s].
-    """
-
-    coordinates: int
-    states: int
-    inputs: int
-    actuators: int
+    coordinates: int  # n
+    states: int  # length of [q, v, s]; at the end of s are what a virtual system remembers, and the balance's damping
+    inputs: int  # of the rig's model
+    actuators: int  # channels that are commanded
+    # derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line
     order: int
-    balanced: int = 0
-    offsets: int = 0
-    remembered: int = 0
-    lags: int = 0
-    kept: int = 0
-    events: int = 0
+    balanced: int = 0  # virtual coordinates whose energy balance is held; 0 where none is
+    offsets: int = 0  # sensors whose offset is measured at rest; 0 where none is
+    remembered: int = 0  # internal states of the virtual system
+    lags: int = 0  # its delayed expressions
+    kept: int = 0  # samples of them that are kept; 0 where there are none
+    events: int = 0  # of the virtual system
+    # for each value that jumps in them, the index of its event and that of the state in [q, v, s]
     targets: tuple[tuple[int, int], ...] = ()
 
     @property

@@ -42,19 +42,15 @@ LOW, HIGH, CHANGE = range(3)
 
 @dataclass(frozen=True)
 class Covariance:
-    """How a covariance P (size, size) is held.
+    """How a covariance P (size, size) is held."""
 
-    Args:
-        carry: `carry(matrix, columns, q, dt, k, work)`: P <- F (P + Q/2) F^T + Q/2 over a sample, with derivatives of
-            the state by (theta, y) in `columns` (n, k + n) and Q dt of intensity q (n,).
-        correct: `correct(matrix, h, variance, gain, seen) -> spread`: by a reading h^T (y, theta) of given variance;
-            returns that of its innovation, negative if P is not positive, with the gain in `gain`.
-        variance: `variance(matrix, i)` of an entry of (y, theta).
-    """
-
+    # `carry(matrix, columns, q, dt, k, work)`: P <- F (P + Q/2) F^T + Q/2 over a sample, with derivatives of the state
+    # by (theta, y) in `columns` (n, k + n) and Q dt of intensity q (n,)
     carry: Kernel
+    # `correct(matrix, h, variance, gain, seen) -> spread`: by a reading h^T (y, theta) of given variance; returns that
+    # of its innovation, negative if P is not positive, with the gain in `gain`
     correct: Kernel
-    variance: Kernel
+    variance: Kernel  # `variance(matrix, i)` of an entry of (y, theta)
 
 
 @compiled

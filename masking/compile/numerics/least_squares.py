@@ -28,23 +28,15 @@ SMALL = 1e-8  # of the cost: a smaller reduction ends a fit whose derivatives ar
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations that a damped step can be found from.
+    """Normal equations that a damped step can be found from."""
 
-    Args:
-        matrix: J^T W J (n, n).
-        gradient: J^T W r (n,), of the residuals r.
-        fixed: unknowns that are not estimated (n,); none by default.
-        resistance: what a step adds to the diagonal of the matrix (n,); nothing by default.
-        shared: unknowns (s) that alone connect the others, which are in blocks and all estimated; all by default.
-        block: unknowns in each block.
-    """
-
-    matrix: Array
-    gradient: Array
-    fixed: NDArray[np.bool_] | None = None
-    resistance: Array | None = None
+    matrix: Array  # J^T W J (n, n)
+    gradient: Array  # J^T W r (n,), of the residuals r
+    fixed: NDArray[np.bool_] | None = None  # unknowns that are not estimated (n,); none by default
+    resistance: Array | None = None  # what a step adds to the diagonal of the matrix (n,); nothing by default
+    # unknowns (s) that alone connect the others, which are in blocks and all estimated; all by default
     shared: int | None = None
-    block: int = 1
+    block: int = 1  # unknowns in each block
 
     @property
     def is_finite(self) -> bool:
@@ -120,15 +112,12 @@ class Linearised(Generic[T]):
 
 @dataclass(frozen=True)
 class Box:
-    """Bounds of the first unknowns; the others have none.
+    """Bounds of the first unknowns; the others have none."""
 
-    Args:
-        low, high: least and largest values (b,); infinite if there is none.
-        growing: whether a value that is positive by its bounds may at most double in a step (b,).
-    """
-
+    # low, high: least and largest values (b,); infinite if there is none
     low: Array
     high: Array
+    # whether a value that is positive by its bounds may at most double in a step (b,)
     growing: NDArray[np.bool_] | bool = False
 
     def after(self, x: Array, step: Array) -> Array:
@@ -160,18 +149,12 @@ class Damping:
 
     It falls tenfold after a success that follows a success. After steps in vain it rises 10, 100, 1000 ... times: a
     step that is far too long is soon far shorter.
-
-    Args:
-        value: of the next step.
-        least: that it falls to.
-        most: beyond which no shorter step is tried.
-        vain: steps in vain in a row.
     """
 
-    value: float
-    least: float
-    most: float
-    vain: int = 0
+    value: float  # of the next step
+    least: float  # that it falls to
+    most: float  # beyond which no shorter step is tried
+    vain: int = 0  # steps in vain in a row
 
     def after(self, *, success: bool) -> Damping:
         """Damping of the next step."""
@@ -182,14 +165,11 @@ class Damping:
 
 @dataclass(frozen=True)
 class Patience:
-    """Rule by which a fit is abandoned.
+    """Rule by which a fit is abandoned."""
 
-    Args:
-        least: reduction of a cost that is expected of a step without damping; below it the method gives up.
-        is_hopeless: whether to give up, from the cost and that of the step that was tried, infinite if it failed.
-    """
-
+    # reduction of a cost that is expected of a step without damping; below it the method gives up
     least: Callable[[float], float] = lambda cost: -np.inf
+    # whether to give up, from the cost and that of the step that was tried, infinite if it failed
     is_hopeless: Callable[[float, float], bool] = lambda cost, tried: False
 
 

@@ -29,17 +29,11 @@ def whole_lanes(columns: int) -> int:
 
 @dataclass(frozen=True)
 class RigSizes:
-    """Sizes of a rig.
+    """Sizes of a rig."""
 
-    Args:
-        states: n.
-        coordinates: how many of the states are coordinates, whose rates are the states that follow them.
-        sensors: readings of a sample.
-    """
-
-    states: int
-    coordinates: int
-    sensors: int
+    states: int  # n
+    coordinates: int  # how many of the states are coordinates, whose rates are the states that follow them
+    sensors: int  # readings of a sample
 
     @property
     def moved(self) -> int:
@@ -74,21 +68,13 @@ class RigSizes:
 
 @dataclass(frozen=True)
 class PortSizes(RigSizes):
-    """Sizes of a rig with ports.
+    """Sizes of a rig with ports."""
 
-    Args:
-        force_entries: index of each place's force in the parameter array.
-        force_columns: the same, among the affected entries.
-        command_columns: index of each actuator's offset among the affected entries.
-        is_fed: whether a sensor reads what a command or a force changes at once.
-        most_states: of effects together.
-    """
-
-    force_entries: tuple[int, ...]
-    force_columns: tuple[int, ...]
-    command_columns: tuple[int, ...]
-    is_fed: bool
-    most_states: int
+    force_entries: tuple[int, ...]  # index of each place's force in the parameter array
+    force_columns: tuple[int, ...]  # the same, among the affected entries
+    command_columns: tuple[int, ...]  # index of each actuator's offset among the affected entries
+    is_fed: bool  # whether a sensor reads what a command or a force changes at once
+    most_states: int  # of effects together
 
     @property
     def moved(self) -> int:

@@ -28,19 +28,12 @@ SETTLED = 1e-15  # relative change of the covariance by the last doubling
 
 @dataclass(frozen=True)
 class SteadyFilter:
-    """A steady Kalman filter in which readings have unit variance.
+    """A steady Kalman filter in which readings have unit variance."""
 
-    Args:
-        gain: correction of the state per unit of reading (n, sensors).
-        predicted: covariance of the state before a reading (n, n).
-        corrected: covariance of the state after it (n, n).
-        innovation: covariance of what a reading adds (sensors, sensors).
-    """
-
-    gain: Array
-    predicted: Array
-    corrected: Array
-    innovation: Array
+    gain: Array  # correction of the state per unit of reading (n, sensors)
+    predicted: Array  # covariance of the state before a reading (n, n)
+    corrected: Array  # covariance of the state after it (n, n)
+    innovation: Array  # covariance of what a reading adds (sensors, sensors)
 
 
 def discretised(flow: Array, density: Array, period: float) -> tuple[Array, Array]:

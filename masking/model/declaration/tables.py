@@ -30,17 +30,13 @@ TABLES = ("interpolate", "interpolate_monotone")
 
 @dataclass(frozen=True, slots=True)
 class Powers:
-    """A curve as a straight line from its first point, and what is added beyond each point.
+    """A curve as a straight line from its first point, and what is added beyond each point."""
 
-    Args:
-        points: abscissae (p,).
-        value, slope: at the first point.
-        squares, cubes: factors of powers of what x is beyond each point (p,).
-    """
-
-    points: tuple[float, ...]
+    points: tuple[float, ...]  # abscissae (p,)
+    # value, slope: at the first point
     value: float
     slope: float
+    # squares, cubes: factors of powers of what x is beyond each point (p,)
     squares: tuple[float, ...]
     cubes: tuple[float, ...]
 

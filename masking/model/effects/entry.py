@@ -39,25 +39,17 @@ FAMILIES: Final = (
 
 @dataclass(frozen=True)
 class Span:
-    """The range of a place, sensor or actuator in a record, from which fits of its effects start.
+    """The range of a place, sensor or actuator in a record, from which fits of its effects start."""
 
-    Args:
-        low, high: least and largest value.
-        size: largest magnitude.
-        rate: root mean square of its rate.
-        time: of the motion of the rig in s: displacement over rate, both in rms.
-        tones: frequencies of the latent forces in Hz, the strongest first.
-        pitches: displacements over which the latent forces repeat, the strongest first.
-        stiffnesses: values of a stiffness in the place of the element's own force, where it declares one.
-    """
-
+    # low, high: least and largest value
     low: float
     high: float
-    size: float
-    rate: float
-    time: float = 1.0
-    tones: tuple[float, ...] = ()
-    pitches: tuple[float, ...] = ()
+    size: float  # largest magnitude
+    rate: float  # root mean square of its rate
+    time: float = 1.0  # of the motion of the rig in s: displacement over rate, both in rms
+    tones: tuple[float, ...] = ()  # frequencies of the latent forces in Hz, the strongest first
+    pitches: tuple[float, ...] = ()  # displacements over which the latent forces repeat, the strongest first
+    # values of a stiffness in the place of the element's own force, where it declares one
     stiffnesses: tuple[float, ...] = ()
 
 
@@ -67,26 +59,17 @@ Starts = Callable[[Span], list[Start]]
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect.
+    """A parameter of an effect."""
 
-    Args:
-        unit: template in the units of the place, such as `F/D`.
-        meaning: in a few words.
-        prior: range in which values are expected; None if nobody knows.
-        nominal: a usual value; None if nobody knows.
-        value: taken if none is given; None if one must be given.
-        bounds: least and largest value that make sense.
-        tried: values from which fits start: parts of the largest displacement if the unit is D, of the largest reading
-            or command if it is S or U, of the rms rate if it is D/s, of the time of the motion if it is s, and plain
-            values otherwise.
-    """
-
-    unit: str
-    meaning: str
-    prior: tuple[float, float] | None = None
-    nominal: float | None = None
-    value: float | None = None
-    bounds: Bounds = (None, None)
+    unit: str  # template in the units of the place, such as `F/D`
+    meaning: str  # in a few words
+    prior: tuple[float, float] | None = None  # range in which values are expected; None if nobody knows
+    nominal: float | None = None  # a usual value; None if nobody knows
+    value: float | None = None  # taken if none is given; None if one must be given
+    bounds: Bounds = (None, None)  # least and largest value that make sense
+    # values from which fits start: parts of the largest displacement if the unit is D, of the largest reading or
+    # command if it is S or U, of the rms rate if it is D/s, of the time of the motion if it is s, and plain values
+    # otherwise
     tried: tuple[float, ...] = ()
 
     def starts(self, span: Span) -> list[float]:
@@ -114,92 +97,62 @@ class EffectState:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One way in which discovery fits an effect; each is a candidate of its own.
+    """One way in which discovery fits an effect; each is a candidate of its own."""
 
-    Args:
-        starts: values of other parameters than the factors, from which fits start, for the range of a place.
-        free: parameters that are estimated beside the factors; the others are held at the start.
-        factors: factors that are estimated; all of the effect's if none are named.
-        sticks: whether it is fitted with the parameters that follow the step of integration.
-    """
-
+    # values of other parameters than the factors, from which fits start, for the range of a place
     starts: Starts = lambda span: [{}]
-    free: tuple[str, ...] = ()
-    factors: tuple[str, ...] = ()
-    sticks: bool = False
+    free: tuple[str, ...] = ()  # parameters that are estimated beside the factors; the others are held at the start
+    factors: tuple[str, ...] = ()  # factors that are estimated; all of the effect's if none are named
+    sticks: bool = False  # whether it is fitted with the parameters that follow the step of integration
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A physical effect.
+    """A physical effect."""
 
-    Args:
-        name: in declarations and reports.
-        meaning: one sentence.
-        expression: of the force of an element, or of the value of a sensor or actuator; '' if it makes commands late.
-            Of an effect in series, of the displacement that it takes up.
-        parameters: by their names.
-        cause: usual causes on a rig.
-        remedy: what helps.
-        source: of the law.
-        states: internal states by their names.
-        where: the kind of place in which it sits.
-        family: one of `FAMILIES`; '' gives it a row of its own in the error budget.
-        label: its name in a sentence; by default the name with spaces.
-        trials: the ways in which discovery fits it; by default one, with every parameter that has values to try.
-        is_searched: whether discovery tries it at each place by these trials.
-        joins: whether it is also tried between coordinates that no element joins.
-        nested: simpler effects that are special cases of it, or nearly so.
-        absorbed_by: the parameter of a model that would do the same; '' if none would.
-        is_linear: whether a system with it is linear if it was so without it.
-        directed: what it follows at a directed place, and it is tried at such places alone; '' for any other effect.
-        is_flow: whether it is a flow of a level, and no force of a motion: tried at places without a rate alone.
-        is_sum: whether it is there as soon as any factor differs from 0, not only if the first does.
-        scaled: parameters that scale its force together, if no parameter does so alone.
-        grows_with: the time constant to which its effect is in proportion, as long as that is short.
-        quantum: the parameter that is the step of a quantiser; '' if it is none.
-        deviation: standard deviation of the white noise that it adds to a sensor, as an expression of its parameters.
-        calibrated: parameters that a calibration fits where a plant file declares the effect.
-        attaches: beside the force of an element, in series with it, or instead of it; the latter two where the element
-            declares a force of its own.
-        takes_rate: of an effect in series, the rate of what it takes up.
-        at_zero: the law without states where a parameter is 0, by this parameter.
-        by_step: parameters that are no physics, but make a state as stiff as a step of integration bears: expressions
-            over `step`, in s, and `mobility`, the acceleration by a unit of force, or the rate of a level by a flow.
-        least: least values of parameters that a step of integration bears, as such expressions of the parameters, too.
-        positive: an expression of its parameters that is positive, or else it is not what its name says; '' if any are.
-    """
-
-    name: str
-    meaning: str
+    name: str  # in declarations and reports
+    meaning: str  # one sentence
+    # of the force of an element, or of the value of a sensor or actuator; '' if it makes commands late. Of an effect in
+    # series, of the displacement that it takes up.
     expression: str
-    parameters: Mapping[str, EffectParameter]
-    cause: str = ""
-    remedy: str = ""
-    source: str = ""
-    states: Mapping[str, EffectState] = field(default_factory=dict)
-    where: Where = "element"
-    family: str = ""
-    label: str = ""
+    parameters: Mapping[str, EffectParameter]  # by their names
+    cause: str = ""  # usual causes on a rig
+    remedy: str = ""  # what helps
+    source: str = ""  # of the law
+    states: Mapping[str, EffectState] = field(default_factory=dict)  # internal states by their names
+    where: Where = "element"  # the kind of place in which it sits
+    family: str = ""  # one of `FAMILIES`; '' gives it a row of its own in the error budget
+    label: str = ""  # its name in a sentence; by default the name with spaces
+    # the ways in which discovery fits it; by default one, with every parameter that has values to try
     trials: tuple[Trial, ...] = ()
-    is_searched: bool = True
-    joins: bool = False
-    nested: tuple[str, ...] = ()
-    absorbed_by: str = ""
-    is_linear: bool = False
+    is_searched: bool = True  # whether discovery tries it at each place by these trials
+    joins: bool = False  # whether it is also tried between coordinates that no element joins
+    nested: tuple[str, ...] = ()  # simpler effects that are special cases of it, or nearly so
+    absorbed_by: str = ""  # the parameter of a model that would do the same; '' if none would
+    is_linear: bool = False  # whether a system with it is linear if it was so without it
+    # what it follows at a directed place, and it is tried at such places alone; '' for any other effect
     directed: Directed = ""
+    # whether it is a flow of a level, and no force of a motion: tried at places without a rate alone
     is_flow: bool = False
-    is_sum: bool = False
-    scaled: tuple[str, ...] = ()
-    grows_with: str = ""
-    quantum: str = ""
+    is_sum: bool = False  # whether it is there as soon as any factor differs from 0, not only if the first does
+    scaled: tuple[str, ...] = ()  # parameters that scale its force together, if no parameter does so alone
+    grows_with: str = ""  # the time constant to which its effect is in proportion, as long as that is short
+    quantum: str = ""  # the parameter that is the step of a quantiser; '' if it is none
+    # standard deviation of the white noise that it adds to a sensor, as an expression of its parameters
     deviation: str = ""
-    calibrated: tuple[str, ...] = ()
+    calibrated: tuple[str, ...] = ()  # parameters that a calibration fits where a plant file declares the effect
+    # beside the force of an element, in series with it, or instead of it; the latter two where the element declares a
+    # force of its own
     attaches: Attaches = "beside"
-    takes_rate: str = ""
+    takes_rate: str = ""  # of an effect in series, the rate of what it takes up
+    # the law without states where a parameter is 0, by this parameter
     at_zero: Mapping[str, str] = field(default_factory=dict)
+    # parameters that are no physics, but make a state as stiff as a step of integration bears: expressions over `step`,
+    # in s, and `mobility`, the acceleration by a unit of force, or the rate of a level by a flow
     by_step: Mapping[str, str] = field(default_factory=dict)
+    # least values of parameters that a step of integration bears, as such expressions of the parameters, too
     least: Mapping[str, str] = field(default_factory=dict)
+    # an expression of its parameters that is positive, or else it is not what its name says; '' if any are
     positive: str = ""
 
     @property

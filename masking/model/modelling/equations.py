@@ -63,18 +63,12 @@ class Lag:
 
 @dataclass(frozen=True)
 class Events:
-    """The events of a model.
+    """The events of a model."""
 
-    Args:
-        names: of the events.
-        conditions: an event is where its condition crosses zero upwards.
-        values: what jumps, afterwards.
-        targets: for each value, the index of its event and that of the state in y = [q, v, s].
-    """
-
-    names: tuple[str, ...]
-    conditions: tuple[sp.Expr, ...]
-    values: tuple[sp.Expr, ...]
+    names: tuple[str, ...]  # of the events
+    conditions: tuple[sp.Expr, ...]  # an event is where its condition crosses zero upwards
+    values: tuple[sp.Expr, ...]  # what jumps, afterwards
+    # for each value, the index of its event and that of the state in y = [q, v, s]
     targets: tuple[tuple[int, int], ...]
 
 

@@ -93,17 +93,11 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Parameters that change at instants.
+    """Parameters that change at instants."""
 
-    Args:
-        instants: (b,), increasing.
-        rows: values before the first instant, between and after (b + 1, k).
-        where: which entries of a parameter array they are (k,).
-    """
-
-    instants: Array
-    rows: Array
-    where: Array
+    instants: Array  # (b,), increasing
+    rows: Array  # values before the first instant, between and after (b + 1, k)
+    where: Array  # which entries of a parameter array they are (k,)
 
     @classmethod
     def of(cls, series: Sequence[tuple[Series, Sequence[int]]], time_scale: float = 1.0) -> Schedule:

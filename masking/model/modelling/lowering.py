@@ -181,19 +181,12 @@ def module(equations: Equations) -> Module:
 
 @dataclass(frozen=True)
 class Added:
-    """What stands beside the derivatives: nodes of delays and of events.
+    """What stands beside the derivatives: nodes of delays and of events."""
 
-    Args:
-        lagged: what the delayed expressions are now.
-        delays: by how long they are delayed.
-        conditions: conditions of events, and values that jump.
-        targets: for each of these, the index of its event and that of the state.
-    """
-
-    lagged: Sequence[Node]
-    delays: Sequence[Node]
-    conditions: Sequence[Node]
-    targets: tuple[tuple[int, int], ...]
+    lagged: Sequence[Node]  # what the delayed expressions are now
+    delays: Sequence[Node]  # by how long they are delayed
+    conditions: Sequence[Node]  # conditions of events, and values that jump
+    targets: tuple[tuple[int, int], ...]  # for each of these, the index of its event and that of the state
 
     @property
     def events(self) -> int:
