@@ -38,14 +38,5 @@ def save(name: str, sentence: str, rows: Sequence[Mapping[str, Any]], numbers: M
     table.writeheader()
     table.writerows(rows)
     html.write({folder / TABLE: written.getvalue()})
-    html.save(
-        page,
-        "batch",
-        [],
-        numbers,
-        title=name,
-        lead=sentence,
-        head=[*rows[0]],
-        rows=_shown(rows),
-    )
+    html.save(page, "batch", [], numbers, title=name, lead=sentence, head=[*rows[0]], rows=_shown(rows))
     return page

@@ -363,6 +363,5 @@ def written(found: Discovery) -> list[tuple[str, str]]:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """Name that is not taken."""
     name = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     return next(n for n in (name, *(f"{name}_{i}" for i in range(2, 99))) if n not in taken)

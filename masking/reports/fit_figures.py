@@ -138,10 +138,7 @@ def fit(made: Simulated, which: Which) -> CaptionedFigure:
             Line(t, by * measured[part], COLOURS[0], 1.8, "measured"),
             Line(t, by * simulated, INK, 0.9, is_dashed=True),
         ]
-        rest = [
-            Line(t, small * left[part], COLOURS[1], 0.7, "residual", bins=300),
-            *either_side(1.96 * small * noise),
-        ]
+        rest = [Line(t, small * left[part], COLOURS[1], 0.7, "residual", bins=300), *either_side(1.96 * small * noise)]
         signals = [(measured, COLOURS[0], 1.2), (left, COLOURS[1], 1.0)]
         rows.append([
             Panel(motion, style.with_unit(style.symbol(name), y_unit), "time (s)", (0.0, seconds), ticks=4),

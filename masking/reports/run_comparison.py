@@ -130,7 +130,6 @@ class Comparison:
 
 
 def _measures(facts: Study) -> Iterator[tuple[str, float | str]]:
-    """Measures of a run with their names."""
     for name, chi in facts.chi.items():
         yield f"masking error chi of {name}", chi
     for pair in facts.pairs:

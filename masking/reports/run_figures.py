@@ -243,11 +243,7 @@ def _motion(study: Study, name: str, colour: str, reach: Range | None = None) ->
 
 
 def _over_record(
-    study: Study,
-    content: Sequence[Part],
-    label: str,
-    reach: Range,
-    finish: Callable[[Axes], None] | None = None,
+    study: Study, content: Sequence[Part], label: str, reach: Range, finish: Callable[[Axes], None] | None = None
 ) -> Panel:
     first, last = study.tau[0], study.tau[-1]
     ends = (first, last if last > first else first + 1.0)

@@ -14,12 +14,7 @@ from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
 
-VERBS: tuple[Verb, ...] = (
-    *declaration_verbs.VERBS,
-    *run_verbs.VERBS,
-    *identification_verbs.VERBS,
-    *rig_verbs.VERBS,
-)
+VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identification_verbs.VERBS, *rig_verbs.VERBS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -156,7 +156,6 @@ def _batch(call: Call) -> int:
 
 
 def _operator(chosen: RunSettings, bar: Bar) -> Operator:
-    """Operator who looks at the run."""
     from masking.app.workflows.operator_process import Attendant, attend
     from masking.lab.runs.operator_link import Operator
 

@@ -10,7 +10,7 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -120,37 +120,31 @@ def run(
         if not batch_plan.begin(journal.entries, wanted, folder):
             journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
         found = batch_plan.progress(runs, journal.entries)
-        worker = _Worker(plan, declared, folder, journal, found, experiment=experiment, plant=plant, key=key, say=say)
-        why = worker.work(progress)
+        options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
+        why = _Worker(plan, declared, folder, journal, found, experiment, options, say).work(progress)
     made = Batch(folder, declared.name, tuple(found), why)
     batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
     return made
 
 
 @final
+@dataclass
 class _Worker:
     """Makes the runs of a batch, and keeps up to date what is known of each."""
 
-    def __init__(
-        self,
-        plan: str | Path,
-        declared: BatchDeclaration,
-        folder: Path,
-        journal: Journal,
-        found: Sequence[Progress],
-        *,
-        experiment: Experiment,
-        plant: str | None,
-        key: str | None,
-        say: Callable[[str], None],
-    ) -> None:
-        self.plan, self.declared, self.experiment = plan, declared, experiment
-        self.folder, self.journal, self.found = folder, journal, found
-        self.options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
-        self.say, self.has_run = say, False
-        self.outcome: Mapping[str, Any] = {}  # of the last try
-        self.waited, self.last = 0.0, ""  # s since the plant was reached, and what was said
-        self.ended = 0.0  # when the last try did, s of the monotonic clock
+    plan: str | Path
+    declared: BatchDeclaration
+    folder: Path
+    journal: Journal
+    found: Sequence[Progress]
+    experiment: Experiment
+    options: Sequence[str]  # of each run's process
+    say: Callable[[str], None]
+    has_run: bool = False
+    outcome: Mapping[str, Any] = field(default_factory=dict)  # of the last try
+    waited: float = 0.0  # s since the plant was reached
+    last: str = ""  # what was said when it was not
+    ended: float = 0.0  # when the last try did, s of the monotonic clock
 
     def work(self, progress: Callable[[float], None]) -> str:
         """Make what is not made yet; return why not all of it could be."""
@@ -189,7 +183,6 @@ class _Worker:
         return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
 
     def _try(self, one: Progress) -> None:
-        """Make a try of a run in a process of its own."""
         begin: dict[str, Any] = {"event": "begin", "run": one.run.number}
         if self.has_run:
             time.sleep(self.declared.cool)

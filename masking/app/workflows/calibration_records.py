@@ -46,15 +46,7 @@ Progress = Callable[[float], None]
 
 
 def make(
-    twin: Twin,
-    plant: Plant,
-    folder: Path,
-    *,
-    seconds: float,
-    lockstep: bool,
-    seed: int,
-    say: Say,
-    progress: Progress,
+    twin: Twin, plant: Plant, folder: Path, *, seconds: float, lockstep: bool, seed: int, say: Say, progress: Progress
 ) -> Records:
     """Make the records that are not in a folder yet, of some seconds each, and read them all.
 

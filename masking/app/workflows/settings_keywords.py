@@ -61,9 +61,7 @@ def parameters(function: Callable[..., Any]) -> dict[str, Parameter]:
     }
 
 
-def with_fields_of(
-    settings: Callable[P, S],
-) -> Callable[[Callable[[N, S], R]], Callable[Concatenate[N, P], R]]:
+def with_fields_of(settings: Callable[P, S]) -> Callable[[Callable[[N, S], R]], Callable[Concatenate[N, P], R]]:
     """Decorator: a verb of one object and its settings takes the fields of these, a frozen dataclass, as keywords.
 
     `help` and type checkers see the fields; in the docstring, their lines take the place of that of the settings.

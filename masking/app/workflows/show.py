@@ -213,7 +213,6 @@ def _table(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _equation(left: str | sp.Expr, right: sp.Expr) -> list[str]:
-    """Equation as typeset lines."""
     equation = sp.Eq(sp.Symbol(left) if isinstance(left, str) else _simple(left), _simple(right), evaluate=False)
     return ["  " + line for line in sp.pretty(equation, use_unicode=True, wrap_line=False).splitlines()]
 

@@ -203,11 +203,7 @@ def _facts(plan: Plan) -> dict[str, Any]:
     names = [one if isinstance(one, str) else one.__name__ for one in plan.measures]
     kind = {"virtual": plan.virtual, "continuation": plan.continuation, "trajectories": plan.trajectories}
     over = [
-        {
-            "name": axis.label,
-            "grid": None if axis.values is None else axis.values.tolist(),
-            "factor": axis.is_factor,
-        }
+        {"name": axis.label, "grid": None if axis.values is None else axis.values.tolist(), "factor": axis.is_factor}
         for axis in design.axes
     ]
     given = json.dumps([declared, over, names, kind, design.runs, design.seed], sort_keys=True, default=str).encode()

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import Any
 
-from masking.compile.codegen.source import Expressions, Made, Module, made_of
+from masking.compile.codegen.llvm_text import Expressions
+from masking.compile.codegen.source import Made, Module, made_of
 
 
 @dataclass(frozen=True)

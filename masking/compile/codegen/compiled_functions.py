@@ -156,14 +156,7 @@ class Kernels:
         return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
 
     def integrate_each(
-        self,
-        times: Array,
-        states: Array,
-        inputs: Array,
-        parameters: Array,
-        *,
-        tolerance: float,
-        threads: int,
+        self, times: Array, states: Array, inputs: Array, parameters: Array, *, tolerance: float, threads: int
     ) -> Trajectory:
         """Integrate dynamics without delays and events over times (m,), each run from its own state at the first.
 

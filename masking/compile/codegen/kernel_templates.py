@@ -17,7 +17,8 @@ from typing import Any
 from masking.compile.codegen import native, structs
 from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.content_hashes import digest, source_of, versions
-from masking.compile.codegen.source import Expressions, Module
+from masking.compile.codegen.llvm_text import Expressions
+from masking.compile.codegen.source import Module
 
 HEADER = '''"""Generated; do not edit."""
 

@@ -175,7 +175,6 @@ class _Elimination(Generic[X]):
         return blocks
 
     def _cramer(self, rows: list[int], columns: list[int]) -> None:
-        """Solve a block by Cramer's rule."""
         a = self.algebra
         block = [[self.rows[i].get(j, a.number(0.0)) for i in rows] for j in columns]  # by columns
         determinant = _determinant(a, block)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from masking.compile.codegen import elementary
@@ -43,6 +44,17 @@ Results = Sequence[tuple[str, Node]]
 ALIGNED = 8  # bytes of an element of an array
 
 
+@dataclass(frozen=True)
+class Expressions:
+    """What `Module.add` is given; `types` are those of the arguments by their names."""
+
+    types: Mapping[str, str]
+    graph: Graph
+    results: Results
+    loads: Mapping[str, str]
+    returns: Node | None
+
+
 def parameters(types: Mapping[str, str]) -> list[str]:
     """Parameters of a function in LLVM, by types such as `float` or `Matrix`: an array is its address and its shape."""
     found = []
@@ -53,22 +65,10 @@ def parameters(types: Mapping[str, str]) -> list[str]:
     return found
 
 
-def function(  # noqa: PLR0917  (it is made of what `Module.add` takes)
-    symbol: str,
-    types: Mapping[str, str],
-    graph: Graph,
-    results: Sequence[tuple[str, Node]],
-    loads: Mapping[str, str],
-    returns: Node | None = None,
-    free: str = "",
-    lanes: int = 1,
-) -> str:
-    """Definition of a function that computes nodes: it reads all that it needs, and then writes results.
-
-    It has the types of its arguments by their names; all else is as `source.Module.add` takes it.
-    """
-    body = _Body(types, free, lanes)
-    body.compute(graph, results, loads, [] if returns is None else [returns])
+def function(symbol: str, made: Expressions, free: str = "", lanes: int = 1) -> str:
+    """Definition of a function that computes nodes: it reads all that it needs, and then writes results."""
+    body, returns = _Body(made.types, free, lanes), made.returns
+    body.compute(made.graph, made.results, made.loads, [] if returns is None else [returns])
     body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
     return body.definition(symbol, "void" if returns is None else "double")
 

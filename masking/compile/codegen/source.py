@@ -23,6 +23,7 @@ from typing import Any
 
 from masking.compile.codegen import llvm_text, native, structs
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.llvm_text import Expressions, Results
 from masking.compile.codegen.printers import Language, needed
 from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
 from masking.compile.numerics.rig_sizes import LANES
@@ -52,17 +53,6 @@ from masking.compile.numerics.compilation import compiled
 def taylor_order(products: int) -> int:
     """Order of the Taylor series for dynamics with this number of products of series."""
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
-
-
-@dataclass(frozen=True)
-class Expressions:
-    """What `Module.add` was given; `types` are those of the arguments by their names."""
-
-    types: Mapping[str, str]
-    graph: Graph
-    results: Sequence[tuple[str, Node]]
-    loads: Mapping[str, str]
-    returns: Node | None
 
 
 @dataclass(frozen=True)
@@ -100,7 +90,7 @@ class Module:
         self,
         signature: str,
         graph: Graph,
-        results: Sequence[tuple[str, Node]],
+        results: Results,
         loads: Mapping[str, str],
         returns: Node | None = None,
         *,
@@ -120,16 +110,12 @@ class Module:
                 whose rows are its elements, and nothing is returned.
         """
         name, types = _read(signature)
-        self.parts[name] = Expressions(types, graph, results, loads, returns)
+        made = self.parts[name] = Expressions(types, graph, results, loads, returns)
         self._export(name, types, "None" if returns is None else "float")
-        given = (types, graph, results, loads, returns, free, lanes)
-        self.definitions[name] = llvm_text.function(native.symbol(name), *given)
+        self.definitions[name] = llvm_text.function(native.symbol(name), made, free, lanes)
 
     def add_choice(
-        self,
-        signature: str,
-        zeros: Sequence[str],
-        cases: Sequence[tuple[Graph, Sequence[tuple[str, Node]], Mapping[str, str]]],
+        self, signature: str, zeros: Sequence[str], cases: Sequence[tuple[Graph, Results, Mapping[str, str]]]
     ) -> None:
         """Add a function that computes the nodes of one of several graphs.
 
@@ -214,7 +200,6 @@ class Module:
         return module + dot + repr(value)
 
     def _name(self, one: Any) -> str:  # noqa: ANN401
-        """Name of a class or function, whose module is imported."""
         package, _, module = one.__module__.rpartition(".")
         self._imports.add(f"from {package} import {module}\n")
         return f"{module}.{one.__qualname__}"

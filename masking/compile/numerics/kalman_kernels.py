@@ -214,11 +214,11 @@ FULL = Covariance(carry_full, correct_full, variance_full)
 ROOT = Covariance(carry_root, correct_root, variance_root)
 
 
-def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covariance) -> Kernel:
+def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: bool) -> Kernel:
     """Make the extended Kalman filter of a twin's state and parameters.
 
     `slopes` writes the rates of the state, `sensed` readings, both with derivatives, and `carry` moves derivatives of
-    the state over a step; `form` is that of the covariance.
+    the state over a step; the covariance is held by its triangular root, or as a whole.
 
     Returns:
         `follow(steps, twin, matrix, columns, record, filtered, work) -> (status, next sample)`, which follows samples
@@ -226,6 +226,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
         state, the parameters, p and the covariance `matrix` are those of the next sample afterwards.
     """
     advance = runge_kutta_4(motion_with_derivatives(slopes))
+    form = ROOT if has_root else FULL
     carry_covariance, correct, variance_of = form.carry, form.correct, form.variance
 
     @compiled
@@ -343,16 +344,6 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, form: Covaria
         return REACHED, begin + count
 
     return follow
-
-
-def full_extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
-    """Make `extended_filter` with the covariance as a whole."""
-    return extended_filter(slopes, sensed, carry, FULL)
-
-
-def root_extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
-    """Make `extended_filter` with the triangular root of the covariance."""
-    return extended_filter(slopes, sensed, carry, ROOT)
 
 
 def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:

@@ -227,8 +227,8 @@ def _filters(sensing: Sensitivity) -> Kernels:
 
     def factories() -> dict[str, tuple[Any, ...]]:
         return {
-            "filter_full": (kalman_kernels.full_extended_filter, "slopes", "sensed", "carry"),
-            "filter_root": (kalman_kernels.root_extended_filter, "slopes", "sensed", "carry"),
+            "filter_full": (kalman_kernels.extended_filter, "slopes", "sensed", "carry", False),
+            "filter_root": (kalman_kernels.extended_filter, "slopes", "sensed", "carry", True),
         }
 
     links = {**sensing.equations.by_signature(SLOPES, SENSED), **sensing.carry}

@@ -60,7 +60,6 @@ def compose(parts: Iterable[Part]) -> tuple[PlantDeclaration, ModelDeclaration]:
 
 
 def _model(parts: list[Part]) -> dict[str, Any]:
-    """Models as one."""
     all_data = {part.name: part.model.canonical() for part in parts}
     made: dict[str, Any] = {"name": _title(parts, lambda part: part.model.name)}
     sections: dict[str, Callable[[Part, Any], Any]] = {
@@ -94,7 +93,6 @@ def _model(parts: list[Part]) -> dict[str, Any]:
 
 
 def _plant(parts: list[Part]) -> dict[str, Any]:
-    """Plants as one, beside their models."""
     all_data = {part.name: part.plant.canonical() for part in parts}
     made: dict[str, Any] = {"name": _title(parts, lambda part: part.plant.name), "model": " + ".join(all_data)}
     sections: dict[str, Callable[[Part, Any], Any]] = {

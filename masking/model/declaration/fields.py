@@ -83,7 +83,6 @@ def _read_text(value: object) -> str:
 
 
 def _read_number(value: object) -> float:
-    """Read a finite number."""
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return float(value)
     raise refuse(f"must be a finite number, not {_shown(value)}")
@@ -102,7 +101,6 @@ def _number(wanted: str, holds: Callable[[float], bool], kind: Callable[[float],
 
 
 def _read_truth(value: object) -> bool:
-    """Read true or false."""
     if isinstance(value, bool):
         return value
     raise refuse(f"must be true or false, not {_shown(value)}")
@@ -125,7 +123,6 @@ def _read_expression(value: object) -> Expression:
 
 
 def _read_value(value: object) -> float | Expression:
-    """Read a number or an expression."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return _read_number(value) if is_number else _read_expression(value)
 

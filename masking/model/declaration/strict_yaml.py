@@ -26,11 +26,7 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LEADING_ZERO = re.compile(r"[-+]?0\d")
 # y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
 _AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
-    (
-        re.compile(r"on|off|yes|no", re.IGNORECASE),
-        "is true or false in YAML 1.1",
-        "quote it or write true/false",
-    ),
+    (re.compile(r"on|off|yes|no", re.IGNORECASE), "is true or false in YAML 1.1", "quote it or write true/false"),
     (re.compile(r"[-+]?\.?(?:inf(?:inity)?|nan)", re.IGNORECASE), "is not a finite number", "write a finite number"),
     (
         re.compile(r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+"),

@@ -286,7 +286,6 @@ def _written(dimension: Dimension | None) -> str:
 
 
 def _parameter(path: str, entry: EffectParameter, unit: str, setting: Setting) -> Parameter:
-    """Return one parameter of an effect as a model declares it."""
     value: object = setting
     if isinstance(setting, Mapping):
         if not {"value"} <= setting.keys() <= {"value", "unit"}:

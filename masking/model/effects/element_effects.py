@@ -6,6 +6,7 @@ One is a force of the acceleration of the displacement, `d_acc`: an inertia.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from masking.model.effects import starts
@@ -60,8 +61,12 @@ def _sliding(level: str, smooth: str, first: str) -> dict[str, Any]:
     return {**law, "by_step": _BY_STEP, "least": least}
 
 
+_spring, _damping, _friction, _hysteresis, _overflow = (
+    partial(Effect, family=family) for family in ("springs", "damping", "friction", "hysteresis", "overflow")
+)
+
 ELEMENTS: tuple[Effect, ...] = (
-    Effect(
+    _spring(
         "constant_force",
         "A constant force.",
         "f0",
@@ -69,11 +74,10 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="weight on a rig that is not level, a spring at rest elsewhere than assumed, an offset of an amplifier",
         remedy="level the rig or move the zero of the sensor; the model needs only its value, which is cancelled",
         source="Rijlaarsdam (2008), (4.14), rho_i0 of Table B.4",
-        family="springs",
         absorbed_by="force at rest",
         is_linear=True,
     ),
-    Effect(
+    _spring(
         "linear_spring",
         "The stiffness is larger than declared, by k.",
         "k*d",
@@ -81,12 +85,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a wrong spring constant or mass, a cable that pulls, a leaf spring clamped at another length",
         remedy="correct the eigenfrequency in the model",
         source="Rao (2011), Mechanical Vibrations, section 1.7",
-        family="springs",
         absorbed_by="stiffness",
         is_linear=True,
         joins=True,
     ),
-    Effect(
+    _spring(
         "polynomial_spring",
         "A polynomial of the displacement, in addition to the declared force of the spring.",
         "k0 + d*(k1 + d*(k2 + d*(k3 + d*(k4 + d*k5))))",
@@ -101,12 +104,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="large deflection of leaf springs, a clamp that lets go, asymmetric mounting, forces of magnets",
         remedy="measure the force over the whole stroke and let the controller cancel it",
         source="Rijlaarsdam (2008), (4.14) and Table B.4",
-        family="springs",
         trials=_POWERS,
         nested=("hardening_spring",),
         is_sum=True,
     ),
-    Effect(
+    _spring(
         "hardening_spring",
         "A cubic spring: stiffer the further it is stretched, or softer if k3 is negative.",
         "k3*d**3",
@@ -114,11 +116,10 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="leaf springs that are stretched when they bend, large rotations",
         remedy="give the ends of the springs room to move, or let the controller cancel the force",
         source="Kovacic and Brennan (2011), The Duffing Equation, (1.1)",
-        family="springs",
         joins=True,
         calibrated=("k3",),
     ),
-    Effect(
+    _damping(
         "viscous_damping",
         "A force in proportion to the rate of displacement, in addition to the declared damping.",
         "c*d_rate",
@@ -126,12 +127,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="eddy currents in the voice coil, air, lubricated bearings; a wrong damping ratio",
         remedy="correct the damping ratio in the model",
         source="Rayleigh (1877), The Theory of Sound, volume 1, section 81",
-        family="damping",
         absorbed_by="damping",
         is_linear=True,
         joins=True,
     ),
-    Effect(
+    _damping(
         "asymmetric_damping",
         "The damping is larger, by c, in one direction than in the other.",
         "c*max(d_rate, 0)",
@@ -139,9 +139,8 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a shock absorber with valves for compression and rebound, a check valve, a leaf that opens one way",
         remedy="add it to the model, which then cancels it",
         source="Wallaschek (1990), Int. J. Non-Linear Mech. 25(2-3), 299-308",
-        family="damping",
     ),
-    Effect(
+    _damping(
         "quadratic_damping",
         "A resistance that grows with the square of the rate of displacement.",
         "c*d_rate*abs(d_rate)",
@@ -149,9 +148,8 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="drag of air or of a liquid on plates and arms, flow through an orifice",
         remedy="make the moving surfaces smaller, or add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.2",
-        family="damping",
     ),
-    Effect(
+    _damping(
         "eddy_current_drag",
         "A drag that is proportional to small rates, has its largest value at the rate vc, and falls beyond it.",
         "c*d_rate/(1 + (d_rate/vc)**2)",
@@ -164,10 +162,9 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a conductor that moves through the field of a magnet, an eddy current brake",
         remedy="remove conductors from the field, or let the controller cancel the force",
         source="Wouterse (1991), IEE Proc. B 138(4), 153-158",
-        family="damping",
         nested=("viscous_damping",),
     ),
-    Effect(
+    _damping(
         "displacement_damping",
         "A damping that grows with the square of the displacement.",
         "c*d**2*d_rate",
@@ -175,9 +172,8 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="squeezed films, joints that are loaded more when they are bent, large rotations",
         remedy="measure the decay at several amplitudes and add it to the model",
         source="Nayfeh and Mook (1979), Nonlinear Oscillations, section 3.3.4",
-        family="damping",
     ),
-    Effect(
+    _overflow(
         "overflow",
         "A flow that begins where a level exceeds an edge.",
         "k*max(d - edge, 0)",
@@ -188,11 +184,10 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a tank that is full, a relief valve, a bypass",
         remedy="stay below the edge",
         source="Schoukens, Mattson, Wigren and Noel (2016), Cascaded tanks benchmark, Workshop NSI Benchmarks",
-        family="overflow",
         nested=("state_saturation",),
         is_flow=True,
     ),
-    Effect(
+    _overflow(
         "state_saturation",
         "A state of first order that a bound holds: what would take it further is lost.",
         "side*k*max(side*(d - edge), 0)",
@@ -204,7 +199,6 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a tank that is full, a supply that limits a speed, a ramp that ends",
         remedy="stay within the bound",
         source="Schoukens, Mattson, Wigren and Noel (2016), Cascaded tanks benchmark, Workshop NSI Benchmarks",
-        family="overflow",
         trials=(Trial(starts.bounds, ("edge",), sticks=True),),
         is_flow=True,
         by_step={"k": "1/(1.75*mobility*step)"},
@@ -221,7 +215,7 @@ ELEMENTS: tuple[Effect, ...] = (
         absorbed_by="mass",
         is_linear=True,
     ),
-    Effect(
+    _friction(
         "dry_friction",
         "Coulomb friction: a force of constant size against the motion, and up to that size at rest.",
         **_sliding("fc", "fc*tanh(d_rate/vs)", "fc"),
@@ -229,12 +223,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="sliding bearings, a coil that touches its magnet, cables that rub",
         remedy="align the coil and its guide, use leaf springs or air bearings; a disturbance observer follows it",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, section 2",
-        family="friction",
         trials=(_STUCK, _SMOOTH),
         joins=True,
         calibrated=("fc",),
     ),
-    Effect(
+    _friction(
         "asymmetric_friction",
         "Dry friction of different size in each direction.",
         **_sliding("where(z + c*d_rate > 0, fp, fm)", "where(d_rate > 0, fp, fm)*tanh(d_rate/vs)", "max(fp, fm)"),
@@ -247,12 +240,11 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a guide that is loaded in one direction, wear, a cable that pulls along",
         remedy="look for what touches in one direction only; a disturbance observer follows it",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, section 2.1",
-        family="friction",
         trials=(_STUCK, _SMOOTH),
         nested=("dry_friction", "constant_force"),
         is_sum=True,
     ),
-    Effect(
+    _friction(
         "stribeck_friction",
         "Dry friction that is larger at small rates, at which the lubricant does not carry yet.",
         **_sliding(_FALLING, f"({_FALLING})*tanh(d_rate/vs)", "max(fc, fs)"),
@@ -260,14 +252,13 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="lubricated sliding contacts and ball bearings at low speed",
         remedy="a lubricant with friction modifiers, a dither on the input, or a guide without contact",
         source="Armstrong-Helouvry, Dupont and Canudas de Wit (1994), Automatica 30, (2)",
-        family="friction",
         label="Stribeck friction",
         trials=(Trial(starts.falls, ("vst",), sticks=True), Trial(starts.falls, ("vst", "vs"))),
         positive="fs - fc",
         nested=("dry_friction",),
         calibrated=("fc",),
     ),
-    Effect(
+    _friction(
         "lugre_friction",
         "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
         "s0*z + s1*(d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))) + s2*d_rate",
@@ -290,13 +281,12 @@ ELEMENTS: tuple[Effect, ...] = (
                 "max(fc, fs)/s0",
             )
         },
-        family="friction",
         label="LuGre friction",
         trials=_BRISTLES,
         nested=("dry_friction", "stribeck_friction"),
         scaled=("fc", "fs", "s0", "s1"),
     ),
-    Effect(
+    _friction(
         "dahl_friction",
         "Dry friction that builds up over a short displacement after each reversal.",
         "fc*z",
@@ -310,10 +300,9 @@ ELEMENTS: tuple[Effect, ...] = (
         remedy="a guide without contact; small motions need this model, large ones only dry friction",
         source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
         states={"z": EffectState("(d_rate - abs(d_rate)*z)/x0", "1", "part of the friction that has built up", "1")},
-        family="friction",
         label="Dahl friction",
     ),
-    Effect(
+    _hysteresis(
         "hysteresis",
         "A spring that remembers: its force follows another path back, in the normalised form of Bouc and Wen.",
         "k*z",
@@ -336,10 +325,9 @@ ELEMENTS: tuple[Effect, ...] = (
                 "zmax",
             )
         },
-        family="hysteresis",
         calibrated=("k", "zmax"),
     ),
-    Effect(
+    _hysteresis(
         "bouc_wen_hysteresis",
         "A spring that remembers, in the general form of Bouc and Wen: loops that yield, or that open like a wedge.",
         "k*z",
@@ -366,7 +354,6 @@ ELEMENTS: tuple[Effect, ...] = (
                 "x0",
             )
         },
-        family="hysteresis",
         label="Bouc-Wen hysteresis",
         nested=("hysteresis", "dahl_friction"),
     ),
@@ -403,7 +390,7 @@ ELEMENTS: tuple[Effect, ...] = (
         trials=(Trial(starts.edges, ("edge",)), Trial(starts.damped_edges, ("edge", "c"))),
         nested=("constant_force", "bilinear_spring"),
     ),
-    Effect(
+    _friction(
         "local_friction",
         "Dry friction in one part of the stroke only, beyond an edge.",
         **_sliding(f"fc*{_BEYOND}/2", f"fc*tanh(d_rate/vs)*{_BEYOND}/2", "fc"),
@@ -418,14 +405,13 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a coil that touches its magnet in one part of the stroke, a burr, a cable that is caught",
         remedy="align the coil and look for marks at that position; otherwise keep the motion on the free side",
         source="Olsson, Astrom, Canudas de Wit, Gafvert and Lischinsky (1998), Eur. J. Control 4, position dependence",
-        family="friction",
         trials=(
             Trial(starts.local_edges, ("edge", "width"), sticks=True),
             Trial(starts.local_edges, ("edge", "width", "vs")),
         ),
         nested=("dry_friction",),
     ),
-    Effect(
+    _spring(
         "gravity_force",
         "The torque of a weight on an arm, and of anything that repeats once a turn: a sine of the displacement.",
         "a*sin(d/r)",
@@ -439,7 +425,6 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a mass off the axis, magnets that cog, a thread that runs out",
         remedy="balance it, or let the controller cancel the force",
         source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
-        family="springs",
         nested=("hardening_spring",),
     ),
     Effect(
@@ -475,7 +460,7 @@ ELEMENTS: tuple[Effect, ...] = (
         trials=(Trial(starts.tones, ("nu",), ("a", "b")),),
         is_sum=True,
     ),
-    Effect(
+    _spring(
         "stiffness_drift",
         "The stiffness changes steadily with time.",
         "k*d*t",
@@ -483,6 +468,5 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="a spring that warms up or creeps, a magnet that weakens, a clamp that settles",
         remedy="let the rig warm up before it is used, calibrate again",
         source="Ljung (1999), System Identification, section 11.1",
-        family="springs",
     ),
 )

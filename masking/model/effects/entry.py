@@ -209,7 +209,6 @@ class Effect:
         return self
 
     def _combinations(self, span: Span) -> list[Start]:
-        """All combinations of the values that are tried."""
         tried = {name: parameter.starts(span) for name, parameter in self.parameters.items() if parameter.tried}
         return [dict(zip(tried, values, strict=True)) for values in itertools.product(*tried.values())]
 

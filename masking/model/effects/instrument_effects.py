@@ -9,6 +9,7 @@ from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, SATURATION, Effe
 
 _sensor = partial(Effect, where="sensor", family="sensor errors")
 _actuator = partial(Effect, where="actuator")
+_gain, _dynamics = partial(_actuator, family="actuator gains"), partial(_actuator, family="actuator dynamics")
 _DOEBELIN = "Doebelin (2003), Measurement Systems, section 3.2"
 _TAO = "Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1"
 _PADE = "Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3"
@@ -131,7 +132,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         is_searched=False,
         deviation="sigma",
     ),
-    _actuator(
+    _gain(
         "actuator_offset",
         "The actuator acts at a command of zero.",
         "u + u0",
@@ -139,9 +140,8 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="an amplifier or converter whose zero was not adjusted",
         remedy="adjust the zero, or add its negative to the input",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 10",
-        family="actuator gains",
     ),
-    _actuator(
+    _gain(
         "actuator_gain",
         "The actuator's gain differs from the declared one.",
         "(1 + e)*u",
@@ -149,11 +149,10 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a wrong motor constant, a weaker magnet, a coil outside its homogeneous field",
         remedy="identify the gain anew with the rig as it is",
         source="Rijlaarsdam (2008), Table 4.2, c_i",
-        family="actuator gains",
         absorbed_by="gain",
         is_linear=True,
     ),
-    _actuator(
+    _gain(
         "actuator_asymmetry",
         "The actuator's gain differs between the two signs.",
         "u + r*abs(u)",
@@ -161,7 +160,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the two halves of an amplifier or bridge, a motor with worn brushes, one side of a valve",
         remedy="undo the difference in the command, or repair the weaker half",
         source=_TAO,
-        family="actuator gains",
     ),
     _actuator(
         "saturation",
@@ -173,7 +171,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         source=_TAO,
         family=SATURATION,
     ),
-    _actuator(
+    _dynamics(
         "dead_zone",
         "The actuator does nothing for small values.",
         "u - min(max(u, -width), width)",
@@ -185,9 +183,8 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the crossover of an amplifier, a valve that overlaps",
         remedy="a bias current, or add the width in the direction of the command",
         source=_TAO,
-        family="actuator dynamics",
     ),
-    _actuator(
+    _gain(
         "actuator_cubic",
         "The actuator's gain changes towards the ends of its range.",
         "u + c*u**3",
@@ -195,9 +192,8 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a voice coil that leaves its field, an amplifier near its supply",
         remedy="ask for less, or undo the curve",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
-        family="actuator gains",
     ),
-    _actuator(
+    _dynamics(
         "dac_quantisation",
         "The command is rounded to multiples of a step; a step of 0 leaves it unchanged.",
         "where(step > 0, step*floor(u/step + 1/2), u)",
@@ -205,12 +201,11 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a converter of finite resolution",
         remedy=_SAMPLED,
         source=_WIDROW,
-        family="actuator dynamics",
         label="DAC quantisation",
         trials=(Trial(starts.levels, ("step",)),),
         quantum="step",
     ),
-    _actuator(
+    _dynamics(
         "actuator_lag",
         "The actuator follows through a first-order lag.",
         "a",
@@ -219,11 +214,10 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="drive the coil by a current amplifier, or lead the command by the time constant",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
         states={"a": EffectState("(u - a)/tau", "U", "value that acts", _ANY)},
-        family="actuator dynamics",
         is_linear=True,
         grows_with="tau",
     ),
-    _actuator(
+    _dynamics(
         "actuator_delay",
         "The actuator acts late by a dead time.",
         "",
@@ -231,7 +225,6 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the driver of one actuator has a buffer, a bus or a network of its own",
         remedy="lead the command by the dead time, or use drivers of one kind",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.2",
-        family="actuator dynamics",
         is_searched=False,
         is_linear=True,
         grows_with="tau",

@@ -171,49 +171,30 @@ def integrate(
 
 
 class _Simulated(Protocol):
-    """A model."""
+    """What of a `Model` integrates it: they cannot import each other."""
 
     @property
     def overrides(self) -> Mapping[str, float]: ...
-
     @property
     def is_dimensionless(self) -> bool: ...
-
     @property
     def units(self) -> Units: ...
-
     @property
     def name(self) -> str: ...
-
     @property
     def inputs(self) -> tuple[str, ...]: ...
-
     @property
     def parameters(self) -> tuple[str, ...]: ...
-
     @property
     def state_names(self) -> list[str]: ...
-
     @property
     def declaration(self) -> schema.ModelDeclaration: ...
-
     @property
     def kernels(self) -> Kernels: ...
-
     def values(self) -> Array: ...
-
     def with_parameters(self, **values: float) -> Self: ...
-
     def initial_state(self, given: Mapping[str, float | Array]) -> Array: ...
-
-    def simulate(
-        self,
-        times: Array,
-        initial: Mapping[str, float],
-        inputs: Inputs,
-        tolerance: float,
-    ) -> Trajectory: ...
-
+    def simulate(self, times: Array, initial: Mapping[str, float], inputs: Inputs, tolerance: float) -> Trajectory: ...
     def declared_as(self, declaration: schema.ModelDeclaration) -> Self: ...
 
 
@@ -221,7 +202,7 @@ Simulated = _Simulated
 
 
 def driven(
-    model: _Simulated,
+    model: Simulated,
     times: Array,
     initial: Mapping[str, float],
     inputs: Mapping[str, float | Series | Sequence[float]],

@@ -195,11 +195,7 @@ class Added:
 
 
 def add_runge_kutta(
-    module: Module,
-    graph: Graph,
-    added: Added,
-    loads: Mapping[str, str],
-    sizes: tuple[int, int],
+    module: Module, graph: Graph, added: Added, loads: Mapping[str, str], sizes: tuple[int, int]
 ) -> None:
     """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays and events, if there are any.
 

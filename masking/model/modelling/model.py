@@ -433,11 +433,7 @@ class Model:
             return np.array(values, dtype=float).reshape(len(expressions), len(symbols))
 
         matrices = [number(m, w) for m in (rates, sp.Matrix(seen)) for w in (states, s.u)]
-        names = {
-            "states": self.state_names,
-            "inputs": [*self.inputs],
-            "outputs": [*(self.outputs or self.coordinates)],
-        }
+        names = {"states": self.state_names, "inputs": [*self.inputs], "outputs": [*(self.outputs or self.coordinates)]}
         return control.ss(*matrices, **names, remove_useless_states=False)
 
     def to_control(self) -> control.NonlinearIOSystem:
