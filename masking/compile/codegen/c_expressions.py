@@ -105,8 +105,7 @@ class CExpressions:
     def value(self, node: ast.expr) -> Value:
         """Expression.
 
-        Raises:
-            TypeError: it has no form in C.
+        Raises a `TypeError`: it has no form in C.
         """
         rule = self._table.get(type(node))
         if rule is None:

@@ -61,8 +61,7 @@ class Jumps:
     def follow(self, status: int, t: float) -> bool:
         """Jump if an integration stopped at an event, at time t, and tell whether it did.
 
-        Raises:
-            IntegrationError: an event comes again and again at one instant.
+        Raises an `IntegrationError`: an event comes again and again at one instant.
         """
         events = slice(self._size, self._size + len(self.names))
         self.state[-1] = math.inf

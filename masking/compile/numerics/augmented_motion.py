@@ -219,10 +219,9 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
     `law` writes what a law gives, `sensed` readings, and `placed(t, y, u, p, d, by_state)` displacements, then rates,
     of places, each with derivatives.
 
-    Returns:
-        `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
-        and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the rates of the
-        effects' states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 4 rows.
+    Returns `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
+    and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the rates of the effects'
+    states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 4 rows.
     """
 
     @inlined
@@ -283,9 +282,8 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
 def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
     """Make the flow of a rig with effects: `act` is that of `effects_at_ports`, `slopes` writes the rates of its state.
 
-    Returns:
-        `flow(t, y, u, given, rate, made, work)`, as that of `motion_sensitivities.motion_with_derivatives`; `work` has
-        as many rows as the rig has states, then those of the ports, and one more.
+    Returns `flow(t, y, u, given, rate, made, work)`, as that of `motion_sensitivities.motion_with_derivatives`; `work`
+    has as many rows as the rig has states, then those of the ports, and one more.
     """
 
     @inlined
@@ -318,8 +316,7 @@ def motion_with_effects(act: Kernel, slopes: Kernel) -> Kernel:
 def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
     """Make the readings of a rig with effects, and their derivatives, of kernels as those of `effects_at_ports`.
 
-    Returns:
-        `read`, as that of `motion_sensitivities.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
+    Returns `read`, as that of `motion_sensitivities.readings_with_derivatives`; `work` has `PortSizes.read_rows` rows.
     """
 
     @inlined
@@ -360,9 +357,8 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
 def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     """Make the normal equations of an augmented model over a record, of kernels as those of `effects_at_ports`.
 
-    Returns:
-        `normal(steps, interval, shooting, given, record, sums, work) -> status`, as
-        `motion_sensitivities.normal_equations`.
+    Returns `normal(steps, interval, shooting, given, record, sums, work) -> status`, as
+    `motion_sensitivities.normal_equations`.
     """
     act = effects_at_ports(law, placed, sensed)
     flow = motion_with_effects(act, slopes)

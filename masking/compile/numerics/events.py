@@ -148,10 +148,9 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
 def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, inputs: int) -> Kernel:
     """Make the integrator of `integrators.runge_kutta` for equations with events: it stops at each of them.
 
-    Returns:
-        `solve`, as that of `integrators.runge_kutta`, with `y` (size + events + 1,): the state, for each condition 1
-        where it has been below zero and else 0, and the longest first step. At an event it returns `EVENT`, with the
-        time on the far side of the crossing and the state before the jump, which is also what is recorded then.
+    Returns `solve`, as that of `integrators.runge_kutta`, with `y` (size + events + 1,): the state, for each condition
+    1 where it has been below zero and else 0, and the longest first step. At an event it returns `EVENT`, with the time
+    on the far side of the crossing and the state before the jump, which is also what is recorded then.
     """
 
     @compiled

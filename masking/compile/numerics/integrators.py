@@ -58,8 +58,7 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
     each state plus a thousandth of the largest.
     Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section II.10, DOP853.
 
-    Returns:
-        `solve`, for n = `size` states, with arguments and results as those of `taylor`, and `work` (24, n).
+    Returns `solve`, for n = `size` states, with arguments and results as those of `taylor`, and `work` (24, n).
     """
     return embedded_steps(derivative, unbounded, forget, size, False, no_event, False)
 
@@ -309,10 +308,9 @@ def held_late(commands, index, channel, late, step, substeps):
 def steps_under_way(derivative: Kernel, size: int) -> Kernel:
     """Make a rig move under commands that act late, in equal steps of the classical Runge-Kutta method.
 
-    Returns:
-        `move(t, y, under_way, p, dt, substeps, acting, work)`, which moves y over the sample of length dt that begins
-        as the newest command is given.
-        Each step takes the mean of what acts in it; `acting` (actuators,) gets that of the last. `work` (5, n).
+    Returns `move(t, y, under_way, p, dt, substeps, acting, work)`, which moves y over the sample of length dt that
+    begins as the newest command is given. Each step takes the mean of what acts in it; `acting` (actuators,) gets that
+    of the last. `work` (5, n).
     """
     step = runge_kutta_4(derivative, size)
 
@@ -335,8 +333,7 @@ def steps_under_way(derivative: Kernel, size: int) -> Kernel:
 def steps_of_runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
     """Make equal steps of the classical Runge-Kutta method.
 
-    Returns:
-        `advance(t, y, u, p, dt, substeps, work)`, which moves y over dt in `substeps` steps; `work` (5, n).
+    Returns `advance(t, y, u, p, dt, substeps, work)`, which moves y over dt in `substeps` steps; `work` (5, n).
     """
     step = runge_kutta_4(derivative, size)
 
@@ -355,10 +352,9 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
     Runge-Kutta steps of order 4. Samples 0, every, 2 every ... are recorded. `step` is the controller, which returns
     the health of what it had to invert; the first `coordinates` of the plant's n states are these.
 
-    Returns:
-        `run(samples, y, u, p, first, recorded, work) -> (status, samples done, first)`, where `y` is the state (n,),
-        which is the last state afterwards; `u` (k,) work space; `first` the health at the start of the run, 0 where
-        this is the start; `work` (5, n) is work space.
+    Returns `run(samples, y, u, p, first, recorded, work) -> (status, samples done, first)`, where `y` is the state
+    (n,), which is the last state afterwards; `u` (k,) work space; `first` the health at the start of the run, 0 where
+    this is the start; `work` (5, n) is work space.
     """
     advance = runge_kutta_4(derivative, size)
 

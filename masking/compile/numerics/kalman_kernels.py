@@ -220,10 +220,9 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: boo
     `slopes` writes the rates of the state, `sensed` readings, both with derivatives, and `carry` moves derivatives of
     the state over a step; the covariance is held by its triangular root, or as a whole.
 
-    Returns:
-        `follow(steps, twin, matrix, columns, record, filtered, work) -> (status, next sample)`, which follows samples
-        from `begin` on, linearising the readings of a sample `updates` times, each about the estimate before. The
-        state, the parameters, p and the covariance `matrix` are those of the next sample afterwards.
+    Returns `follow(steps, twin, matrix, columns, record, filtered, work) -> (status, next sample)`, which follows
+    samples from `begin` on, linearising the readings of a sample `updates` times, each about the estimate before. The
+    state, the parameters, p and the covariance `matrix` are those of the next sample afterwards.
     """
     advance = runge_kutta_4(motion_with_derivatives(slopes))
     form = ROOT if has_root else FULL
@@ -349,10 +348,9 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: boo
 def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     """Make the filter of a rig's state and of latent forces, which walk at random, with a constant gain.
 
-    Returns:
-        `follow(steps, rig, commands, readings, filtered, predicted, work) -> status` for x = (y, forces), which is
-        written before (`predicted`) and after (`filtered`) each correction by `gain`
-        (n + forces, sensors). The part `kept` of the forces goes on to the next sample.
+    Returns `follow(steps, rig, commands, readings, filtered, predicted, work) -> status` for x = (y, forces), which is
+    written before (`predicted`) and after (`filtered`) each correction by `gain` (n + forces, sensors). The part `kept`
+    of the forces goes on to the next sample.
     """
     advance = runge_kutta_4(motion_alone(derivative))
 

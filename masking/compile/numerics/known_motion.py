@@ -24,9 +24,8 @@ ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bi
 def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
     """Make the motion of places.
 
-    Returns:
-        `follow(count, dt, coordinates, ports, p, motion, moved, work)`, which writes displacements, rates and
-        accelerations of the places (count, 3 places).
+    Returns `follow(count, dt, coordinates, ports, p, motion, moved, work)`, which writes displacements, rates and
+    accelerations of the places (count, 3 places).
     """
 
     @compiled
@@ -58,8 +57,7 @@ def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
 def readings_along(sensed: Kernel) -> Kernel:
     """Make the readings along states.
 
-    Returns:
-        `read(count, dt, ports, p, motion, readings, work)`, which writes them (count, sensors).
+    Returns `read(count, dt, ports, p, motion, readings, work)`, which writes them (count, sensors).
     """
 
     @compiled
@@ -94,9 +92,8 @@ def law_along(law: Kernel) -> Kernel:
     piece: second order, exact where the law is linear in its state, and stable however fast that decays.
     Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
-    Returns:
-        `follow(span, number, has_state, course, parameters, values, features, work)`, which writes `features`
-        (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
+    Returns `follow(span, number, has_state, course, parameters, values, features, work)`, which writes `features`
+    (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
     """
 
     @compiled
@@ -162,11 +159,10 @@ def transition(by_state, h, phi, product):
 def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
     """Make the first-order response of the sensors to forces and to initial states, along a motion.
 
-    Returns:
-        `respond(blocks, is_direct, sources, motion, p, features, means, work)` for M responses: to the force
-        `features` (count, M) at the entry of its source, or from its initial state at 1 at the begin of each interval.
-        `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend on
-        entries of the parameter array at once.
+    Returns `respond(blocks, is_direct, sources, motion, p, features, means, work)` for M responses: to the force
+    `features` (count, M) at the entry of its source, or from its initial state at 1 at the begin of each interval.
+    `means` (count / every, sensors M) gets means over `every` samples. `is_direct` is 1 if readings depend on entries
+    of the parameter array at once.
     """
 
     @compiled

@@ -34,9 +34,8 @@ def taylor(
     `codegen.taylor_coefficients.step_terms` gives, and `evaluate(x, c, y)` the states at times x from where they hold,
     for as many runs side by side as there are `lanes`, a column each.
 
-    Returns:
-        `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but for
-        each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says.
+    Returns `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but
+    for each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says.
     """
     smaller_orders = (order - order // 2 - 2) // 2
     first_terms = 10

@@ -121,9 +121,8 @@ def motion_alone(derivative: Kernel) -> Kernel:
 def motion_with_derivatives(slopes: Kernel) -> Kernel:
     """Make the flow of a twin's motion.
 
-    Returns:
-        `flow(t, y, u, given, rate, made, work)`, which writes y' and its derivatives, the latter but those of
-        coordinates; `work` has n rows.
+    Returns `flow(t, y, u, given, rate, made, work)`, which writes y' and its derivatives, the latter but those of
+    coordinates; `work` has n rows.
     """
 
     @inlined
@@ -138,9 +137,8 @@ def motion_with_derivatives(slopes: Kernel) -> Kernel:
 def readings_with_derivatives(sensed: Kernel) -> Kernel:
     """Make the readings of a twin and their derivatives.
 
-    Returns:
-        `read(steps, y, commands, index, given, s, made, work)`, which writes the readings s at a sample and their
-        derivatives; `work` has sensors + 2 rows.
+    Returns `read(steps, y, commands, index, given, s, made, work)`, which writes the readings s at a sample and their
+    derivatives; `work` has sensors + 2 rows.
     """
 
     @inlined
@@ -166,10 +164,9 @@ def of_stage(stages, stage, n):
 def runge_kutta_4(flow: Kernel) -> Kernel:
     """Make one step of the classical Runge-Kutta method for a motion, whose rates and their derivatives `flow` writes.
 
-    Returns:
-        `advance(t, y, u, end, given, h, stages, work)`, which moves y (n,) over h, while the commands go linearly from
-        u to `end`; `stages` (4 n rows) gets the derivatives of each stage after the other, and `work` has 6 rows, and
-        then those of the flow.
+    Returns `advance(t, y, u, end, given, h, stages, work)`, which moves y (n,) over h, while the commands go linearly
+    from u to `end`; `stages` (4 n rows) gets the derivatives of each stage after the other, and `work` has 6 rows, and
+    then those of the flow.
     """
 
     @inlined
@@ -194,9 +191,8 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
 def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
     """Make the simulation of readings without derivatives, which `sensed(t, y, u, p, noise, s)` writes.
 
-    Returns:
-        `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y on,
-        which is the last state afterwards.
+    Returns `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y
+    on, which is the last state afterwards.
     """
     advance = runge_kutta_4(motion_alone(derivative))
 
@@ -257,14 +253,13 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
     `read` writes readings, `drive` the commands of an integration step, `flow` the rates of motion; `carry` moves
     columns over a step.
 
-    Returns:
-        `accumulate(steps, interval, shooting, given, record, sums, read_work, work) -> status`, which is 1 if the
-        motion is no longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of
-        `starts`, where the states `free` may have any value, each with a column of S behind the k of the basis; columns
-        beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J; above
-        its diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient`
-        (J^T W r). A reading that is not a number counts for nothing. States beyond n go on from one interval to the
-        next. `read_work` is work space of `read`.
+    Returns `accumulate(steps, interval, shooting, given, record, sums, read_work, work) -> status`, which is 1 if the
+    motion is no longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of
+    `starts`, where the states `free` may have any value, each with a column of S behind the k of the basis; columns
+    beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J; above its
+    diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient` (J^T W r). A
+    reading that is not a number counts for nothing. States beyond n go on from one interval to the next. `read_work` is
+    work space of `read`.
     """
     advance = runge_kutta_4(flow)
 
@@ -319,8 +314,7 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
 def twin_normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     """Make the normal equations of a twin over one record, from one initial state.
 
-    Returns:
-        `normal(steps, shooting, given, record, sums, work) -> status`, as `normal_equations`; `starts` is (1, n).
+    Returns `normal(steps, shooting, given, record, sums, work) -> status`, as `normal_equations`; `starts` is (1, n).
     """
     accumulate = normal_equations(readings_with_derivatives(sensed), drive, motion_with_derivatives(slopes), carry)
 

@@ -42,10 +42,9 @@ class Disturbed(NamedTuple):
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of the controller's model, with the disturbance that was estimated.
 
-    Returns:
-        `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical
-        Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .) and `y`
-        are work space.
+    Returns `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical
+    Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .) and `y` are work
+    space.
     """
     n, size, order = sizes.coordinates, sizes.states, sizes.order
 
@@ -88,8 +87,7 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
     impulse of the law. measured: without, chi of clocks with escapements at 500 Hz, on a rig that is known, is 0.035
     instead of 2e-4.
 
-    Returns:
-        `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
+    Returns `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
     """
     n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
     remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
@@ -185,9 +183,8 @@ def limiter(sizes: Sizes) -> Kernel:
     P' = (heating c^2 - P) / time, solved exactly over a sample in which c is held; a command is made so small that P
     stays within its limit at the next sample.
 
-    Returns:
-        `limit(demanded, table, power, h, applied)`, with `table` (actuators, 4) and the mean powers `power`, which
-        are brought to the next sample.
+    Returns `limit(demanded, table, power, h, applied)`, with `table` (actuators, 4) and the mean powers `power`, which
+    are brought to the next sample.
     """
     count, warm = sizes.actuators, heat(sizes)
 
@@ -249,8 +246,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     What was applied, not what was demanded, moves the model: in saturation nothing winds up. While the rig is at rest
     before homing, the offsets of the sensors follow what they read beyond the model's rest position.
 
-    Returns:
-        `control(t, h, s, unit, demanded, applied, work) -> health` for the readings `s` at time t.
+    Returns `control(t, h, s, unit, demanded, applied, work) -> health` for the readings `s` at time t.
     """
     m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
     powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
@@ -314,8 +310,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
 def skip_with_differences(remember: Kernel, lagged: Kernel, conditions: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sample that was missed: the rig is taken to move on at its last velocity.
 
-    Returns:
-        `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
+    Returns `skip(t, h, x, p, table, command, work)` for a missed sample at time t; `command` (actuators,) is the last.
     """
     n, length = sizes.coordinates, sizes.estimate
     next_one, warm = length + sizes.actuators, heat(sizes)
@@ -382,10 +377,9 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
     rig then moves for h. `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`;
     `move` moves the rig of `size` states under the commands under way, as that of `integrators.steps_under_way`.
 
-    Returns:
-        `run(samples, rig, unit, noise, first, recorded, work) -> (status, samples done, first)`; `noise`
-        (count, sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as for
-        `integrators.sampled`.
+    Returns `run(samples, rig, unit, noise, first, recorded, work) -> (status, samples done, first)`; `noise` (count,
+    sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as for
+    `integrators.sampled`.
     """
 
     @compiled

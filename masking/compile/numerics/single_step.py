@@ -29,9 +29,8 @@ def status_of(health, first, commands):
 def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of a sampled controller, as `masking.compile.numerics.sampled_loop` makes it.
 
-    Returns:
-        `answer(index, h, s, unit, demanded, applied, first, work) -> status` for the readings s of a sample, as
-        `control` has them; `first` (1,) is 0 at the beginning.
+    Returns `answer(index, h, s, unit, demanded, applied, first, work) -> status` for the readings s of a sample, as
+    `control` has them; `first` (1,) is 0 at the beginning.
     """
     channels = sizes.actuators
 
@@ -48,9 +47,8 @@ def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
 def law_step(step: Kernel, coordinates: int, inputs: int) -> Kernel:
     """Make the step of a control law that is given the rig's state; `step(t, q, v, u, p) -> health` writes m inputs.
 
-    Returns:
-        `answer(t, y, p, inverse, u, commands, first) -> status`, which writes the inputs u (m,) for a state y and, by
-        the inverse of the allocation (actuators, m), the commands (actuators,); `first` (1,) is 0 at the beginning.
+    Returns `answer(t, y, p, inverse, u, commands, first) -> status`, which writes the inputs u (m,) for a state y and,
+    by the inverse of the allocation (actuators, m), the commands (actuators,); `first` (1,) is 0 at the beginning.
     """
 
     @compiled

@@ -99,12 +99,10 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
     an event it ends, and the states jump; of those beyond `EVENTS` in a part, none jumps. Until the release, at time 0,
     internal states stay as they are.
 
-    Returns:
-        `follow(t, h, a, b, past, p, work)`, for a motion of length h from state a at time t to state b; reads z in a
-        and writes it in b; `work` is work space from the row `MEMORY` of `controller_rows` on.
-        `glide`, with the same arguments, which passes over events as if there were none.
-        `mean_jump(t, h, a, b, past, p, work, m)`, which writes by how much z is further on the mean of the motion than
-        without its events.
+    Returns `follow(t, h, a, b, past, p, work)`, for a motion of length h from state a at time t to state b; reads z in
+    a and writes it in b; `work` is work space from the row `MEMORY` of `controller_rows` on. `glide`, with the same
+    arguments, which passes over events as if there were none. `mean_jump(t, h, a, b, past, p, work, m)`, which writes
+    by how much z is further on the mean of the motion than without its events.
     """
     n, first, last, events = sizes.coordinates, sizes.memory.start, sizes.memory.stop, sizes.events
     jump = jumps(conditions, events, sizes.targets, EVENTS)
