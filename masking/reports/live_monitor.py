@@ -72,13 +72,7 @@ class Bound:
 
 @final
 class Monitor:
-    """What has been seen of a loop; `look` sees what is new.
-
-    Args:
-        reader: of the loop's ring, which only this monitor uses.
-        switch: of the loop, if it has one.
-        window: seconds that the traces show.
-    """
+    """What has been seen of a loop, by a ring reader of its own; `look` sees what is new."""
 
     def __init__(self, reader: RingReader, switch: Switch | None = None, window: float = WINDOW) -> None:
         self.reader, self.switch, self.window = reader, switch, window
@@ -225,12 +219,7 @@ class Monitor:
 
 @final
 class _Bins:
-    """The smallest and largest numbers of each few rows, the last `BINS` of them.
-
-    Args:
-        every: rows of a bin; row n is in bin n // every.
-        columns: numbers of a row.
-    """
+    """The smallest and largest numbers of each few rows, the last `BINS` of them; row n is in bin n // every."""
 
     def __init__(self, every: int, columns: int) -> None:
         self.every, self.count = every, 0  # whole bins

@@ -42,13 +42,7 @@ _HEADERS: Final = {
 class OperatorPage:
     """The page of one loop, served from the construction on; a context that ends the service.
 
-    Args:
-        monitor: of the loop.
-        switch: that STOP presses.
-        port: 0 for a free one.
-
-    Raises:
-        OperatorError: the port is taken.
+    Port 0 is a free one; an `OperatorError` says that another is taken. The switch is what STOP presses.
     """
 
     def __init__(self, monitor: Monitor, switch: Switch, port: int = 0) -> None:

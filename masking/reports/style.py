@@ -79,16 +79,10 @@ def grid(
     left: float = LEFT,
     right: float = RIGHT,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Figure of rows of axes, and the axes of each row; lengths in inches.
+    """Figure of rows of axes, and the axes of each row, below a heading, the finding; lengths in inches.
 
-    Args:
-        heights: of the rows.
-        widths: of the axes in each row; the rest of the figure's width is shared out between them.
-        gaps: between the rows.
-        top: room above the rows and below the heading.
-        heading: the finding, written on top.
-        left: room beside the axes.
-        right: room beside the axes.
+    The axes of a row have widths and share out the rest of the figure's between them; `gaps` are between the rows,
+    `top` above the first of them, `left` and `right` beside the axes.
     """
     # A number and its unit stay together.
     kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", heading.replace("$", r"\$"))

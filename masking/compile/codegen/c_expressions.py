@@ -75,13 +75,9 @@ Lookup = Callable[[object, Sequence[Value]], Function]
 
 
 class CExpressions:
-    """Expressions of one kernel in C.
+    """Expressions of one kernel in C, with numbers of the type `real`: `double` or `float`.
 
-    Args:
-        closure: the kernel.
-        arguments: of it, by name.
-        real: `double` or `float`.
-        call: returns the C function of a callee, for its arguments.
+    `call` returns the C function of a callee, for its arguments.
     """
 
     def __init__(self, closure: Closure, arguments: Mapping[str, Value], real: str, call: Lookup) -> None:
@@ -103,10 +99,7 @@ class CExpressions:
         }
 
     def value(self, node: ast.expr) -> Value:
-        """Expression.
-
-        Raises a `TypeError`: it has no form in C.
-        """
+        """Expression; raises a `TypeError` if it has no form in C."""
         rule = self._table.get(type(node))
         if rule is None:
             raise self.refusal(node, "no such expression")

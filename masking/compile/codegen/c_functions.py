@@ -26,12 +26,7 @@ EXTREMES = {
 
 
 class CFunctions:
-    """Functions of a module in C, each with all that it calls before it.
-
-    Args:
-        module: the module.
-        real: `double` or `float`.
-    """
+    """Functions of a module in C, with numbers of the type `real`, each with all that it calls before it."""
 
     def __init__(self, module: Module, real: str) -> None:
         self.module, self.real = module, real

@@ -32,14 +32,7 @@ C_TYPES = {INT: "int32_t", BOOL: "int"}
 
 
 class Translation:
-    """One kernel on its way into C.
-
-    Args:
-        closure: the kernel.
-        arguments: kinds and shapes of its arguments.
-        real: `double` or `float`.
-        call: returns the C function of a callee, for its arguments.
-    """
+    """One kernel on its way into C, for arguments of known kinds and shapes; see `CExpressions`."""
 
     def __init__(self, closure: Closure, arguments: Sequence[Value], real: str, call: Lookup) -> None:
         self.closure, self.real = closure, real

@@ -220,12 +220,9 @@ def linked(
 ) -> Kernels:
     """Kernels that are compiled once for all models, with functions of one model linked to them.
 
-    Args:
-        name: of the kernels together.
-        factories: returns for each kernel what `Module.add_factory` is given after its name; called, and numba imported
-            with it, only if the kernels are not on disk yet.
-        links: functions of the model by their signatures, as `Module.add_link` takes them.
-        work: the shape of the kernels' work space.
+    `factories` returns for each kernel what `Module.add_factory` is given after its name; it is called, and numba
+    imported with it, only if the kernels are not on disk yet. `links` are functions of the model by their signatures,
+    as `Module.add_link` takes them; `work` is the shape of the kernels' work space.
     """
 
     def build() -> Module:

@@ -28,20 +28,10 @@ class Functions(Protocol):
 
 
 class Jumps:
-    """The events of one integration.
+    """The events of one integration, over times (m,) that increase (else an `IntegrationError`), from the first state.
 
-    Args:
-        kernels: with `conditions` and `jump`.
-        times: of the integration (m,), increasing.
-        state: at the first of them.
-        parameters: array in the module's order.
-
-    Attributes:
-        state: the state, and behind it what the integrator knows of the events; changed in place.
-        log: the time and the name of each event.
-
-    Raises:
-        IntegrationError: times decrease.
+    `state` is this state, and behind it what the integrator knows of the events, changed in place; `log`, the time and
+    the name of each event.
     """
 
     def __init__(self, kernels: Functions, times: Array, state: Array, parameters: Array) -> None:
@@ -61,7 +51,7 @@ class Jumps:
     def follow(self, status: int, t: float) -> bool:
         """Jump if an integration stopped at an event, at time t, and tell whether it did.
 
-        Raises an `IntegrationError`: an event comes again and again at one instant.
+        Raises an `IntegrationError` where an event comes again and again at one instant.
         """
         events = slice(self._size, self._size + len(self.names))
         self.state[-1] = math.inf

@@ -11,7 +11,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, partialmethod
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -70,21 +70,8 @@ class Graph:
             arguments = tuple(sorted(arguments))
         return self._node((name, *arguments), any(self.varying[a] for a in arguments))
 
-    def add(self, a: Node, b: Node) -> Node:
-        """+ b."""
-        return self.apply("add", a, b)
-
-    def sub(self, a: Node, b: Node) -> Node:
-        """- b."""
-        return self.apply("sub", a, b)
-
-    def mul(self, a: Node, b: Node) -> Node:
-        """* b."""
-        return self.apply("mul", a, b)
-
-    def div(self, a: Node, b: Node) -> Node:
-        """/ b."""
-        return self.apply("div", a, b)
+    add, sub = partialmethod(apply, "add"), partialmethod(apply, "sub")
+    mul, div = partialmethod(apply, "mul"), partialmethod(apply, "div")
 
     def total(self, terms: Sequence[Node]) -> Node:
         """Sum of nodes; zero for none."""

@@ -117,12 +117,10 @@ class Module:
     def add_choice(
         self, signature: str, zeros: Sequence[str], cases: Sequence[tuple[Graph, Results, Mapping[str, str]]]
     ) -> None:
-        """Add a function that computes the nodes of one of several graphs.
+        """Add a function that computes the nodes of one of several graphs, whose number is its first argument.
 
-        Args:
-            signature: as for `add`; the first argument is the number of the graph, from 0 on.
-            zeros: assignable texts that are 0 where a graph has no result for them.
-            cases: of each graph what `add` takes of it: the graph, its results and loads.
+        `zeros` are assignable texts that are 0 where a graph has no result for them; `cases` has of each graph what
+        `add` takes of it.
         """
         name, types = _read(signature)
         self._export(name, types, "None")

@@ -144,14 +144,9 @@ def control(
 ) -> Kernel:
     """Make the step of a controller whose virtual system has inputs from sensors and pushes; `bare` is that without.
 
-    Args:
-        bare: the step without.
-        push: `push(t, y, d, p, out)` writes the force along the coordinate of each push, of the accelerations d that
-            the model lacks.
-        series: number of series.
-        sensors: for each input from a sensor, its cell and the index of the sensor.
-        pushes: the cells of inputs from pushes.
-        sizes: of the controller.
+    `push(t, y, d, p, out)` writes the force along the coordinate of each push, of the accelerations d that the model
+    lacks. `series` is how many there are; `sensors` has for each input from a sensor its cell and the index of the
+    sensor, and `pushes` the cells of inputs from pushes.
     """
     following, size, n, pushed = sizes.next, sizes.states, sizes.coordinates, OF_PUSH * len(pushes)
     read, feel = reading(sensors), feeling(pushes)

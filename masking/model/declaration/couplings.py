@@ -74,8 +74,9 @@ def is_fed(model: ModelDeclaration, measured: Expression) -> bool:
 
     It holds inputs or accelerations, or an output that does, or that elements act on.
     """
-    fed = {*fed_outputs(model)} - {*model.coordinates, *model.states}
-    return bool(measured.symbols & (_fed_names(model) | fed))
+    direct, driven = _fed_names(model), driven_outputs(model)
+    fed = {n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct}
+    return bool(measured.symbols & (direct | fed - {*model.coordinates, *model.states}))
 
 
 def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
@@ -85,12 +86,6 @@ def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
     driven = {name for one in elements for name in one.acts}
     outputs = {n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct}
     return bool(measured.symbols & (direct | outputs - {*model.coordinates, *model.states}))
-
-
-def fed_outputs(model: ModelDeclaration) -> tuple[str, ...]:
-    """Give the outputs that inputs or forces change at once."""
-    direct, driven = _fed_names(model), driven_outputs(model)
-    return tuple(n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct)
 
 
 def _fed_names(model: ModelDeclaration) -> set[str]:

@@ -15,7 +15,6 @@ from masking.model.effects.attachment import (
     attach,
     attach_all,
     expressions,
-    find,
     parameters,
     unit_of,
 )
@@ -38,7 +37,6 @@ from masking.model.effects.entry import (
     Directed,
     Effect,
     EffectParameter,
-    EffectState,
     Span,
     Trial,
 )
@@ -58,7 +56,6 @@ __all__ = [
     "Directed",
     "Effect",
     "EffectParameter",
-    "EffectState",
     "Setting",
     "Span",
     "Trial",
@@ -66,7 +63,6 @@ __all__ = [
     "attach_all",
     "dictionary",
     "expressions",
-    "find",
     "load",
     "own",
     "parameters",
