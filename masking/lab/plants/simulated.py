@@ -41,16 +41,18 @@ class SimulatedPlant:
         """Go back to rest, for a number of samples per second."""
         self._life.configure()
         twin = self.twin
-        self._rate, self._substeps, self._p = settings.rate, twin.substeps(settings.rate), twin.values()
+        self._rate, values = settings.rate, twin.values()
         self._generator = np.random.default_rng(self.seed)
         self._y = twin.unpowered()
         self._late = twin.late(settings.rate)
         self._queue = np.zeros((1 + math.ceil(self._late.max(initial=0.0)), len(twin.actuators)))
         self._acting[:] = 0.0
         self._tick, self._is_moved = -1, False
-        self._readings = np.zeros(len(twin.sensors))
-        twin.kernels.sense.prepare()
-        twin.kernels.move.prepare()
+        self._time, self._noise, self._readings = np.zeros(1), np.zeros(len(twin.sensors)), np.zeros(len(twin.sensors))
+        step, substeps = np.array([1.0 / settings.rate]), np.array([twin.substeps(settings.rate)])
+        sensed = (self._time, self._y, values, self._noise, self._readings)
+        moved = (self._time, self._y, self._queue, self._late, values, step, substeps, self._acting)
+        self._sense, self._move = twin.kernels.sense.bind(*sensed), twin.kernels.move.bind(*moved)
 
     def activate(self) -> None:
         """Enable the outputs, at zero."""
@@ -62,8 +64,9 @@ class SimulatedPlant:
         if self._tick < 0 or self._is_moved:
             self._tick += 1
             self._is_moved = False
-            noise = self._generator.standard_normal(len(self.sensors))
-            self.twin.kernels.sense(self._tick / self._rate, self._y, self._p, noise, self._readings)
+            self._generator.standard_normal(out=self._noise)
+            self._time[0] = self._tick / self._rate
+            self._sense.call()
         return Sample(self._tick, self._readings.copy())
 
     def write(self, index: int, command: Array) -> None:
@@ -72,8 +75,8 @@ class SimulatedPlant:
         check_answer(self._tick, command, self.actuators)
         del index  # the oldest command under way acts, whatever sample it answers
         self._queue[-1] = command
-        move, h = self.twin.kernels.move, 1.0 / self._rate
-        move(self._tick * h, self._y, self._queue, self._late, self._p, h, self._substeps, self._acting)
+        self._time[0] = self._tick * (1.0 / self._rate)
+        self._move.call()
         self._is_moved = True
 
     def deactivate(self) -> None:

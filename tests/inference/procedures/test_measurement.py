@@ -33,18 +33,21 @@ def without(twin, *effects):
 
 def driven(twin, commands, rate, *, held=None, step=5e-4, seed=0):
     """Return what the sensors read in m (samples, 3), each command acting a sample late; one mass may be held at 0."""
-    y, p, reading = twin.rest(np.zeros(3)), twin.values(), np.empty(3)
-    noise, found, acting = np.random.default_rng(seed).standard_normal(commands.shape), [], np.zeros(3)
-    for command, xi in zip(commands, noise, strict=True):
-        twin.kernels.sense(0.0, y, p, xi, reading)
+    y, p, reading, xi, acting = twin.rest(np.zeros(3)), twin.values(), np.empty(3), np.empty(3), np.zeros(3)
+    noise, found, steps = np.random.default_rng(seed).standard_normal(commands.shape), [], round(1.0 / rate / step)
+    pieces = 1 if held is None else steps  # what is held is put back after each step
+    sense = twin.kernels.sense.bind(np.zeros(1), y, p, xi, reading)
+    step_and_steps = np.array([1.0 / rate / pieces]), np.array([steps // pieces])
+    advance = twin.kernels.advance.bind(np.zeros(1), y, acting, p, *step_and_steps)
+    for command, drawn in zip(commands, noise, strict=True):
+        xi[:] = drawn
+        sense.call()
         found.append(reading / 200.0)
-        steps = round(1.0 / rate / step)
-        pieces = 1 if held is None else steps  # what is held is put back after each step
         for _ in range(pieces):
-            twin.kernels.advance(0.0, y, acting, p, 1.0 / rate / pieces, steps // pieces)
+            advance.call()
             if held is not None:
                 y[[held, 3 + held]] = 0.0
-        acting = command
+        acting[:] = command
     return np.array(found)
 
 
