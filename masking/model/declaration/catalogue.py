@@ -81,7 +81,8 @@ def catalogue() -> tuple[Entry, ...]:
 def _title(path: Path) -> str:
     """Title in a packaged file: the value of its key `name`, which stands in one line; the rest is not read."""
     line = re.search("^name: .*", path.read_text(encoding="utf-8"), re.MULTILINE)
-    return str(strict_yaml.loads(line[0]).value["name"].value) if line else ""
+    content = strict_yaml.loads(line[0]).value if line else None
+    return str(content["name"].value) if isinstance(content, dict) else ""
 
 
 def files(kind: str) -> dict[str, Path]:
