@@ -15,7 +15,7 @@ from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import check_actuation
+from masking.control.actuation import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
 from masking.errors import ModelError
 from masking.model.modelling.lowering import Added, LoweredEquations, add_runge_kutta

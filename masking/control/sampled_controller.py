@@ -22,7 +22,8 @@ from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
-from masking.control.blocks import check_actuation, dot
+from masking.control.actuation import check_actuation
+from masking.control.blocks import dot
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
 from masking.control.observer import Differences, Observer

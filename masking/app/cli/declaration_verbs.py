@@ -43,7 +43,8 @@ def _check(call: Call) -> int:
     """Check declarations: each problem with its place, and whether an experiment fits its rig."""
     results = call.do(compiling=say_compiling)
     call.answer([result.as_dict() for result in results], "\n".join(map(str, results)))
-    return max(int(result.exit_status) for result in results)
+    fits = all(result.feasibility is None or result.feasibility.fits for result in results)
+    return 2 if any(result.problems for result in results) else 0 if fits else 1
 
 
 @verb("model.declaration.json_schema:json_schema")

@@ -40,13 +40,6 @@ class Checked(Result):
         lines += [str(self.feasibility)] if self.feasibility is not None else []
         return "\n".join([*lines, f"  whether it fits is unknown: {self.unknown}"] if self.unknown else lines)
 
-    @property
-    def exit_status(self) -> int:
-        """0 for what is sound, 1 for a sound experiment that does not fit its rig, 2 for problems."""
-        if self.problems:
-            return 2
-        return 0 if self.feasibility is None or self.feasibility.fits else 1
-
 
 def check(*files: str | Path, compiling: Callable[[], None] | None = None) -> tuple[Checked, ...]:
     """Check declarations whole: spelling, schema, symbols, units, equations, and that an experiment can be masked.

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Transform, check_actuation
+from masking.control.actuation import check_actuation
+from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
 from masking.control.known_instruments import Instruments
 from masking.control.law import Controller
