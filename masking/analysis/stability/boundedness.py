@@ -27,10 +27,8 @@ class Boundedness:
 
     is_shown: bool  # whether that is proved
     text: str  # why, or what is missing
-    # whether the potential is seen to grow along every ray from 0, so that 0 is the only equilibrium
-    is_lone: bool = False
-    # whether they are so, but only modulo displacements that change neither equations nor energy
-    is_adrift: bool = False
+    is_lone: bool = False  # whether the potential grows along every ray from 0, so that 0 is the only equilibrium
+    is_adrift: bool = False  # whether they are so, but modulo displacements that change neither equations nor energy
 
 
 def boundedness(motion: Motion) -> Boundedness:

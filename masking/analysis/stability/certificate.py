@@ -67,15 +67,12 @@ class Certificate:
     # that inputs are 0, and what is assumed of the parameters, which holds for the declared values; the proof holds
     # wherever they do
     hypotheses: tuple[str, ...] = ()
-    # what is known of V'; None where no energy is declared, or the equations are of another kind
-    dissipation: Dissipation | None = None
+    dissipation: Dissipation | None = None  # of V'; None without an energy, or for equations of another kind
     boundedness: Boundedness | None = None  # whether every set {V <= c} is compact
     invariant: InvariantSet | None = None  # the largest invariant set in V' = 0; None where it was not looked for
-    # equilibria outside of the families of that set; None where they could not be found
-    others: tuple[RestPoint, ...] | None = None
+    others: tuple[RestPoint, ...] | None = None  # equilibria outside of its families; None where they are not found
     reasons: tuple[str, ...] = ()  # what is missing for more, or must be known to read the conclusion
-    # inner estimates of basins of attraction, where not every motion converges to one equilibrium
-    basins: tuple[Basin, ...] = ()
+    basins: tuple[Basin, ...] = ()  # inner estimates, where not every motion converges to one equilibrium
 
     def __str__(self) -> str:
         lines = [f"{self.status}: {self.conclusion}"]

@@ -47,8 +47,7 @@ class Dissipation:
     status: Status
     method: str  # how that was found
     squares: tuple[Square, ...] = ()  # of which -V' is the sum, where it is seen to be one
-    # of the velocities, that are 0 along every motion on which V' is, as far as that is seen
-    forms: tuple[sp.Expr, ...] = ()
+    forms: tuple[sp.Expr, ...] = ()  # of velocities, that are 0 along every motion on which V' is, as far as it is seen
     box: dict[str, tuple[float, float]] | None = None  # where it holds; None for everywhere
     # a state at which V' > 0, at the declared values, in the units of the model, and `growth`, the least V' there
     counterexample: dict[str, float] | None = None

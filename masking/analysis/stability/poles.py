@@ -46,8 +46,7 @@ class Oscillator:
     """An oscillator x'' = -stiffness y - cubic y^3 with y = x - centre, or -stiffness sin(x)."""
 
     place: sp.Symbol  # x
-    # 'cubic', 'sine' or 'linear'; 'free' where the sum does not hold it
-    kind: Literal["cubic", "sine", "linear", "free"]
+    kind: Literal["cubic", "sine", "linear", "free"]  # 'free' where the sum does not hold it
     stiffness: sp.Expr = sp.S.Zero  # a, or w^2 of a pendulum
     cubic: sp.Expr = sp.S.Zero  # b
     centre: sp.Expr = sp.S.Zero  # where it rests; 0 for a pendulum, which may rest at pi, too

@@ -40,8 +40,7 @@ class Stability:
     certificate: Certificate  # what the energy proves
     loop: LoopModes | None = None  # eigenvalues of the closed loop of an experiment; None for a model
     reason: str = ""  # why there is less than that
-    # the largest Lyapunov exponent of the motion from the declared initial state; None where not asked for
-    exponent: Exponent | None = None
+    exponent: Exponent | None = None  # Lyapunov exponent of the motion from the initial state; None where not asked for
 
     @property
     def points(self) -> tuple[tuple[Equilibrium, Modes], ...]:

@@ -47,8 +47,7 @@ class Basin:
     position: dict[str, float]  # of the equilibrium, by coordinate
     least: float  # V there
     level: float  # every motion converges to it that starts with V below this, in the connected part around it
-    # of coordinates, in which this part lies; None where the energy alone bounds it
-    box: dict[str, tuple[float, float]] | None
+    box: dict[str, tuple[float, float]] | None  # where this part lies; None where the energy alone bounds it
 
     def __str__(self) -> str:
         place = ", ".join(f"{n} = {x:.6g}" for n, x in self.position.items())

@@ -27,8 +27,7 @@ _SAMPLES = 16
 class Transverse:
     """Transverse Lyapunov exponents."""
 
-    # largest first, in 1/s or per unit of time; the manifold attracts nearby motion where all are below 0
-    exponents: Array
+    exponents: Array  # largest first, in 1/s or per unit of time; the manifold attracts where all are below 0
     spread: float  # by how much the largest is another over the last half of the time: how well it has converged
     duration: float  # that was averaged over
 

@@ -45,8 +45,7 @@ class Detector:
     phase: float = math.pi  # of a against b that is wanted, rad
     false_alarm: float = 1e-3  # probability that a run of oscillators that have nothing to do with each other is ended
     duration: float = 0.0  # of such a run, unit of `period`
-    # periods after which the phases of such oscillators have nothing to do with what they were; noise: 1/2
-    memory: float = 0.5
+    memory: float = 0.5  # periods after which such phases have nothing to do with what they were; noise: 1/2
 
     def __post_init__(self) -> None:
         allowed = {

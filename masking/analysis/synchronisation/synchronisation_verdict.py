@@ -48,11 +48,9 @@ class Synchronisation:
     kind: Kind
     names: tuple[str, str]  # of the two
     periods: tuple[float, float]  # of the two, unit of time; NaN where one does not oscillate
-    # (n, m) of a lock, in which n phases of a advance as m of b do; (0, 0) where there is none
-    ratio: tuple[int, int] = (0, 0)
+    ratio: tuple[int, int] = (0, 0)  # (n, m) of a lock: n phases of a advance as m of b do; (0, 0) for none
     phase: float = math.nan  # mean of n arg A - m arg B over the end, in (-pi, pi], rad; NaN without a lock
-    # length of the mean unit vector of that phase, or of the plain difference: 1 constant, 0 evenly spread
-    steady: float = 0.0
+    steady: float = 0.0  # length of the mean unit vector of that, or of the plain difference: 1 constant, 0 spread
     alpha: float = math.nan  # ratio of the amplitudes, a = alpha b shifted by the phase (5.3); NaN without a lock
     # largest |a(t) - alpha b(t + shift)| over the end (definition 5.2), unit of a; NaN unless n = m
     eps: float = math.nan

@@ -156,8 +156,7 @@ class AugmentedModel:
     tried: tuple[Effect, ...] = ()
     at: tuple[float, ...] = ()  # coordinates at rest (n,), around which it is linearised; 0 if not given
     directed: bool = False  # whether directed places are open, too
-    # effects with one parameter each, which are adjusted as those of the rig are
-    imperfections: tuple[EffectInstance, ...] = ()
+    imperfections: tuple[EffectInstance, ...] = ()  # with one parameter each, adjusted as those of the rig are
 
     @cached_property
     def _opened(self) -> tuple[Twin, tuple[Place, ...]]:

@@ -19,8 +19,7 @@ class Widest:
     """The part of a range in which a law is known least."""
 
     of: str  # 'displacement' or 'speed'
-    # low and high: ends of the part
-    low: float
+    low: float  # the ends of the part
     high: float
     band: float  # two standard deviations of the law there, rms, over the rms of the law along the motion
     is_end: bool  # whether the part is at an end of the range, where the motion turns or is fastest

@@ -99,20 +99,16 @@ class Discovery(Explained):
     # before and after: the model as declared and with the causes, on the validation record
     before: Hypothesis
     after: Hypothesis
-    # the model without causes, its parameters adjusted within their priors, on the validation record
-    adjusted: Hypothesis
-    # that separates the two likeliest explanations, if the record does not
-    next_experiment: NextExperiment | None = None
+    adjusted: Hypothesis  # the model without causes, its parameters adjusted by the priors, on the validation record
+    next_experiment: NextExperiment | None = None  # that separates the likeliest two, if the record does not
     # relative error of each sensor with adjusted parameters alone and inputs in straight lines between samples; None
     # unless that is far less than what was found leaves
     first_order_hold: dict[str, float] | None = None
     exchanged: bool = False  # whether the record to validate by was searched, since it alone shows the effect
     law: UnnamedLaw | None = None  # the law without a name, where no name explains the record
     none_of_these: float = 0.0  # probability that none of the names is right
-    # what is worse on unseen data than the model as declared, and was found before this
-    withheld: Withheld | None = None
-    # that of a channel which is probably another than declared; the record is converted then
-    unit: UnitDoubt | None = None
+    withheld: Withheld | None = None  # what was found before, but is worse on unseen data than as declared
+    unit: UnitDoubt | None = None  # that of a channel which is probably another; the record is converted then
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)

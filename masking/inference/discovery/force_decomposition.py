@@ -79,8 +79,7 @@ class ForceDecomposition:
     loss: float  # power that it takes out of the motion, its mean product with the rate
     taken: float  # that, as a part of the most that a force of this size can take
     parts: Parts | None  # of its energy; None where it is not beyond its deviation
-    # of travel, speed and record, each with the part of energy and of time; none where parts are None
-    regions: Mapping[str, Mapping[str, Region]]
+    regions: Mapping[str, Mapping[str, Region]]  # of travel, speed and record; none where parts are None
 
     def as_dict(self) -> dict[str, Any]:
         """Decomposition as JSON can hold it."""

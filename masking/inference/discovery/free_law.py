@@ -56,8 +56,7 @@ class FreeLaw:
     rate: Array
     penalty: Array  # on the free parameters of all effects (f, f), as in `fitting.fit`
     problem: EstimationProblem  # the record in the shooting intervals of the fit
-    # the further places that it sits in one of; None where it sits in a place of the rig itself
-    further: FurtherPlaces | None = None
+    further: FurtherPlaces | None = None  # further places that it sits in one of; None for places of the rig itself
 
     @property
     def score(self) -> float:

@@ -31,8 +31,7 @@ class FurtherPlaces:
     """A rig with further places for a law."""
 
     rig: AugmentedModel  # of the model that has them
-    # for each of these elements, what a law calls its displacement `d` and its rate `v`
-    nouns: Mapping[str, Mapping[str, str]]
+    nouns: Mapping[str, Mapping[str, str]]  # for each of these elements, names of its displacement `d` and rate `v`
     on: Mapping[str, str]  # for each, the place whose force it is
     time: str = ""  # name of the relaxation time among the parameters; '' without memory
     tried: tuple[float, ...] = field(default=())  # relaxation times, s

@@ -71,8 +71,7 @@ class LatentForces:
     # each place; a force between two coordinates is nearly one on either of them, so that shares overlap
     places: tuple[LocatedForce, ...]
     actuators: Mapping[str, float]  # share of all latent forces that a function of the command of each would make
-    # part of the residual of each sensor beyond noise that is a function of what it should read
-    sensors: Mapping[str, float]
+    sensors: Mapping[str, float]  # part of each residual beyond noise that is a function of what the sensor should read
 
     @property
     def best(self) -> LocatedForce:

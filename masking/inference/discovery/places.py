@@ -45,8 +45,7 @@ class Place:
     has_rate: bool = True  # whether it is known how fast it is stretched
     is_of_coordinates: bool = True  # whether coordinates alone stretch it
     has_force: bool = False  # whether it declares a force of its own, with which effects may be in series
-    # what it follows, if it acts on a coordinate by something else than the motion of this alone
-    directed: Directed = ""
+    directed: Directed = ""  # what it follows, if it acts on a coordinate by other than the motion of this alone
 
     @property
     def is_open(self) -> bool:

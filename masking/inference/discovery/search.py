@@ -66,8 +66,7 @@ class Search:
 
     problem: EstimationProblem
     tell: Tell = lambda text, part: None  # called with what is done, and the fraction done
-    # the problem in the integration steps of the model alone, where laws need smaller ones
-    rough: EstimationProblem | None = None
+    rough: EstimationProblem | None = None  # the problem in the steps of the model alone, where laws need smaller ones
     # of each round by the causes before it, in those steps
     fits: dict[tuple[Key, ...], Fits] = field(default_factory=dict)
     # given the explanations of the first round, returns whether the search ends there

@@ -46,8 +46,7 @@ class UnnamedLaw:
     free: FreeLaw  # the law as curves, fitted
     explanation: Explanation  # the model with the law as it is written, and with effects elsewhere
     validated: Hypothesis  # the same on the validation record
-    # relative error of each sensor with it, in the estimation and in the validation record
-    error: tuple[dict[str, float], dict[str, float]]
+    error: tuple[dict[str, float], dict[str, float]]  # relative errors of sensors, in both records
     closed: bool  # whether it leaves no more than noise in the validation record
     problem: EstimationProblem  # the validation record in the shooting intervals of `validated`
     form: ClosedForm | None = None  # its closed form; None where none was found

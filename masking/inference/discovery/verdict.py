@@ -65,10 +65,8 @@ AnyFitted = TypeVar("AnyFitted", bound=Fitted)
 class Scored:
     """A fitted and scored hypothesis as plain data."""
 
-    # 'none' for the model with its parameters adjusted, 'parameter' for one parameter that is off, or 'effects'
-    kind: Kind
-    # (parameter, '') or (effect, place) of each cause, in the order in which they were found
-    names: tuple[Key, ...] = ()
+    kind: Kind  # 'none': the model with its parameters adjusted; 'parameter': one that is off; or 'effects'
+    names: tuple[Key, ...] = ()  # (parameter, '') or (effect, place) of each cause, as they were found
     cost: float = 0.0  # -2 log posterior density up to a constant: squared residuals over noise variances, and priors
     score: float = 0.0  # the cost over the tempering factor, and the Occam factor of the effects
     misfit: float = 0.0  # of the cost, the part of the residuals, with the noise of the validation record
@@ -78,8 +76,7 @@ class Scored:
     # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
     # parameter), and its standard deviation
     estimates: tuple[tuple[float, float], ...] = ()
-    # of each cause, whether free parameters of the model could have the form of its law
-    absorbed: tuple[bool, ...] = ()
+    absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model could have the form of its law
     unique: float = 1.0  # fraction of the response of the effects outside of the span of the parameters' responses
 
     def is_like_parameter(self, cause: int, rules: DecisionRules) -> bool:

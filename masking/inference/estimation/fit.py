@@ -53,8 +53,7 @@ class Estimate:
     # states, by name; not a number if that motion is not finite
     chi: dict[str, float]
     floor: dict[str, float]  # chi that the noise of the records alone makes, by name
-    # chi in records that were not used, by name; empty if there are none
-    validation: dict[str, float] = field(default_factory=dict)
+    validation: dict[str, float] = field(default_factory=dict)  # chi in records that were not used, by name
     notes: tuple[str, ...] = ()  # what must be known to trust the values
 
     def __repr__(self) -> str:

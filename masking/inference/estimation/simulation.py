@@ -44,8 +44,7 @@ class Simulated:
     sensors: tuple[str, ...]  # their names
     units: tuple[str, ...]  # of the readings
     readings: Array  # simulated (m, sensors), from the best initial state
-    # s of each simulation with its own initial state; None for one of the whole record
-    shooting_interval: float | None = None
+    shooting_interval: float | None = None  # s of each simulation with its own initial state; None for a whole one
 
     @property
     def times(self) -> Array:

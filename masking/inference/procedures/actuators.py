@@ -33,8 +33,7 @@ class ActuatorRatio:
     deviation: float  # standard deviation of the ratio
     freedom: int  # degrees of freedom of the deviation
     gains: Array  # mean gain of each reading (readings,)
-    # complex amplitude of the motion at the drive's frequency, phase against the drive (readings,)
-    motion: NDArray[np.complex128]
+    motion: NDArray[np.complex128]  # complex amplitude at the drive's frequency, phase against the drive (readings,)
     fitted: NDArray[np.complex128]  # the part of `motion` that the ratio and the lag explain (readings,)
     used: NDArray[np.bool_]  # True for readings near the balance, which the ratio rests on (readings,)
     residual: float  # amplitude of motion that is left at the balance

@@ -73,8 +73,7 @@ class FrequencyResponse:
     frequencies: Array  # of the lines, Hz (lines,)
     response: Complex  # G, output per input (lines, outputs, inputs)
     noise: Array  # variance E|G - E G|^2 that the differences between periods explain (lines, outputs, inputs)
-    # variance that the differences between realisations show, distortion included; None where there is one
-    total: Array | None
+    total: Array | None  # variance that realisations differ by, distortion included; None where there is one
     periods: int  # periods of each experiment
     realisations: int  # groups of experiments with phases of their own
     freedom: int  # complex degrees of freedom of `noise`

@@ -61,8 +61,7 @@ class LocatedFriction:
     h(x) is half the gap between the way up and the way down.
     """
 
-    # True where the step is larger than chance and than `level` explain; otherwise the rest is no finding
-    is_found: bool
+    is_found: bool  # True where the step is larger than chance and than `level` explain; else the rest is no finding
     edge: float  # displacement at which half of the step is reached
     # standard deviation of the edge by scatter, at most the travel; a friction that depends on speed shifts the edge by
     # a part of the width beside that

@@ -38,8 +38,7 @@ class Response:
     inputs: tuple[str, ...]  # their names
     outputs: tuple[str, ...]  # names of the sensors
     responses: Mapping[str, FrequencyResponse]  # for each input the response (lines, outputs, 1) at its lines
-    # for each output what an odd multisine shows; empty where the excitation does not
-    distortions: Mapping[str, Distortion]
+    distortions: Mapping[str, Distortion]  # for each output what an odd multisine shows; empty for other excitation
 
 
 def response(
