@@ -156,10 +156,6 @@ def _sine(x: Interval, shift: float = 0.0) -> Interval:
     )
 
 
-def _number(value: float) -> Interval:
-    return Interval.of(value) if value.is_integer() else _outward(Interval.of(value), ulps=_ULPS)
-
-
 def _cosh(x: Interval) -> Interval:
     a = np.where(x.contains_zero(), 0.0, np.minimum(np.abs(x.low), np.abs(x.high)))
     with np.errstate(over="ignore"):
@@ -191,7 +187,7 @@ def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
 
 
 _RULES: dict[str, Callable[..., Interval]] = {
-    "number": _number,
+    "number": lambda x: Interval.of(x) if x.is_integer() else _outward(Interval.of(x), ulps=_ULPS),
     "square": square,
     "neg": lambda x: -x,
     "add": lambda x, y: x + y,

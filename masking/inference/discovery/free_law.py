@@ -7,7 +7,7 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -170,8 +170,11 @@ def fit(
     if further:
         starts = [start for one in further for start in _further(found, one, known)]
     else:
-        theta = found.explanation.hypothesis.theta
-        starts = [start for ground in _grounds(found) for start in _at(ground, theta, known)]
+        theta, search = found.explanation.hypothesis.theta, found.search
+        places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
+        sides = views(found.problem, search.base.hypothesis, search.motion, FAR)
+        grounds = (_Ground(found.problem, one.hypothesis, one.motion, places) for one in sides)
+        starts = [start for ground in grounds for start in _at(ground, theta, known)]
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.
@@ -195,14 +198,6 @@ class _Ground:
     motion: Motion
     places: Collection[str]
     further: FurtherPlaces | None = None
-
-
-def _grounds(found: Explained) -> Iterator[_Ground]:
-    """Model as it was fitted, and as it is declared where the fit went far from that."""
-    search = found.search
-    places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
-    for view in views(found.problem, search.base.hypothesis, search.motion, FAR):
-        yield _Ground(found.problem, view.hypothesis, view.motion, places)
 
 
 def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:
