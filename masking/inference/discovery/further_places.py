@@ -37,7 +37,7 @@ class FurtherPlaces:
     tried: tuple[float, ...] = field(default=())  # relaxation times, s
 
     def problem(self, problem: EstimationProblem, seconds: float) -> EstimationProblem:
-        """Problem of this rig, of that without further places; a relaxation time is known as `seconds`, +- as much."""
+        """Problem of this rig, made of that without further places; a relaxation time is `seconds`, known to that."""
         prior = problem.prior
         if self.time:
             prior = prior.extended(len(problem.rig.names), seconds, seconds, SHORTEST * seconds, np.inf)
