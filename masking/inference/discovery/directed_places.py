@@ -16,7 +16,7 @@ from masking.inference.discovery.smoothing import smooth
 
 
 def are_worth_a_search(problem: EstimationProblem, base: Hypothesis) -> bool:
-    """Whether a cause at a directed place scores most; between coordinates, it may be one of two."""
+    """Whether a cause at a directed place scores most, or one of two between coordinates; errors as `smooth`."""
     motion = smooth(problem, base.theta, base.start)
     every = list(candidates(problem.rig, spans(problem, motion), problem.dt))
     part = {"coordinate": problem.rules.directed_fraction}

@@ -237,7 +237,7 @@ def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.in
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
-    """Hypothesis on a validation record: only its initial state is fitted, in growing parts if need be."""
+    """Hypothesis on a validation record: its initial state alone is fitted, by parts if need be; errors as `fit`."""
     fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
     found, record = fitted(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:

@@ -83,7 +83,7 @@ class SpringCurve:
         return np.asarray(self.force_scale / self.scale * slope)
 
     def band(self, displacement: ArrayLike, level: float = 0.95) -> Array:
-        """Half width of the confidence interval of the force at each displacement, in their shape."""
+        """Half width of the confidence interval of the force at displacements; a ModelError for a wrong level."""
         x = np.asarray(displacement, dtype=np.float64) / self.scale
         rows = polynomial.polyvander(x, len(self.coefficients) - 1)
         deviation = np.sqrt(np.maximum(np.einsum("...i,ij,...j", rows, self.covariance, rows), 0.0))
