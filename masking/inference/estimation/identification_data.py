@@ -52,7 +52,7 @@ class Data:
     """Commands and readings of one record.
 
     Raises:
-        ModelError: `hold` is neither.
+        ModelError: `hold` is neither 'zero-order' nor 'first-order'.
 
     Source: Pintelon and Schoukens, System Identification (2012), section 13.2.
     """
