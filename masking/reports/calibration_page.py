@@ -5,7 +5,6 @@ Source of the numbers of the document that are set beside a calibration's: Rijla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -29,7 +28,6 @@ _DOCUMENT: Final = (
     ("the document, Table 4.5", "free motion", "0.0545", "0.1307", "0.0869"),
 )
 _AUTHOR = "Rijlaarsdam"
-_LIBRARIES = ("masking", "numpy", "scipy", "numba", "sympy")
 
 
 def save(found: Calibration) -> None:
@@ -61,7 +59,8 @@ def save(found: Calibration) -> None:
         lumped=_lumped(found),
         parameter_notes=[*found.best.fit.notes, *_pairs(found)],
         remarks=[f"{one.title}. {one.caption}" for one in figures if one.figure is None],
-        origin=_provenance(found, [PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)]),
+        records=NAMES,
+        written=[PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)],
     )
 
 
@@ -153,21 +152,6 @@ def _pairs(found: Calibration) -> list[str]:
     rest = f", and {more} more pairs" if more > 0 else ""
     return [f"Correlations above {_STRONG:g}: {', '.join(pairs)}{rest}; these are known better together than by "
             "themselves."] if pairs else []  # fmt: skip
-
-
-def _provenance(found: Calibration, written: Sequence[str]) -> list[tuple[str, str]]:
-    twin, record = found.twin.declaration, found.records.fit
-    every = f"{len(record) / record.rate:g} s at {record.rate:g} Hz each"
-    return [
-        ("rig", twin.name),
-        ("plant file", ", ".join(map(str, twin.files))),
-        ("model files", ", ".join(map(str, found.best.fit.twin.base.files))),
-        ("records", f"{', '.join(NAMES)}; {every}, in {found.folder / 'records'}"),
-        ("missed samples", ", ".join(f"{name}: {count}" for name, count in found.records.missed.items())),
-        ("written", ", ".join(["model.yaml", "plant.yaml", "fit.json", "calibration.json", *written])),
-        ("rounds of the fits", ", ".join(f"{stage.name}: {stage.fit.rounds}" for stage in found.stages)),
-        ("versions", html.versions(*_LIBRARIES)),
-    ]
 
 
 def _spoken(stage: Stage) -> str:

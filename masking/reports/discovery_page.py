@@ -58,7 +58,8 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         rivals=_rivals(found),
         refitted=discovery_files.refitted(found),
         known=found.written_rig.twin.base.parameters,
-        origin=_provenance(found, origin, folder),
+        records=origin.records,
+        files=discovery_files.paths(found, folder),
     )
 
 
@@ -87,20 +88,6 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     none = found.none_of_these
     every = [(causes, probability_text((1.0 - none) * p), worse, values) for causes, (p, worse, values) in rows.items()]
     return [*every, ("None of these", probability_text(none), "", "")]
-
-
-def _provenance(found: Discovery, origin: Origin, folder: Path) -> list[tuple[str, object]]:
-    files = discovery_files.paths(found, folder)
-    record, validation = found.record, found.validation_record
-    return [
-        *((what, f"{path}, SHA-256 {sha}") for what, (path, sha) in origin.records.items()),
-        ("samples", f"{len(record)} to find, {len(validation)} to validate, {record.rate:g} Hz"),
-        ("rig", found.twin.declaration.name),
-        ("model", ", ".join(found.twin.base.files) or found.twin.declaration.model),
-        *(("own effects", file) for one in found.twin.declaration.dictionaries for file in one.files),
-        ("written", ", ".join(str(p) for p in (files.model, files.plant, files.numbers) if p)),
-        ("versions", html.versions("masking", "numpy", "numba")),
-    ]
 
 
 def summary(found: Discovery, files: Files | None) -> str:

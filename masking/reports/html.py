@@ -185,5 +185,5 @@ def environment() -> jinja2.Environment:
         "symbol": symbol,
         "unit": pretty,
     }
-    made.globals |= {"palette": palette, "infinity": math.inf}
+    made.globals |= {"palette": palette, "infinity": math.inf, "versions": versions}
     return made

@@ -61,7 +61,7 @@ def report(recording: Recording, folder: str | Path) -> Report:
         source=_SOURCE,
         parameters=virtual,
         remarks=notes,
-        origin=run_text.provenance(study, [*records, *(path.name for path in images), PAGE]),
+        files=[*records, *(path.name for path in images), PAGE],
         declarations=json.dumps(declared, indent=2, ensure_ascii=False, default=str) if declared else "",
     )
     return Report(folder / PAGE, tuple(images), run_text.summary(study))

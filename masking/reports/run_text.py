@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -354,25 +354,6 @@ def worth(row: BudgetRow, whole: BudgetRow) -> list[str]:
         change = "0 %" if change[1:] == "0 %" else change
     helps = row.remedy if row.rms <= _HELPS * whole.rms else ""
     return [change, "; ".join(filter(None, (row.note, helps)))]
-
-
-def provenance(facts: Study, files: Sequence[str]) -> list[tuple[str, object]]:
-    """Names and values of where a record comes from; `files` are those of the record and its report."""
-    manifest = facts.recording.manifest
-    scale = manifest.get("time_scale")
-    return [
-        ("plant", manifest.get("plant_name")),
-        ("virtual system", manifest.get("virtual_name")),
-        ("record", record_words(facts)),
-        ("observer", observer(facts)),
-        ("time", f"{number(scale, 7)} s of the rig per unit of virtual time" if scale else None),
-        ("created", manifest.get("created")),
-        ("commit", manifest.get("commit")),
-        ("versions", ", ".join(f"{name} {version}" for name, version in (manifest.get("versions") or {}).items())),
-        ("time taken", ", ".join(timing(manifest))),
-        ("energy drift", ", ".join(f"{name} {number(e)}" for name, e in (manifest.get("energy") or {}).items())),
-        ("files", ", ".join(files)),
-    ]
 
 
 def sum_name(facts: Study) -> str:

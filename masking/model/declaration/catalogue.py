@@ -101,13 +101,8 @@ def names(kind: str) -> list[str]:
 def find(kind: str | None, name_or_path: str | Path, reference: Reference = NOWHERE) -> Path:
     """Give the file of a name in the registry, or of a path: one that ends in .yaml or contains a slash.
 
-    Args:
-        kind: of `KINDS`; None for any: the first in their order that has the name.
-        name_or_path: as it was written.
-        reference: where.
-
-    Raises:
-        DeclarationError: there is none, it is of another kind, or no .yaml file.
+    Without a `kind`, one of `KINDS`, it is the first in their order that has the name. `reference` is where that was
+    written. Raises a `DeclarationError` where there is none, it is of another kind, or no .yaml file.
     """
     text = str(name_or_path)
     for some in [kind] if kind else _FOLDERS:
@@ -149,15 +144,7 @@ def kind_of_keys(keys: Collection[str]) -> str | None:
 
 
 def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: Node | None = None) -> Problem:
-    """Say that a file, whose content may be given, is of another kind than is needed.
-
-    Args:
-        kind: that is needed.
-        found: its kind.
-        shown: its name.
-        reference: where that was written.
-        node: the content of the file.
-    """
+    """Say that a file, whose content may be given as `node`, is of another kind, `found`, than is needed."""
     needed = f"{_ARTICLE[kind]} is needed here"
     entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
     if kind == "experiment" and found in {"plant", "model"}:
