@@ -33,7 +33,8 @@ _AUTHOR = "Rijlaarsdam"
 def save(found: Calibration) -> None:
     """Write the page and its figures into the calibration's folder; a `RecordError` says that it cannot be written."""
     twin, figures = found.twin, calibration_figures.figures(found)
-    rows = _parameters(found)
+    fit, rows = found.best.fit, _parameters(found)
+    before = np.array([_declared(found, name) for name in fit.names])
     has_document = _AUTHOR in (twin.declaration.source or "") and len(found.floor) == len(_DOCUMENT[0]) - 2
     limits = twin.declaration.limits.coordinates
     html.save(
@@ -53,7 +54,7 @@ def save(found: Calibration) -> None:
         reached=reached(twin, found.records.fit),
         units={what.text: (limit.unit, twin.size(limit.unit)) for what, limit in limits.items()},
         parameters=rows,
-        differing=_differing(found),
+        differing=int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum()),
         far=f"{_FAR:g}",
         has_marks=any(row[3].endswith("*") for row in rows),
         lumped=_lumped(found),
@@ -111,13 +112,6 @@ def _parameters(found: Calibration) -> list[list[str]]:
         unit, meaning = (pretty(entry.unit), entry.meaning) if entry else ("", "")
         rows.append([name, *map(_minus, numbers), unit, meaning])
     return rows
-
-
-def _differing(found: Calibration) -> int:
-    """Number of values that differ notably from the plant file's."""
-    fit = found.best.fit
-    before = np.array([_declared(found, name) for name in fit.names])
-    return int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum())
 
 
 def _lumped(found: Calibration) -> str:

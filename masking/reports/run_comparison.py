@@ -42,7 +42,9 @@ class Measure:
     @property
     def differs(self) -> bool:
         """Whether the runs differ in it."""
-        return not _equal(self.first, self.second)
+        a, b = self.first, self.second
+        are_numbers = isinstance(a, float) and isinstance(b, float)
+        return not math.isclose(a, b, rel_tol=_SAME) if are_numbers else a != b  # type: ignore[arg-type]
 
     @property
     def row(self) -> tuple[str, str, str, str]:
@@ -168,12 +170,6 @@ def _flat(node: Mapping[str, Any] | list[Any], path: str = "") -> Iterator[tuple
 
 def _few(said: list[str]) -> str:
     return listed([*said[:_NAMED], *([f"{len(said) - _NAMED} more"] if len(said) > _NAMED else [])])
-
-
-def _equal(a: float | str | None, b: float | str | None) -> bool:
-    if isinstance(a, float) and isinstance(b, float):
-        return math.isclose(a, b, rel_tol=_SAME)
-    return a == b
 
 
 def _text(value: float | str | None) -> str:

@@ -133,7 +133,8 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
         Line(values, middle, COLOURS[0], 1.6, marker="o" if len(values) < 30 else "", size=3),
         *([Band(values, low, high, COLOURS[0])] if has_band else []),
     ]
-    wide = _is_wide(middle)
+    known = middle[np.isfinite(middle)]
+    wide = bool(len(known) and known.min() > 0.0 and known.max() > 300.0 * known.min())
     reach = None if wide else _range(np.concatenate([low, high]))
     more = ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
     panel = Panel(curve, _measure(name), labels[over], None, reach, "y" * wide, ticks=5, finish=finish)
@@ -148,11 +149,6 @@ def _range(values: Array) -> tuple[float, float]:
     least = _SAME * float(np.abs(finite).max()) or 1.0
     room = 0.06 * float(np.ptp(finite)) + 0.5 * max(0.0, least - float(np.ptp(finite)))
     return float(finite.min()) - room, float(finite.max()) + room
-
-
-def _is_wide(values: Array) -> bool:
-    finite = values[np.isfinite(values)]
-    return bool(len(finite)) and bool(finite.min() > 0.0) and bool(finite.max() > 300.0 * finite.min())
 
 
 def _shares(axes: Axes, at: Array, values: Array, words: list[str]) -> None:

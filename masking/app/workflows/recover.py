@@ -106,7 +106,9 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         run_report.report(recording, target)
     if not found.damages:
         stream.remove(folder)
-        _remove_ring(found)
+        reader = _ring(found)
+        if reader is not None and not is_running(reader.process):
+            reader.path.unlink(missing_ok=True)
     seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / rate
     homing = int(np.count_nonzero(column["index"] < 0))
     return Recovered(target, len(table), homing, seconds, missing, end, found.damages, recording, why)
@@ -139,13 +141,6 @@ def _with_ring(found: Stream) -> tuple[Array, Array]:
     rows = reader.take()
     more = rows.first + np.arange(len(rows.table))
     return np.concatenate([found.numbers, more]), np.concatenate([found.table, rows.table])
-
-
-def _remove_ring(found: Stream) -> None:
-    """Remove the rows in memory of a process that is no longer there."""
-    reader = _ring(found)
-    if reader is not None and not is_running(reader.process):
-        reader.path.unlink(missing_ok=True)
 
 
 def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mapping[str, Any]) -> Recording:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 
 from masking.errors import Problem, nearest
@@ -15,13 +16,11 @@ from masking.model.declaration.checks import (
     velocities,
 )
 from masking.model.declaration.couplings import is_commanded
-from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import (
     Declaration,
     ExperimentDeclaration,
     ModelDeclaration,
     PlantDeclaration,
-    Transform,
 )
 
 LARGEST_RECORDING = 2**31  # bytes of one that is in memory
@@ -340,7 +339,7 @@ def _transform(
     if transform.matrix is not None and transform.expressions is not None:
         yield problem_at(experiment, "transform", "a transform is a matrix or expressions, not both")
     used: set[str] = set()
-    for entry in _entries(transform):
+    for entry in (*itertools.chain(*(transform.matrix or ())), *(transform.expressions or {}).values()):
         used |= entry.names
         allowed = [*transform.parameters, *(rig.coordinates if transform.matrix is None else ())]
         yield from check_symbols(entry, allowed, rig.coordinates, known=[*rig.coordinates])
@@ -360,9 +359,3 @@ def _transform(
             yield problem_at(
                 experiment, path, f"the parameter '{name}' is not used", "remove it or use it", at_key=True
             )
-
-
-def _entries(transform: Transform) -> Iterator[Expression]:
-    for row in transform.matrix or ():
-        yield from row
-    yield from (transform.expressions or {}).values()

@@ -94,23 +94,17 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
                 continue
             if found is None:
                 continue
-            if not _is_written(limit):
-                yield from _unwritten(
-                    plant, f"limits.{key}.{expression.text}", limit, _unit_of(expression, found, model)
-                )
+            unit = _unit_of(expression, found, model)
+            if not _is_written(limit):  # it is in SI units, on what may be declared in others
+                if not math.isclose(factor_of(unit), 1.0):
+                    message = f"the limit of {limit.max:g} has no unit, and what it bounds is declared in {unit}"
+                    mend = f"write 'unit: {unit}', or the unit that the limit is in"
+                    yield problem_at(plant, f"limits.{key}.{expression.text}", message, mend)
                 continue
             if dimension_of(limit.unit) != tuple(a - order * b for a, b in zip(found, second, strict=True)):
-                unit = _unit_of(expression, found, model) + order * "/s"
                 what = f"the rate of {expression.text}" if order else expression.text
-                message = f"{what} is in {unit}, the limit in {limit.unit}"
+                message = f"{what} is in {unit}{order * '/s'}, the limit in {limit.unit}"
                 yield problem_at(plant, f"limits.{key}.{expression.text}.unit", message)
-
-
-def _unwritten(plant: PlantDeclaration, path: str, limit: Limit, unit: str) -> Iterator[Problem]:
-    """Refuse a limit without a unit, which is in SI units, on what is declared in another unit."""
-    if not math.isclose(factor_of(unit), 1.0):
-        message = f"the limit of {limit.max:g} has no unit, and what it bounds is declared in {unit}"
-        yield problem_at(plant, path, message, f"write 'unit: {unit}', or the unit that the limit is in")
 
 
 def check_experiment_units(
