@@ -34,10 +34,7 @@ def card(title: str, subtitle: str, *parts: Markup) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[int] = ()) -> Markup:
-    """Table; nothing where there are no rows.
-
-    Cells are escaped unless they are markup; columns whose places are `numbers` are set to the right.
-    """
+    """Table of cells, escaped unless they are markup; `numbers` are columns set to the right; nothing without rows."""
     rows = [*rows]
     sides = ["right" if i in numbers else "left" for i in range(len(head))]
     body = [

@@ -142,10 +142,7 @@ class Animation:
 
 
 def save(made: Animation, page: Path) -> None:
-    """Write an animation as one HTML file, whose folder is made if need be.
-
-    Raises a `RecordError` where the recording holds no motion, or the file cannot be written.
-    """
+    """Write an animation as one HTML file and its folder; a `RecordError` says that nothing moves, or why it cannot."""
     text = html.render(
         "animation",
         title=made.recording.name or "Recording",

@@ -40,10 +40,7 @@ def picture(shown: Animation, t: float, file: Path) -> None:
 
 
 def film(shown: Animation, file: Path, progress: Callable[[float], None]) -> None:
-    """Write a film, of 12 s at most, at the speed of the animation, in the format of the file's ending.
-
-    Raises a `RecordError` where ffmpeg is needed and not there.
-    """
+    """Write a film, of 12 s at most, in the format of its ending; a `RecordError` says that this needs ffmpeg."""
     writer = films.FFMpegWriter(fps=_RATE)
     if file.suffix != ".gif" and not writer.isAvailable():
         raise RecordError(f"{file}: an mp4 file needs ffmpeg, which is not installed; write a .gif or .html file")

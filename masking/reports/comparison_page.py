@@ -24,10 +24,7 @@ TWO: Final = (COLOURS[0], COLOURS[1])
 
 
 def save(compared: Comparison, folder: Path) -> Path:
-    """Write `comparison.html`, its picture and `comparison.json` into a folder; return the page.
-
-    Raises a `RecordError` where a file cannot be written.
-    """
+    """Write page, picture and JSON into a folder; return the page. A `RecordError` says that one cannot be written."""
     more = len(compared.declarations) - _MOST_DECLARED
     html.save(
         folder / PAGE,

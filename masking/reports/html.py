@@ -51,10 +51,7 @@ class Tile(NamedTuple):
 
 
 def render(template: str, **facts: object) -> str:
-    """Page of a template, by its name without `.html`.
-
-    Of the facts, `names` (coordinates, parameters, sensors and actuators) are typeset if they are symbols.
-    """
+    """Page of a template, by its name without `.html`; `names` are typeset if they are symbols."""
     return environment().get_template(f"{template}.html").render(**facts)
 
 
@@ -126,10 +123,7 @@ def versions(*libraries: str) -> str:
 
 
 def prose(text: object, names: Collection[str] = ()) -> Markup:
-    """Escape a text and typeset names in it that are symbols as such, and powers of ten and Greek letters.
-
-    What is markup already stays as it is.
-    """
+    """Escape a text and typeset its `names` of symbols, powers of ten and Greek letters; markup stays as it is."""
 
     def typeset(match: re.Match[str]) -> str:
         word = match.group()

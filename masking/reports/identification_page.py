@@ -31,10 +31,7 @@ _TITLES = {
 
 
 def save(measured: Measurement[Any], folder: str | Path) -> None:
-    """Write `<procedure>.html`, `<procedure>.json` and PNG files into a folder, made if need be.
-
-    Raises a `RecordError` where the folder cannot be written.
-    """
+    """Write page, numbers and PNG files, named after the procedure; a `RecordError` where they cannot be."""
     name = measured.procedure
     first = [next((row for row in measured.rows if row.key.startswith(key)), None) for key in _FIRST[name]]
     html.save(
@@ -55,10 +52,7 @@ def save(measured: Measurement[Any], folder: str | Path) -> None:
 
 
 def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
-    """Write `fit.html`, and the figures of a fit as PNG files, into a folder; `fit.json` is there already.
-
-    The sentence is the finding. Raises a `RecordError` where the folder cannot be written.
-    """
+    """Write `fit.html` with the finding, and a fit's figures into a folder that has `fit.json`; errors as of `save`."""
     content = found.as_dict()
     chi = content["chi"]
     html.save(
@@ -75,10 +69,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
 
 
 def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentence: str, folder: str | Path) -> None:
-    """Write `simulation.html`, `simulation.json` and the figures of a simulated record into a folder, made if need be.
-
-    The sentence is the finding. Raises a `RecordError` where the folder cannot be written.
-    """
+    """Write `simulation.html` with the finding, `simulation.json` and figures into a folder; errors as of `save`."""
     html.save(
         Path(folder, "simulation.html"),
         "fit",

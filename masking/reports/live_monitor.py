@@ -284,10 +284,7 @@ class _Times:
 
 
 def phase_between(t: Array, a: Array, b: Array) -> float:
-    """Phase of a minus that of b over the last period of a, rad in (-pi, pi]; NaN where a has no period.
-
-    Both are fitted by a sine of that period about a constant.
-    """
+    """Phase of a minus that of b, fitted by sines over the last period of a, rad in (-pi, pi]; NaN without a period."""
     length = period(t, a) if len(t) >= _LEAST and np.ptp(a) > 0.0 else math.nan
     if not math.isfinite(length):
         return math.nan

@@ -9,10 +9,7 @@ from masking.reports import html, stability_figures
 
 
 def save(found: Stability, folder: str | Path) -> None:
-    """Write `stability.html`, `stability.json` and PNG files into a folder, made if need be.
-
-    Raises a `RecordError` where the folder cannot be written.
-    """
+    """Write page, numbers and PNG files into a folder, made if need be; a `RecordError` where it cannot be."""
     html.save(
         Path(folder, "stability.html"),
         "stability",

@@ -57,10 +57,7 @@ def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any ki
 
 
 def save(facts: Mapping[str, Any], columns: Columns, said: str, folder: Path) -> Path:
-    """Write `sweep.html` and its pictures into a folder, with a sentence on top; return the page.
-
-    Raises a `RecordError` where a file cannot be written.
-    """
+    """Write page and pictures, a sentence on top, into a folder; a `RecordError` says that one cannot be written."""
     failures = [(str(run), text) for run, text in zip(columns["run"], columns["error"], strict=True) if text]
     html.save(
         folder / PAGE,

@@ -55,10 +55,7 @@ class Drawing:
         return COLOURS[moved[0] % len(COLOURS)] if moved else MUTED
 
     def numbers(self, t: float, q: Sequence[float]) -> list[list[float]]:
-        """Numbers of each shape, in the order of its fields, at the time t in s and coordinates q (n,).
-
-        Raises a `DeclarationError` where an expression has no value.
-        """
+        """Numbers of each shape, in the order of its fields, at t in s and q (n,); fails where one has no value."""
         values = {**self.parameters, **dict(zip(self.coordinates, map(float, q), strict=True)), "t": t}
         return [[x.evaluate(values) for _, x in shape.formulas] for shape in self.shapes]
 

@@ -109,10 +109,7 @@ class Call:
         return Path(self.written.get("out") or self.verb.out.format(**stems))
 
     def do(self, *first: object, **more: object) -> Any:  # noqa: ANN401  # what the function returns
-        """Call the function of the verb, with a progress bar.
-
-        Arguments by position stand before those that are written, others in place of those.
-        """
+        """Call the function of the verb, with a progress bar; `more` replaces arguments that are written."""
         known = self.verb.parameters()
         given, positional = dict[str, Any](arguments.columns(self.written)), [*first]
         for name, text in self.written.items():
@@ -150,10 +147,7 @@ class Call:
         return self.answer(found.as_dict(), found)
 
     def answer(self, content: object, text: object) -> int:
-        """Print the result of a verb, and return the exit status 0.
-
-        For programs it is `content`, as JSON or as JSON can hold it; for people, `text`.
-        """
+        """Print the result of a verb, as JSON for programs or as text for people, and return the exit status 0."""
         from masking.display.json_text import json_text
 
         wanted = self.written.get("json", False)

@@ -214,10 +214,7 @@ class _Worker:
             time.sleep(_AGAIN)
 
     def _left(self, place: Path, end: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Outcome of a try from its folder, with what its stream holds.
-
-        `end` is how it ended, unless it had ended as planned and was saved before.
-        """
+        """Outcome of a try from its folder, with what its stream holds, and `end` unless it ended as planned."""
         found = self._kept(place)
         return found if end is None or found["end"] in batch_plan.PLANNED else {**found, **end}
 

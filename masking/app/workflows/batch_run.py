@@ -128,10 +128,7 @@ def _at_rest(
     lockstep: bool,
     operator: Operator,
 ) -> dict[str, float]:
-    """Wait until a rig is at rest; return the readings there by sensor.
-
-    Raises a `PlantError` where it did not come to rest, or a sensor's zero has moved.
-    """
+    """Wait until a rig is at rest, and return its readings; refuse one that moves, or a sensor whose zero has moved."""
     rate, twin = made.sampled.rate, made.twin
     held = safety_limits.without_model(safety_limits.rules(made.instruments, rate, twin))
     many, read, noise = max(2, round(_LOOKED * rate)), list[Array](), twin.noise()

@@ -228,10 +228,7 @@ def assumed(experiment: Experiment) -> Twin:
 
 
 def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path) -> Experiment:
-    """Experiment whose controller assumes what was found.
-
-    `files` are those of the discovery, where they lie now; `folder` is where they will lie.
-    """
+    """Experiment whose controller assumes what was found, in files that lie here now, and will lie in a folder."""
     settings = experiment.declaration.controller
     values = {name: value for name, value, *_ in discovery_files.refitted(found)}
     if files.model is None:  # all that was found are values

@@ -49,10 +49,7 @@ class Jumps:
         self._latest = dict.fromkeys(self.names, -math.inf)
 
     def follow(self, status: int, t: float) -> bool:
-        """Jump if an integration stopped at an event, at time t, and tell whether it did.
-
-        Raises an `IntegrationError` where an event comes again and again at one instant.
-        """
+        """Jump if an integration stopped at an event, and tell whether it did; refuses one that comes without end."""
         events = slice(self._size, self._size + len(self.names))
         self.state[-1] = math.inf
         if status != EVENT:

@@ -81,10 +81,7 @@ class Graph:
         return result
 
     def lower(self, expression: sp.Expr, symbols: Mapping[sp.Symbol, Node]) -> Node:
-        """Node of a sympy expression, with a node for each of its free symbols.
-
-        Raises a `ModelError` where the expression holds a function that cannot be compiled.
-        """
+        """Node of a sympy expression, given nodes of its symbols; a `ModelError` names what cannot be compiled."""
         return _Lowering(self, symbols).node(expression)
 
     def _node(self, operation: tuple[str | float | int, ...], varying: bool) -> Node:

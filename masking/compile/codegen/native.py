@@ -112,10 +112,7 @@ class NativeFunction:
         return results
 
     def bind(self, *given: np.ndarray | tuple[Any, ...]) -> BoundFunction:
-        """Function with arrays that it reads and writes at each call; a number is an array of one.
-
-        Raises a `TypeError` as a call does.
-        """
+        """Function with arrays that it reads and writes at each call; a number is an array of one."""
         results, passed, lines = (ctypes.c_double * RESULTS)(), list[str](), list[str]()
         arrays = self._completed(given)
         for (name, kind), value in zip(self.arguments.items(), arrays, strict=True):
@@ -329,10 +326,7 @@ def _without_aliases(text: str) -> str:
 
 
 def optimise(module: Any, entry: str, machine: Callable[[], Any]) -> None:  # noqa: ANN401
-    """Optimise LLVM code once more, now that all of it is known to be one function, `entry`.
-
-    `machine` returns a new description of the processor that the code is for.
-    """
+    """Optimise LLVM code once more, now that it is one function, for a processor that `machine` describes anew."""
     # Names are kept inside: numba gives functions of different processes the same ones.
     for value in (*module.functions, *module.global_variables):
         if not value.is_declaration and not value.name.startswith("llvm.") and value.name != entry:

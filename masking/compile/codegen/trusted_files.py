@@ -93,10 +93,7 @@ def read_sealed(source: Path) -> bytes | None:
 
 
 def _read(source: Path) -> bytes:
-    """Read a regular file that this user owns and nobody else may write, in such a folder.
-
-    Raises an `UntrustedError` for anything else, an `OSError` where it is not there or cannot be read.
-    """
+    """Read a regular file in a folder, both of this user's and for no one else to write; else an `UntrustedError`."""
     if os.name != "posix":
         return source.read_bytes()
     folder = os.open(source.parent, os.O_RDONLY | os.O_DIRECTORY)

@@ -331,10 +331,7 @@ def steps_under_way(derivative: Kernel, size: int) -> Kernel:
 
 
 def steps_of_runge_kutta_4(derivative: Kernel, size: int) -> Kernel:
-    """Make equal steps of the classical Runge-Kutta method.
-
-    Returns `advance(t, y, u, p, dt, substeps, work)`, which moves y over dt in `substeps` steps; `work` (5, n).
-    """
+    """Make `advance(t, y, u, p, dt, substeps, work)`: equal steps of classical Runge-Kutta; `work` (5, n)."""
     step = runge_kutta_4(derivative, size)
 
     @compiled

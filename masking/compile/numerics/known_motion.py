@@ -55,10 +55,7 @@ def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
 
 
 def readings_along(sensed: Kernel) -> Kernel:
-    """Make the readings along states.
-
-    Returns `read(count, dt, ports, p, motion, readings, work)`, which writes them (count, sensors).
-    """
+    """Make `read(count, dt, ports, p, motion, readings, work)`, which writes readings (count, sensors) along states."""
 
     @compiled
     def read(

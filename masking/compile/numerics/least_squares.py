@@ -44,10 +44,7 @@ class System:
         return bool(np.isfinite(self.matrix).all() and np.isfinite(self.gradient).all())
 
     def with_prior(self, off: Array, deviation: Array) -> System:
-        """Equations with a normal prior.
-
-        `off` is mean less value (n,), `deviation` (n,) infinite for unknowns without a prior.
-        """
+        """Equations with a normal prior: mean less value (n,), and its deviation (n,), infinite where there is none."""
         weights = deviation**-2.0
         return replace(self, matrix=self.matrix + np.diag(weights), gradient=self.gradient + off * weights)
 

@@ -456,10 +456,7 @@ def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) ->
 def bounded(
     declaration: Declaration, path: str, shown: str, value: float | None, bounds: tuple[float | None, float | None]
 ) -> Iterator[Problem]:
-    """Check the bounds of a parameter, and that its value lies within them; None for no value or bound.
-
-    `shown` is the value in words, such as "w = 2 rad/s".
-    """
+    """Check the bounds of a parameter, and that its value, in words such as "w = 2 rad/s", lies within them."""
     low, high = bounds
     if value is not None and not math.isfinite(value):
         yield problem_at(declaration, f"{path}.value", f"{shown} is not finite")

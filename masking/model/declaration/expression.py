@@ -81,10 +81,7 @@ class Expression:
         return self.place and Place(self.place.file, self.place.line, self.place.column + index)
 
     def problem(self, span: Step | tuple[int, int], message: str, mend: str = "") -> Problem:
-        """Describe what is wrong with one part of the text, with the source line and a caret below it.
-
-        The span is a step, or first and last index in the text.
-        """
+        """Describe what is wrong with a step or a span of the text, with the source line and a caret below it."""
         start, end = (span.start, span.end) if isinstance(span, Step) else span
         window = max(0, start - 60)
         shown = re.sub(r"[^ -~\u00a0-\U0010ffff]", " ", self.text[window : window + 120])

@@ -51,10 +51,7 @@ class Assembly:
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
-    """Load a model with everything it extends, merged into one declaration whose places point into the right files.
-
-    Raises a `DeclarationError` that lists every problem with its place.
-    """
+    """Load a model with all that it extends as one declaration; a `DeclarationError` lists and places problems."""
     chain: list[tuple[Path, Node, dict[str, Any]]] = []
     files: dict[str, str] = {}
     refused: list[Problem] = []
@@ -111,10 +108,7 @@ def with_dictionary(
 
 
 def check_plant_file(name_or_path: str | Path) -> PlantDeclaration:
-    """Load a plant and check it against the model that it names, the units of both included.
-
-    Raises a `DeclarationError` that lists every problem with its place.
-    """
+    """Load a plant, checked against its model with units; a `DeclarationError` lists every problem with its place."""
     plant = load_plant(name_or_path)
     model = load_model(plant.model, refer(plant, "model"))
     problems = check_plant(plant, model) + check_dimensions(model) + check_scales(model)
@@ -183,10 +177,7 @@ def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str,
 
 
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
-    """Load what an experiment refers to and check that it fits; `plant` replaces the experiment's own.
-
-    Raises a `DeclarationError` that lists every problem with its place.
-    """
+    """Load all that an experiment refers to, `plant` in place of its own; a `DeclarationError` lists misfits."""
     rig, plant_model = _rig(experiment, plant)
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
     assumed = experiment.controller.model

@@ -67,10 +67,7 @@ def symbolic(curve: Curve, x: sp.Expr, *points: sp.Expr) -> sp.Expr:
 
 
 def trouble(points: Sequence[float | None]) -> str:
-    """Say what is wrong with the points of a table: abscissa and ordinate of each in turn, None of what is no number.
-
-    '' where nothing is.
-    """
+    """Say what is wrong with a table's abscissas and ordinates in turn (None: no number); '' for nothing."""
     if len(points) % 2 or len(points) < 2 * FEWEST:
         return f"a table has {FEWEST} points or more, each x and y"
     known = [value for value in points if value is not None]

@@ -190,10 +190,7 @@ def _named(name: str) -> tuple[float, dict[str, Fraction]]:
 
 @functools.cache
 def named_by_pint(name: str) -> tuple[float, dict[str, Fraction]]:
-    """Factor of a unit to SI, and its powers of `BASES`, as pint has them.
-
-    Raises a `LookupError` where pint does not know it, or it is no multiple of an SI unit.
-    """
+    """Factor of a unit to SI, and its powers of `BASES`; a `LookupError` where pint knows no such multiple."""
     registry = _registry()
     try:
         one = registry.Quantity(1.0, name).to_base_units()
