@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import masking
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.trusted_files import write_whole
 from masking.model.declaration import catalogue
 from reproduction.comparison import Entry, Value
@@ -45,8 +45,8 @@ def is_cached(number: str, make: Callable[[], Entry]) -> bool:
 
 
 def _path(number: str, make: Callable[[], Entry]) -> Path:
-    key = store.key({"entry": number, "made_by": make.__qualname__, "made_from": _sources()})
-    return store.directory() / "thesis" / f"{key}.json"
+    key = module_store.key({"entry": number, "made_by": make.__qualname__, "made_from": _sources()})
+    return module_store.directory() / "thesis" / f"{key}.json"
 
 
 @functools.cache

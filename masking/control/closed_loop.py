@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
@@ -24,9 +24,9 @@ from masking.model.modelling.model import Model
 if TYPE_CHECKING:
     import control
 
-    from masking.compile.numerics import integrators, sampled_loop, single_step
+    from masking.compile.numerics import runge_kutta, sampled_loop, single_step
 else:
-    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
     sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
     single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
     control = lazy.load("control")
@@ -97,16 +97,16 @@ class ClosedLoop:
         Raises:
             ActuationError: the inputs cannot accelerate every virtual coordinate.
         """
-        return Kernels(store.load(self._key, self._build))
+        return Kernels(module_store.load(self._key, self._build))
 
     @property
     def is_compiled(self) -> bool:
         """Whether the loop is in the cache on disk."""
-        return store.exists(self._key)
+        return module_store.exists(self._key)
 
     @property
     def _key(self) -> str:
-        return store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
+        return module_store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
 
     def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
         """Results of the blocks at one state of the rig.
@@ -230,6 +230,6 @@ def module(loop: ClosedLoop) -> Module:
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
     added = Added(law.lagged, law.delays, law.conditions, targets)
     add_runge_kutta(made, graph, added, joined, (size, len(loop.plant.inputs)))
-    made.add_factory("run_sampled", integrators.sampled, "step", "plant_derivative", size, n, work=(5, size))
+    made.add_factory("run_sampled", runge_kutta.sampled, "step", "plant_derivative", size, n, work=(5, size))
     made.add_factory("along", sampled_loop.along, "transform", "step", n)
     return made

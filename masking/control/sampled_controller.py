@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
@@ -33,9 +33,9 @@ from masking.errors import ModelError
 from masking.model.modelling.lowering import LoweredEquations
 
 if TYPE_CHECKING:
-    from masking.compile.numerics import integrators, sampled_loop, single_step
+    from masking.compile.numerics import runge_kutta, sampled_loop, single_step
 else:
-    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
     single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
     sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
 
@@ -154,7 +154,7 @@ class SampledController:
     @cached_property
     def kernels(self) -> Kernels:
         """Compiled controller; from the cache on disk where it has been made before."""
-        return Kernels(store.load(store.key({"sampled": self.structure()}), self._build))
+        return Kernels(module_store.load(module_store.key({"sampled": self.structure()}), self._build))
 
     def _build(self) -> Module:
         check_actuation(self.controller.model, self.controller.transform)
@@ -357,16 +357,16 @@ class SampledLoop:
     @cached_property
     def kernels(self) -> Kernels:
         """Compiled loop; from the cache on disk where it has been made before."""
-        return Kernels(store.load(self._key, self._build))
+        return Kernels(module_store.load(self._key, self._build))
 
     @property
     def is_compiled(self) -> bool:
         """Whether the loop is in the cache on disk."""
-        return store.exists(self._key)
+        return module_store.exists(self._key)
 
     @property
     def _key(self) -> str:
-        return store.key({"sampled": self.sampled.structure(), "twin": self.twin.structure()})
+        return module_store.key({"sampled": self.sampled.structure(), "twin": self.twin.structure()})
 
     @property
     def width(self) -> int:
@@ -381,6 +381,6 @@ class SampledLoop:
         self.twin.add_to(module)
         self.sampled.add_to(module)
         size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
-        module.add_factory("move_rig", integrators.steps_under_way, "twin_derivative", size, exported=False)
+        module.add_factory("move_rig", runge_kutta.steps_under_way, "twin_derivative", size, exported=False)
         module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)
         return module

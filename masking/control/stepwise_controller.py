@@ -12,7 +12,7 @@ from typing import Any, NoReturn, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masking.compile.codegen.native import BoundFunction
+from masking.compile.codegen.machine_code import BoundFunction
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, TIME
 from masking.compile.numerics.kernel_arguments import Unit

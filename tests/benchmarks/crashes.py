@@ -23,7 +23,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
-from masking.lab.records import stream, stream_content
+from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import Recorder
 from masking.lab.records.ring import Ring, RingReader
 
@@ -82,12 +82,12 @@ def lost_rows(seconds: float, folder: Path, *, both: bool) -> int:
     return max(0, count - len(table))
 
 
-def _ended(folder: Path, *, wait: bool) -> stream_content.Stream:
+def _ended(folder: Path, *, wait: bool) -> stream_reader.Stream:
     """Return a stream once nothing is added any more."""
     until = time.monotonic() + 10.0
     while True:
         with contextlib.suppress(RecordError):
-            found = stream_content.read(folder)
+            found = stream_reader.read(folder)
             if found.end is not None or not wait or time.monotonic() > until:
                 return found
         time.sleep(0.02)
@@ -110,7 +110,7 @@ def changed(folder: Path, number: int) -> tuple[int, int]:
     where, found, wrong = np.random.default_rng(1), 0, 0
     for at, by in zip(where.integers(0, len(data), number), where.integers(1, 256, number), strict=True):
         (folder / stream.ROWS).write_bytes(data[:at] + bytes([data[at] ^ int(by)]) + data[at + 1 :])
-        read = stream_content.read(folder)
+        read = stream_reader.read(folder)
         found += bool(read.damages)
         wrong += not np.array_equal(read.table, table[read.numbers])
     return found, wrong
@@ -122,7 +122,7 @@ def cut(folder: Path, number: int) -> int:
     exact = 0
     for at in np.random.default_rng(2).integers(0, len(data), number):
         (folder / stream.ROWS).write_bytes(data[:at])
-        read = stream_content.read(folder)
+        read = stream_reader.read(folder)
         exact += not read.damages and np.array_equal(read.table, table[: len(read.table)])
     return exact
 

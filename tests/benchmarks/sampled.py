@@ -32,7 +32,7 @@ FLAGS = {
     "-O3 -march=native -ffp-contract=fast": ["-O3", "-march=native", "-ffp-contract=fast"],
 }
 
-# The loop of `masking.compile.numerics.integrators.sampled` with `runge_kutta_4`, line by line.
+# The loop of `masking.compile.numerics.runge_kutta.sampled` with `runge_kutta_4`, line by line.
 LOOP = """
 #include <math.h>
 

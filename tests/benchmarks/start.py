@@ -20,7 +20,7 @@ TOP = Path(__file__).resolve().parents[2]
 COLD = """
 import json, sys, time
 clock = [time.perf_counter()]
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
 from masking.lab.runs.experiment import Experiment
 def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
 parts = {"import": lap()}

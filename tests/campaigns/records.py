@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from masking.lab.plants.udp import UdpPlant
-from masking.lab.records import stream, stream_content
+from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import WATCHING, Recorder
 from masking.lab.records.ring import cells
 from masking.lab.runs import hardware
@@ -52,7 +52,7 @@ def _cut(bench: Bench, judgement: Judgement) -> None:
     data, wrong, lost = (folder / stream.ROWS).read_bytes(), 0, 0
     for at in random.integers(0, len(data), number):
         (folder / stream.ROWS).write_bytes(data[:at])
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         wrong += bool(found.damages) or not np.array_equal(found.table, table[: len(found.table)])
         there = min(_ROWS, _PAGE * (int(np.searchsorted(ends, at, side="right")) + 1))
         lost = max(lost, there - len(found.table))
@@ -97,7 +97,7 @@ def _recorded(
             put(cells(row))
             time.sleep(max(0.0, begin + (n + 1) / RATE - time.monotonic()))
     made.close()
-    found = stream_content.read(folder)
+    found = stream_reader.read(folder)
     exact, there = np.array_equal(found.table[:, 0], np.arange(len(found.table))), len(found.table)
     judgement.need(exact and not found.damages, f"wrong rows: {found.damages}")
     judgement.need(not waits.held, f"{len(waits.held)} rows made the loop wait")
@@ -176,7 +176,7 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
     judgement.need(rig["end"] == "disk full", f"the run ended as {rig['end']}")
     judgement.need(own.manifest["end"] == "bye", f"the plant's session ended as {own.manifest['end']}")
     judgement.need(not own.array("input")[-1].any(), "the plant was not left at zero")
-    lost = own.manifest["counters"]["commands"] - len(stream_content.read(folder).table)
+    lost = own.manifest["counters"]["commands"] - len(stream_reader.read(folder).table)
     counted = rig.get("recorder", {}).get("lost", 0)
     judgement.need(counted == lost > 0, f"{counted} lost rows counted of {lost}")
     judgement.say(f"a run: {rig['end']}, {rig.get('recorder', {}).get('note', '')}")

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import masking
-from masking.compile.codegen.native import RESULTS
+from masking.compile.codegen.machine_code import RESULTS
 from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.errors import CommandError, PlantMismatchError, SingularityError
 from masking.lab.plants.interface import Settings

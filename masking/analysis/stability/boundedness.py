@@ -8,16 +8,17 @@ Source: LaSalle (1960), Some extensions of Liapunov's second method; Rockafellar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 from sympy.simplify.fu import TR8
 
-from masking.analysis.stability.algebra import is_zero, normal, without_void
+from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.branch_and_bound import is_positive
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
+from masking.analysis.stability.sums_of_squares import squares
 from masking.errors import ModelError
 
 
@@ -110,40 +111,6 @@ def is_kinetic(matrix: sp.Matrix, motion: Motion) -> bool:
 def is_positive_definite(matrix: sp.Matrix, given: Hypotheses) -> bool:
     """Whether a symmetric matrix is positive definite for all coordinates: by its leading minors (Sylvester)."""
     return all(given.declared_sign(normal(matrix[:k, :k].det())) == 1 for k in range(1, matrix.rows + 1))
-
-
-@dataclass(frozen=True)
-class Square:
-    """A term coefficient * form^2 with a linear form of some symbols."""
-
-    coefficient: sp.Expr
-    form: sp.Expr
-
-
-def squares(
-    matrix: sp.Matrix,
-    symbols: Sequence[sp.Symbol],
-    given: Hypotheses,
-    is_positive: Callable[[sp.Expr], bool] | None = None,
-) -> tuple[Square, ...] | None:
-    """X^T matrix x as a sum of squares with positive coefficients; None where it is not seen to be one.
-
-    By completing squares, one symbol after the other: matrix = L D L^T, with D > 0 or left out where it is 0. An entry
-    of D counts as positive where `is_positive` says so; by default, where it is so for all coordinates.
-    """
-    is_positive = is_positive or (lambda pivot: given.declared_sign(pivot) == 1)
-    rest, found = matrix.applyfunc(lambda x: without_void(normal(x), given)), []
-    for i in range(rest.rows):
-        row = rest[i, :]
-        if all(x == 0 for x in row):
-            continue
-        pivot = rest[i, i]
-        if pivot == 0 or not is_positive(pivot):
-            return None
-        form = sum((normal(row[j] / pivot) * symbols[j] for j in range(rest.cols)), sp.Integer(0))
-        found.append(Square(pivot, form))
-        rest = (rest - row.T * row / pivot).applyfunc(lambda x: without_void(normal(x), given))
-    return tuple(found)
 
 
 def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Expr]]]:

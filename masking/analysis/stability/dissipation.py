@@ -14,7 +14,6 @@ import numpy as np
 import sympy as sp
 
 from masking.analysis.stability.algebra import normal, without_void
-from masking.analysis.stability.boundedness import Square, squares
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.free_equations import Motion, jumps_of
@@ -22,6 +21,7 @@ from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import state_matrix
+from masking.analysis.stability.sums_of_squares import Square, squares
 from masking.compile.codegen.graph import Graph
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError

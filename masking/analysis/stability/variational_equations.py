@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.source import Module
@@ -27,9 +27,9 @@ from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
 
 if TYPE_CHECKING:
-    from masking.compile.numerics import integrators
+    from masking.compile.numerics import runge_kutta
 else:
-    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Variational:
         """Compiled functions; from the cache on disk where they have been made before."""
         self.model.check_ordinary("a variational equation")
         made_from = {"variational": self.model.structure(), "directions": self.columns}
-        return Kernels(store.load(store.key(made_from), self._build))
+        return Kernels(module_store.load(module_store.key(made_from), self._build))
 
     def _build(self) -> Module:
         self.model.validate()
@@ -84,7 +84,7 @@ class Variational:
         nodes = [(f"dy[{i}]", node) for i, node in enumerate([*rates, *flow])]
         module.add("derivative(t: float, y, u, p, dy)", graph, nodes, lowered.joined() | at, returns=lowered.health)
         every = size * (1 + columns)
-        module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", every, work=(24, every))
+        module.add_factory("solve_runge_kutta", runge_kutta.runge_kutta, "derivative", every, work=(24, every))
         return module
 
     def along(

@@ -26,7 +26,7 @@ from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Cause
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.records import stream, stream_content
+from masking.lab.records import stream, stream_reader
 from masking.lab.records.child_process import end_with_parent
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan, hardware, safety_limits
@@ -99,7 +99,7 @@ def _saved(experiment: Experiment, recording: Recording, folder: Path) -> dict[s
     """Save a recording; return the facts of it, with the energy of all ticks, the homing included."""
     recording.save(folder, overwrite=True)
     with contextlib.suppress(RecordError):
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         table, columns = found.table, list(found.manifest["columns"])
         inputs = table[:, [columns.index(f"input.{name}") for name in experiment.instruments.actuators]]
         spent = {"energy": batch_plan.energy(experiment, inputs, experiment.sampled.rate)}

@@ -14,12 +14,12 @@ from masking.app.workflows.output_folders import RUN, check_folder
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
-from masking.lab.records import stream, stream_content
+from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import CLOSED
 from masking.lab.records.recording import Recording
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import is_running
-from masking.lab.records.stream_content import Stream
+from masking.lab.records.stream_reader import Stream
 from masking.lab.records.tick_times import timing
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
@@ -89,7 +89,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         RecordError: there is no stream, or no row in it, it is still being written, or the folder cannot be written.
     """
     target = Path(folder if out is None else out)
-    found = stream_content.read(folder)
+    found = stream_reader.read(folder)
     check_folder(target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite)
     numbers, table = _with_ring(found)
     if not len(table):

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from masking.compile.codegen import native, store
+from masking.compile.codegen import machine_code, module_store
 from masking.compile.codegen.content_hashes import digest, versions
 from masking.compile.codegen.llvm_text import ALIGNED, FUSED, defined, number, parameters
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.numerics.rig_sizes import LANES
 
 NAME = "carry"
@@ -33,8 +33,8 @@ def link(states: int, coordinates: int, more: int = 0) -> dict[str, NativeFuncti
     that is too large; others run in loops.
     """
     made = _text([n for n in range(states, states + more + 1) if n <= LARGEST], coordinates)
-    stem = store.directory() / "objects" / digest(versions(), made)
-    return {SIGNATURE: NativeFunction(NAME, TYPES, [], None, lambda: native.parsed(made), stem)}
+    stem = module_store.directory() / "objects" / digest(versions(), made)
+    return {SIGNATURE: NativeFunction(NAME, TYPES, [], None, lambda: machine_code.parsed(made), stem)}
 
 
 def _text(states: Sequence[int], coordinates: int) -> str:
@@ -45,7 +45,7 @@ def _text(states: Sequence[int], coordinates: int) -> str:
     for label, (name, _) in cases.items():
         body += [f"{label}:", f"call void @{name}({passed})", "ret void"]
     functions = [_function(name, n, coordinates, is_unrolled=label != "any") for label, (name, n) in cases.items()]
-    entry = defined(f"void @{native.ENTRY}({head}, ptr %.found)", body)
+    entry = defined(f"void @{machine_code.ENTRY}({head}, ptr %.found)", body)
     return "\n".join([*functions, entry, UNROLLED])
 
 

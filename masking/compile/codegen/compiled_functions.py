@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen import native, store
+from masking.compile.codegen import machine_code, module_store
 from masking.compile.codegen.event_jumps import Jumps
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
+from masking.compile.codegen.module_store import Generated
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.store import Generated
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.stop_codes import EVENT, MESSAGES, REACHED, SINGULAR
 from masking.errors import IntegrationError, SingularityError, nearest
@@ -175,7 +175,7 @@ class Kernels:
                 some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])
                 solve(begin, y[some], times, inputs, p[some], tolerance, found[some], rows)
 
-            native.share(part, len(y), threads)
+            machine_code.share(part, len(y), threads)
         else:
             solve = getattr(self, f"solve_{self.meta['method']}")
             found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
@@ -234,7 +234,7 @@ def linked(
         return module
 
     by_name = {signature.partition("(")[0]: function for signature, function in links.items()}
-    return Kernels(store.load(store.key({"kernels": name, "links": list(links)}), build, by_name, work))
+    return Kernels(module_store.load(module_store.key({"kernels": name, "links": list(links)}), build, by_name, work))
 
 
 def steps_between(slope: Callable[[Array, Array], None], state: Array, lengths: Array, rate: float) -> int:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-from masking.compile.codegen import native, structs
+from masking.compile.codegen import machine_code, structs
 from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.content_hashes import digest, source_of, versions
 from masking.compile.codegen.llvm_text import Expressions
@@ -56,7 +56,7 @@ def template(module: Module, name: str) -> Template:
     arguments = structs.signature(closure.function)
     arguments.pop("return", None)
     printer.structs |= {structs.definition(kind) for kind in arguments.values() if not isinstance(kind, str)}
-    interface = native.interface(name, arguments, module.meta["functions"][name]["results"])
+    interface = machine_code.interface(name, arguments, module.meta["functions"][name]["results"])
     sizes = [
         f'size_{i} = numba.types.ExternalFunction("{size_symbol(i)}", numba.i8())' for i in range(len(printer.sizes))
     ]
@@ -95,7 +95,7 @@ class _Printer:
                 text = self._kernel(part, callee)
                 self.names[callee] = wanted or f"kernel_{len(self.names)}_{part.tree.name}"
                 is_inlined = getattr(callee, "targetoptions", {}).get("forceinline")
-                decorator = INLINED if is_inlined else native.DECORATOR
+                decorator = INLINED if is_inlined else machine_code.DECORATOR
                 self.texts.append(f"{decorator}\ndef {self.names[callee]}{text}")
         return self.names[callee]
 
@@ -154,7 +154,7 @@ class _Written(ast.NodeTransformer):
 
 def _link(name: str, types: Mapping[str, str], returns: bool) -> str:
     """Source of a function that calls a function of the model, as `llvm_text` prints it."""
-    declared, passed = native.passed(types)
+    declared, passed = machine_code.passed(types)
     signature = f"{'numba.f8' if returns else 'numba.void'}({', '.join(declared)})"
     call = f"{'return ' if returns else ''}_{name}({', '.join(passed)})"
-    return native.calling(name, signature, f"linked_{name}({', '.join(types)})", call)
+    return machine_code.calling(name, signature, f"linked_{name}({', '.join(types)})", call)

@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
-from masking.compile.codegen import llvm_text, native, structs
+from masking.compile.codegen import llvm_text, machine_code, structs
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Expressions, Results
 from masking.compile.codegen.printers import Language, needed
@@ -112,7 +112,7 @@ class Module:
         name, types = _read(signature)
         made = self.parts[name] = Expressions(types, graph, results, loads, returns)
         self._export(name, types, "None" if returns is None else "float")
-        self.definitions[name] = llvm_text.function(native.symbol(name), made, free, lanes)
+        self.definitions[name] = llvm_text.function(machine_code.symbol(name), made, free, lanes)
 
     def add_choice(
         self, signature: str, zeros: Sequence[str], cases: Sequence[tuple[Graph, Results, Mapping[str, str]]]
@@ -124,7 +124,7 @@ class Module:
         """
         name, types = _read(signature)
         self._export(name, types, "None")
-        self.definitions[name] = llvm_text.choice(native.symbol(name), types, zeros, cases)
+        self.definitions[name] = llvm_text.choice(machine_code.symbol(name), types, zeros, cases)
 
     def add_coefficients(
         self,
@@ -206,10 +206,10 @@ class Module:
         """Add a function that is machine code of its own: those that call it do not depend on what it is made of.
 
         Its signature is as for `add`, with arrays that are not empty, and it returns nothing. Its machine code is that
-        of the function of this name in the `links` of `store.load`.
+        of the function of this name in the `links` of `module_store.load`.
         """
         name, types = _read(signature)
-        self.functions.append(native.link(name, types))
+        self.functions.append(machine_code.link(name, types))
         self.meta.setdefault("links", []).append(name)
 
     def add_text(self, signature: str, text: str) -> None:
@@ -222,12 +222,12 @@ class Module:
     ) -> None:
         """Describe a function in `meta`, and add its C interface where it is Python."""
         for argument, kind in structs.fields(arguments).items():
-            if kind not in native.C_TYPES:
-                raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(native.C_TYPES)}")
+            if kind not in machine_code.C_TYPES:
+                raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(machine_code.C_TYPES)}")
         results = [] if returned == "None" else re.findall(r"float|int", returned)
         if self.functions:
             self._imports |= {structs.imported(kind) + "\n" for kind in arguments.values() if not isinstance(kind, str)}
-            self.functions.append(native.interface(name, arguments, results))
+            self.functions.append(machine_code.interface(name, arguments, results))
         flat = structs.fields(arguments)
         self.meta.setdefault("functions", {})[name] = {"arguments": flat, "results": results, "work": work}
 

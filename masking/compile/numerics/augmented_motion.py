@@ -34,7 +34,6 @@ from masking.compile.numerics.effect_table import (
     VALUE,
 )
 from masking.compile.numerics.inertia import accelerate, draw_rows
-from masking.compile.numerics.integrators import held_late
 from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
 from masking.compile.numerics.motion_sensitivities import (
     command_at,
@@ -57,6 +56,7 @@ from masking.compile.numerics.rig_sizes import (
     SIZES,
     STATES,
 )
+from masking.compile.numerics.runge_kutta import held_late
 from masking.compile.numerics.vectors import add_products, cleared
 
 

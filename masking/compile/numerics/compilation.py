@@ -2,7 +2,7 @@
 
 By itself numba optimises a function together with all that it calls, and makes machine code of it, before it compiles
 what calls that: a function within ten others is optimised eleven times. Machine code of kernels is made once, of all of
-a kernel together, by `codegen.native`. measured: the largest kernel then takes 16 s in the place of 94 s.
+a kernel together, by `codegen.machine_code`. measured: the largest kernel then takes 16 s in the place of 94 s.
 Kernels cannot be called from Python; `py_func` can.
 """
 

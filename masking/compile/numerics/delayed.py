@@ -15,8 +15,8 @@ import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
-from masking.compile.numerics.integrators import copy, embedded_steps, no_event
 from masking.compile.numerics.kernel_arguments import Accuracy
+from masking.compile.numerics.runge_kutta import copy, embedded_steps, no_event
 
 STEPS = 4096  # that are kept: as many as fit into the longest delay
 KINKS = 9  # derivatives of the solution in which the kink at the initial time comes back

@@ -15,7 +15,7 @@ import math
 from masking.compile.numerics.arrays import Kernel
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
-from masking.compile.numerics.integrators import copy
+from masking.compile.numerics.runge_kutta import copy
 
 AVERAGED = 0.25  # bandwidth of the mean of twice the kinetic energy, as a part of that of the power's filters
 

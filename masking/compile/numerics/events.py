@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
-from masking.compile.numerics.integrators import copy, dense_output, embedded_steps, forget
 from masking.compile.numerics.kernel_arguments import Accuracy
+from masking.compile.numerics.runge_kutta import copy, dense_output, embedded_steps, forget
 
 INTERVALS = 8  # of a step, and one more at each of its ends
 EDGE = 1e-3  # the length of these

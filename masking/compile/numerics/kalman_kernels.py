@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 from masking.compile.numerics.arrays import Kernel, Matrix
 from masking.compile.numerics.compilation import compiled
-from masking.compile.numerics.integrators import copy
 from masking.compile.numerics.kernel_arguments import (
     Filtered,
     FilteredTwin,
@@ -34,6 +33,7 @@ from masking.compile.numerics.motion_sensitivities import (
     runge_kutta_4,
     take,
 )
+from masking.compile.numerics.runge_kutta import copy
 from masking.compile.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
 
 # Rows of the table of the parameters' limits: bounds, and the change after which derivatives are found anew.

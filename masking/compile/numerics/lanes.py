@@ -12,8 +12,8 @@ import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
-from masking.compile.numerics.integrators import copy
 from masking.compile.numerics.kernel_arguments import Reached
+from masking.compile.numerics.runge_kutta import copy
 from masking.compile.numerics.stop_codes import REACHED
 from masking.compile.numerics.taylor_integrator import ALL_BUT_ROUNDING, obstacle, shortened
 

@@ -33,9 +33,9 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
-from masking.compile.numerics.integrators import held_late
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
+from masking.compile.numerics.runge_kutta import held_late
 from masking.compile.numerics.vectors import add_products, cleared
 
 

@@ -25,8 +25,8 @@ from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.compile.numerics.energy_balance import energy_balance
-from masking.compile.numerics.integrators import classical_step, copy, fault
 from masking.compile.numerics.kernel_arguments import Parts, Recorded, Rig, Samples, UnderWay, Unit
+from masking.compile.numerics.runge_kutta import classical_step, copy, fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
 

@@ -9,8 +9,8 @@ import math
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
-from masking.compile.numerics.integrators import fault
 from masking.compile.numerics.kernel_arguments import Unit
+from masking.compile.numerics.runge_kutta import fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 
 

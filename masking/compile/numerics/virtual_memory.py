@@ -18,7 +18,7 @@ from masking.compile.numerics.arrays import Kernel, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.events import jumps
-from masking.compile.numerics.integrators import classical_step, copy
+from masking.compile.numerics.runge_kutta import classical_step, copy
 
 # measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
 STEPS = 4

@@ -8,7 +8,7 @@ import numpy as np
 
 from masking.compile.codegen.compiled_functions import steps_between
 from masking.compile.codegen.source import Module
-from masking.compile.numerics import integrators
+from masking.compile.numerics import runge_kutta
 from masking.control.exports import unit_kernels
 from masking.control.exports.unit import Channel, Operations, Unit, identifier
 from masking.control.rig.twin import Twin
@@ -65,7 +65,7 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     size, u = len(state), np.zeros(len(model.inputs))
     lengths = np.resize(model.lengths, size) if n else np.ones(size)
     substeps = steps_between(lambda y, out: model.kernels.derivative(0.0, y, u, values, out), state, lengths, rate)
-    module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", size, exported=False)
+    module.add_factory("advance", runge_kutta.steps_of_runge_kutta_4, "derivative", size, exported=False)
     operations = Operations(module, 0, period)
     begin = (unit_kernels.model_beginning, "clear", size, len(values))
     operations.add("init", "Begin in the initial state.", "y p counters state0 values", *begin)

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
-from masking.compile.numerics.integrators import copy, fault
 from masking.compile.numerics.kernel_arguments import UnderWay, Unit
+from masking.compile.numerics.runge_kutta import copy, fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 
 INDEX, WAITED, STATUS = range(3)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels, steps_between
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
@@ -32,9 +32,9 @@ from masking.model.modelling.model import Model
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.compile.numerics import integrators
+    from masking.compile.numerics import runge_kutta
 else:
-    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
     sp = lazy.load("sympy")
 
 
@@ -386,7 +386,7 @@ class Twin:
     @cached_property
     def kernels(self) -> Kernels:
         """Compiled functions `sense`, `advance` and `move`; from the cache on disk where they are."""
-        return Kernels(store.load(store.key({"twin": self.structure()}), self._build))
+        return Kernels(module_store.load(module_store.key({"twin": self.structure()}), self._build))
 
     def _build(self) -> Module:
         module = Module(self.declaration.name, {"kind": "twin", **self.state_kinds})
@@ -406,8 +406,8 @@ class Twin:
             module.add("sense(t: float, y, p, noise, s)", nodes.graph, nodes.readings, nodes.loads)
         module.add("twin_derivative(t: float, y, u, p, dy)", nodes.graph, nodes.derivatives, nodes.loads, nodes.health)
         size = len(self.state_names)
-        module.add_factory("advance", integrators.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
-        module.add_factory("move", integrators.steps_under_way, "twin_derivative", size, work=(5, size))
+        module.add_factory("advance", runge_kutta.steps_of_runge_kutta_4, "twin_derivative", size, work=(5, size))
+        module.add_factory("move", runge_kutta.steps_under_way, "twin_derivative", size, work=(5, size))
 
 
 class LoweredTwin:

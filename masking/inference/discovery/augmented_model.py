@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import column_step, store
+from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import jacobian
@@ -293,7 +293,7 @@ class AugmentedModel:
     def equations(self) -> Kernels:
         """Compiled equations, readings and places of the rig with ports, and their derivatives."""
         made_from = {"augmented": self._opened[0].structure(), "affected": list(self._sensitivity.affected)}
-        return Kernels(store.load(store.key(made_from), self._build))
+        return Kernels(module_store.load(module_store.key(made_from), self._build))
 
     def _build(self) -> Module:
         twin, _ = self._opened

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
@@ -136,7 +136,7 @@ def rate_of(name: str) -> str:
 def library(kinds: Mapping[str, Effect]) -> NativeFunction:
     """Laws as machine code of their own, to which the kernels of every rig are linked."""
     made_from = {"laws": {name: effect.structure() for name, effect in kinds.items()}}
-    return store.load(store.key(made_from), lambda: printed(kinds)).function(LAW)
+    return module_store.load(module_store.key(made_from), lambda: printed(kinds)).function(LAW)
 
 
 def printed(kinds: Mapping[str, Effect]) -> Module:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import column_step, store
+from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
 from masking.compile.numerics.arrays import Array, IntMatrix
@@ -169,7 +169,9 @@ class Sensitivity:
     def equations(self) -> Kernels:
         """Compiled equations and readings of the twin, and their derivatives."""
         return Kernels(
-            store.load(store.key({"sensitivity": [self.twin.structure(), list(self.affected)]}), self._build)
+            module_store.load(
+                module_store.key({"sensitivity": [self.twin.structure(), list(self.affected)]}), self._build
+            )
         )
 
     def _build(self) -> Module:

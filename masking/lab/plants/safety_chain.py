@@ -1,4 +1,4 @@
-"""Safety chain: checks each reading and clamps each command of a run, by kernels of `numerics.safety_kernels`.
+"""Safety chain: checks each reading and clamps each command of a run, by kernels of `numerics.fault_detection`.
 
 Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `command_guard` in a server.
 In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
@@ -27,9 +27,9 @@ from masking.compile.numerics.kernel_arguments import Guarded, Watched
 from masking.errors import PlantMismatchError
 
 if TYPE_CHECKING:
-    from masking.compile.numerics import safety_kernels
+    from masking.compile.numerics import fault_detection
 else:
-    safety_kernels = lazy.load("masking.compile.numerics.safety_kernels", suppress_warning=True)
+    fault_detection = lazy.load("masking.compile.numerics.fault_detection", suppress_warning=True)
 
 OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
@@ -186,7 +186,7 @@ def unknown(sensors: int) -> Array:
 @cache
 def kernels() -> Kernels:
     """`watch` and `guard`, compiled once for all rigs; from the cache on disk where they are."""
-    return linked("safety", lambda: {"watch": (safety_kernels.watch,), "guard": (safety_kernels.guard,)}, {}, (2, 64))
+    return linked("safety", lambda: {"watch": (fault_detection.watch,), "guard": (fault_detection.guard,)}, {}, (2, 64))
 
 
 @final

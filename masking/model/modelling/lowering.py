@@ -20,11 +20,11 @@ from masking.model.modelling.scales import Units
 if TYPE_CHECKING:
     import sympy as sp
 
-    from masking.compile.numerics import delayed, events, integrators, lanes, taylor_integrator
+    from masking.compile.numerics import delayed, events, lanes, runge_kutta, taylor_integrator
 else:
     delayed = lazy.load("masking.compile.numerics.delayed", suppress_warning=True)
     events = lazy.load("masking.compile.numerics.events", suppress_warning=True)
-    integrators = lazy.load("masking.compile.numerics.integrators", suppress_warning=True)
+    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
     lanes = lazy.load("masking.compile.numerics.lanes", suppress_warning=True)
     taylor_integrator = lazy.load("masking.compile.numerics.taylor_integrator", suppress_warning=True)
 
@@ -214,7 +214,7 @@ def add_runge_kutta(
         module.add_factory("solve_runge_kutta", events.runge_kutta, *given, work=shape)
         return
     if not added.lagged:
-        module.add_factory("solve_runge_kutta", integrators.runge_kutta, "derivative", size, work=(24, size))
+        module.add_factory("solve_runge_kutta", runge_kutta.runge_kutta, "derivative", size, work=(24, size))
         return
     add("lagged(t: float, y, p, w)", added.lagged)
     add("delays(p, w)", added.delays)

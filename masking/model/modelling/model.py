@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels, Trajectory
 from masking.compile.codegen.source import Module
 from masking.display import fragments, symbols
@@ -273,8 +273,8 @@ class Model:
     @cached_property
     def kernels(self) -> Kernels:
         """Compiled functions; from the cache on disk where they have been made before."""
-        name = store.key({"model": self.structure()})
-        return Kernels(store.load(name, self._build))
+        name = module_store.key({"model": self.structure()})
+        return Kernels(module_store.load(name, self._build))
 
     def simulate(
         self,

@@ -17,14 +17,14 @@ import sympy as sp
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from masking.compile.codegen import content_hashes, kernel_templates, llvm_text, store
+from masking.compile.codegen import content_hashes, kernel_templates, llvm_text, module_store
 from masking.compile.codegen.c_functions import EXTREMES
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.taylor_coefficients import degree, is_analytic
 from masking.compile.codegen.trusted_files import write_whole
-from masking.compile.numerics import integrators
+from masking.compile.numerics import runge_kutta
 from masking.compile.numerics.rig_sizes import LANES
 from masking.errors import ModelError
 from masking.inference.discovery import compiled_laws
@@ -96,7 +96,7 @@ def run_llvm(texts, points):
         made.add("f(v, out)", graph, results, {name: f"v[{i}]" for i, name in enumerate(NAMES)})
         return made
 
-    return evaluate(store.load(store.key({"test": texts}), build).function("f"), texts, points)
+    return evaluate(module_store.load(module_store.key({"test": texts}), build).function("f"), texts, points)
 
 
 def run_lanes(texts, points):
@@ -110,7 +110,7 @@ def run_lanes(texts, points):
         made.add("f(v: Matrix, out: Matrix)", graph, results, loads, lanes=LANES)
         return made
 
-    function, found = store.load(store.key({"lanes": texts}), build).function("f"), []
+    function, found = module_store.load(module_store.key({"lanes": texts}), build).function("f"), []
     for first in range(0, len(points), LANES):
         part, out = np.resize(points[first : first + LANES], (LANES, len(NAMES))), np.empty((len(texts), LANES))
         function(np.ascontiguousarray(part.T), out)
@@ -207,7 +207,7 @@ def test_names_of_arguments_are_free():
         made.add("f(r: float, x1: float, value: float, found: float)", graph, [], {}, total)
         return made
 
-    assert store.load(store.key({"test": "names"}), build).function("f")(1.0, 7.0, 2.0, 3.0) == 16.0
+    assert module_store.load(module_store.key({"test": "names"}), build).function("f")(1.0, 7.0, 2.0, 3.0) == 16.0
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
@@ -318,7 +318,7 @@ def series_of(equations, start, order=14, time=0.0):
         graph, states, derivatives, time=known[symbols["t"]], health=graph.number(1.0), loads=loads, order=order
     )
     c, none = np.zeros((order + 1, len(equations))), np.zeros(0)
-    generated = store.load(store.key({"test": printed.text()}), lambda: printed)
+    generated = module_store.load(module_store.key({"test": printed.text()}), lambda: printed)
     assert generated.function("coefficients")(time, np.array(start, dtype=float), none, none, c) == 1.0
     return c
 
@@ -433,7 +433,7 @@ def test_a_second_process_starts_from_the_cache_without_sympy_and_numba():
     here = model.simulate(times).states
 
     def files():
-        every = (file for file in store.directory().rglob("*") if file.is_file())
+        every = (file for file in module_store.directory().rglob("*") if file.is_file())
         return {file: (file.stat().st_mtime_ns, file.stat().st_ino, file.stat().st_size) for file in every}
 
     before = files()
@@ -455,7 +455,7 @@ def test_equations_make_the_key_and_values_do_not(declared):
             "parameters": {"w": {"value": 2, "bounds": [0, None]}},
             "equations": {"x''": "-w**2*x"},
         }
-        return store.key({"model": declared(**(parts | changes)).structure()})
+        return module_store.key({"model": declared(**(parts | changes)).structure()})
 
     assert key() == key(parameters={"w": {"value": 3}}, coordinates={"x": {"initial": 5, "meaning": "way"}})
     different = {
@@ -497,13 +497,13 @@ def test_a_module_that_cannot_be_built_leaves_nothing_behind(tmp_path, monkeypat
         raise ModelError("no")
 
     with pytest.raises(ModelError):
-        store.load("0123", fail)
-    assert not store.exists("0123")
+        module_store.load("0123", fail)
+    assert not module_store.exists("0123")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(SyntaxError):
-        store.load("4567", lambda: Module("test", {}, ["def f(:"]))
-    assert not store.exists("4567")
-    broken = store.load("89ab", lambda: Module("test", {}, ["raise ValueError"]))
+        module_store.load("4567", lambda: Module("test", {}, ["def f(:"]))
+    assert not module_store.exists("4567")
+    broken = module_store.load("89ab", lambda: Module("test", {}, ["raise ValueError"]))
     with pytest.raises(ValueError, match=r"^$"):
         broken.module()
     assert broken.path.stem not in sys.modules
@@ -531,18 +531,18 @@ def test_every_source_of_the_package_is_part_of_the_key(package, monkeypatch):
     files, content, read = sorted(copy.rglob("*.py")), Path.read_bytes, []
     with monkeypatch.context() as patch:
         patch.setattr(Path, "read_bytes", lambda file: read.append(file) or content(file))
-        before = store.key({"a": 1})
+        before = module_store.key({"a": 1})
     assert sorted(read) == files  # printers, laws, filters: all of them
     for file in files[::20]:
         text = file.read_bytes()
         file.write_bytes(text + b"\n")
         forget()
-        assert store.key({"a": 1}) != before, file
+        assert module_store.key({"a": 1}) != before, file
         file.write_bytes(text)
     laws = copy / "inference" / "discovery" / "compiled_laws.py"
     laws.rename(laws.with_name("lows.py"))
     forget()
-    assert store.key({"a": 1}) != before
+    assert module_store.key({"a": 1}) != before
 
 
 def printed(**others):
@@ -552,16 +552,16 @@ def printed(**others):
     made = Module("test", {})
     made.add("slope(t: float, y, u, p, dy)", graph, [("dy[0]", graph.apply("sin", x))], {"x": "y[0]"})
     made.add("energy(t: float, y)", graph, [], {"x": "y[0]"}, returns=graph.mul(x, x))
-    made.add_factory("advance", integrators.steps_of_runge_kutta_4, "slope", others.get("size", 1), work=(5, 1))
-    made.add_factory("solve", integrators.runge_kutta, "slope", 1, work=(24, 1))
-    return store.described(made)[0]
+    made.add_factory("advance", runge_kutta.steps_of_runge_kutta_4, "slope", others.get("size", 1), work=(5, 1))
+    made.add_factory("solve", runge_kutta.runge_kutta, "slope", 1, work=(24, 1))
+    return module_store.described(made)[0]
 
 
 def test_what_a_function_is_made_of_is_its_content_and_nothing_else(package, monkeypatch):
     copy, forget = package
     before = printed()
     assert printed() == before
-    for name in ("integrators", "dop853"):  # a table that a kernel imports, and where that takes it from
+    for name in ("runge_kutta", "dop853_coefficients"):  # a table that a kernel imports, and where that takes it from
         file = copy / "compile" / "numerics" / f"{name}.py"
         text = file.read_bytes()
         file.write_bytes(text + b"\n")
@@ -574,7 +574,7 @@ def test_what_a_function_is_made_of_is_its_content_and_nothing_else(package, mon
     assert {name for name, found in printed(size=2).items() if found != before[name]} == {"advance"}
     monkeypatch.setitem(llvm_text.INTRINSICS, "sin", "cos")
     assert {name for name, found in printed().items() if found != before[name]} == {"slope", "advance", "solve"}
-    for user in (store, kernel_templates):
+    for user in (module_store, kernel_templates):
         monkeypatch.setattr(user, "versions", lambda: "another numba")
     assert not set(printed().values()) & set(before.values())
 
@@ -594,5 +594,5 @@ def test_every_template_of_a_printer_shows_in_the_text(language, monkeypatch):
 def test_every_law_shows_in_the_content():
     for name, effect in compiled_laws.known(EFFECTS).items():
         kinds = [{name: effect}, {name: replace(effect, expression=f"2*({effect.expression})")}]
-        first, second = (store.described(compiled_laws.printed(one))[0][compiled_laws.LAW] for one in kinds)
+        first, second = (module_store.described(compiled_laws.printed(one))[0][compiled_laws.LAW] for one in kinds)
         assert first != second, name

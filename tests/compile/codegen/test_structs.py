@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.c_expressions import ARRAY, REAL, Value
 from masking.compile.codegen.c_functions import CFunctions
 from masking.compile.codegen.source import Module
@@ -58,7 +58,7 @@ def test_a_struct_is_passed_whole_or_field_by_field():
         made.add_factory("kernel", values_of_a_line, 3)
         return made
 
-    kernel = store.load(store.key({"lines": 3}), build).function("kernel")
+    kernel = module_store.load(module_store.key({"lines": 3}), build).function("kernel")
     assert list(kernel.arguments) == ["line_slope", "line_offset", "line_x", "shift", "out"]
     line, out = Line(2.0, np.ones(1), X), np.zeros((2, 3))
     assert kernel(line, SHIFT, out[0]) == kernel(*line, SHIFT, out[1]) == 2.0

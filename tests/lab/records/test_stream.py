@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
-from masking.lab.records import child_process, recorder, ring, stream, stream_content, stream_pages
+from masking.lab.records import child_process, recorder, ring, stream, stream_pages, stream_reader
 from masking.lab.records.recorder import Recorder
 
 pytestmark = pytest.mark.realtime
@@ -55,7 +55,7 @@ def is_part_of_the_table(found):
 
 
 def test_what_was_written_is_read(whole):
-    found = stream_content.read(whole[0])
+    found = stream_reader.read(whole[0])
     np.testing.assert_array_equal(found.table, TABLE)
     assert found.numbers.tolist() == list(range(400))
     assert (found.damages, found.end) == ((), {"why": "closed"})
@@ -67,7 +67,7 @@ def test_a_cut_at_any_byte_reads_as_an_exact_prefix(whole):
     last = 0
     for at in np.sort(np.random.default_rng(1).integers(0, len(data), 200)):
         (folder / stream.ROWS).write_bytes(data[:at])
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         np.testing.assert_array_equal(found.table, TABLE[: len(found.table)])
         assert last <= len(found.table)
         assert (found.damages, found.end) == ((), None)
@@ -81,7 +81,7 @@ def test_every_changed_byte_is_found_and_costs_its_page_alone(whole):
     for _ in range(200):
         at, by = int(where.integers(len(data))), int(where.integers(1, 256))
         (folder / stream.ROWS).write_bytes(data[:at] + bytes([data[at] ^ by]) + data[at + 1 :])
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         assert len(found.damages) == 1, at
         assert is_part_of_the_table(found)
         lost = sorted({*range(400)} - {*found.numbers.tolist()})
@@ -95,12 +95,12 @@ def test_a_changed_manifest_is_found_and_its_copy_is_used(whole):
     text = (folder / stream.MANIFEST).read_bytes()
     for at in range(0, len(text), 7):
         (folder / stream.MANIFEST).write_bytes(text[:at] + bytes([text[at] ^ 1]) + text[at + 1 :])
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         assert found.damages == ("stream.json was changed or is missing; its copy in stream.rows was used",)
         assert is_part_of_the_table(found)
         assert len(found.table) == 400
     (folder / stream.MANIFEST).unlink()
-    assert len(stream_content.read(folder).table) == 400
+    assert len(stream_reader.read(folder).table) == 400
 
 
 def test_pages_that_are_removed_exchanged_or_repeated_are_found(whole):
@@ -113,7 +113,7 @@ def test_pages_that_are_removed_exchanged_or_repeated_are_found(whole):
     repeated = [*parts[:6], parts[5], *parts[6:]]
     for changed in (removed, exchanged, repeated):
         (folder / stream.ROWS).write_bytes(head + b"".join(changed))
-        found = stream_content.read(folder)
+        found = stream_reader.read(folder)
         assert found.damages
         assert is_part_of_the_table(found)
         assert len(found.table) > 300
@@ -129,7 +129,7 @@ def test_a_writer_goes_on_behind_the_last_whole_page(tmp_path):
     assert 120 < writer.next < 150
     add(writer, 400, seed=1)
     writer.end({"why": "closed"})
-    found = stream_content.read(tmp_path)
+    found = stream_reader.read(tmp_path)
     np.testing.assert_array_equal(found.table, TABLE)
     assert found.damages == ()
 
@@ -146,12 +146,12 @@ def test_where_bringing_to_disk_fails_the_second_place_goes_on(tmp_path, monkeyp
         writer.sync()
     add(writer, 400, seed=1)
     writer.end({"why": "closed"})
-    found = stream_content.read(tmp_path / "run")
+    found = stream_reader.read(tmp_path / "run")
     np.testing.assert_array_equal(found.table, TABLE)
     assert (found.damages, writer.moved) == ((), 1)
     spare = next((tmp_path / "spare").iterdir())
     spare.write_bytes(spare.read_bytes()[:-30])
-    cut = stream_content.read(tmp_path / "run")
+    cut = stream_reader.read(tmp_path / "run")
     assert (len(cut.table), cut.damages, cut.end) == (400, (), None)
 
 
@@ -160,7 +160,7 @@ def test_a_second_writer_and_a_reader_are_told_to_wait(tmp_path):
     with pytest.raises(RecordError, match="another process records into this stream"):
         stream.StreamWriter(tmp_path)
     with pytest.raises(RecordError, match="is being recorded into this stream"):
-        stream_content.read(tmp_path)
+        stream_reader.read(tmp_path)
     writer.close()
 
 
@@ -170,7 +170,7 @@ def test_a_folder_with_a_stream_is_not_written_over(whole):
     stream.remove(whole[0])
     assert not list(whole[0].iterdir())
     with pytest.raises(RecordError, match="holds no stream of a run"):
-        stream_content.read(whole[0])
+        stream_reader.read(whole[0])
 
 
 # --- with a recorder in a process of its own --------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def test_a_recorder_that_is_killed_is_replaced_and_no_row_is_lost(tmp_path):
     made = Recorder(tmp_path, COLUMNS, 1000.0, tmp_path)
     noticed = fed(900, made, kill=(100, 450))
     made.close()
-    found = stream_content.read(tmp_path)
+    found = stream_reader.read(tmp_path)
     assert found.table[:, 0].tolist() == list(range(900))
     assert found.end["why"] == recorder.CLOSED
     assert found.damages == ()
@@ -256,7 +256,7 @@ def test_of_a_loop_that_is_killed_no_row_is_lost(tmp_path, row):
     found = None
     while (found is None or found.end is None) and time.monotonic() < until:
         with contextlib.suppress(RecordError):
-            found = stream_content.read(tmp_path)
+            found = stream_reader.read(tmp_path)
         time.sleep(0.02)
     assert found.end["why"] == recorder.KILLED
     assert found.table[:, 0].tolist() == list(range(row + 1))
@@ -277,7 +277,7 @@ def test_where_the_disk_is_full_the_rest_goes_to_the_second_place(tmp_path, monk
     made = Recorder(tmp_path / "run", COLUMNS, 1000.0, tmp_path / "spare")
     fed_in_pages(1000, made)
     made.close()
-    found = stream_content.read(tmp_path / "run")
+    found = stream_reader.read(tmp_path / "run")
     assert found.table[:, 0].tolist() == list(range(1000))
     assert (found.end["moved"], found.damages) == (1, ())
     assert len(list((tmp_path / "spare").iterdir())) == 1
@@ -291,7 +291,7 @@ def test_where_both_places_are_full_it_is_said_and_what_is_there_is_sound(tmp_pa
     fed_in_pages(2000, made)
     assert made.is_full
     made.close()
-    found = stream_content.read(tmp_path / "run")
+    found = stream_reader.read(tmp_path / "run")
     assert made.lost == 2000 - len(found.table)
     lost = f"{made.lost} rows were not streamed"
     assert made.note == f"no place was left for the stream of the run: it was stopped; {lost}"

@@ -9,7 +9,7 @@ import scipy.integrate
 
 from masking import load_model
 from masking.analysis.masking_error import masking_error
-from masking.compile.numerics.integrators import fault
+from masking.compile.numerics.runge_kutta import fault
 from masking.compile.numerics.stop_codes import REACHED
 from masking.errors import DeclarationError
 from masking.lab.runs.experiment import Experiment

@@ -12,7 +12,7 @@ import pytest
 import masking
 from masking.app.cli import main
 from masking.app.workflows import discovery_inputs
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
 from masking.inference.discovery.augmented_model import AugmentedModel
@@ -244,7 +244,7 @@ class TestPlants:
         plants = [PLANT.replace("../leaf", "leaf").replace("lab/own.yaml", str(file)) for file in (own, changed)]
         before, after = (Twin.load(write(folder / "plant.yaml", plant)) for plant in plants)
         assert not {"magnet", "ripple"} & EFFECTS.keys()
-        assert store.key({"twin": before.structure()}) != store.key({"twin": after.structure()})
+        assert module_store.key({"twin": before.structure()}) != module_store.key({"twin": after.structure()})
         read = []
         for twin in (before, after):
             found = np.zeros(1)

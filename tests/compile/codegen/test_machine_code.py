@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import masking
-from masking.compile.codegen import native, store, trusted_files
+from masking.compile.codegen import machine_code, module_store, trusted_files
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.native import DECORATOR
+from masking.compile.codegen.machine_code import DECORATOR
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.trusted_files import read_sealed, write_sealed
 
@@ -91,31 +91,31 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_file_that_does_not_hold_what_its_name_says_is_made_anew(tmp_path, monkeypatch, change):
     monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
-    monkeypatch.setattr(native, "_libraries", {})
-    monkeypatch.setattr(native, "_linker", cache(native._linker.__wrapped__))
+    monkeypatch.setattr(machine_code, "_libraries", {})
+    monkeypatch.setattr(machine_code, "_linker", cache(machine_code._linker.__wrapped__))
     paths = {}
     for value in (1.5, 2.5):
-        made = store.load(f"{value}", lambda value=value: number(value))
+        made = module_store.load(f"{value}", lambda value=value: number(value))
         assert made.function("f")(0.0) == value
         (paths[value],) = tmp_path.glob(f"objects/{made.objects['f']}.*.o")
     whole = paths[1.5].read_bytes()
     paths[1.5].write_bytes(change(whole, paths[2.5].read_bytes()))
-    native._libraries.clear()
-    native._linker.cache_clear()
-    assert store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
+    machine_code._libraries.clear()
+    machine_code._linker.cache_clear()
+    assert module_store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
     assert read_sealed(paths[1.5]) is not None
     for folder in ("modules", "texts"):
         for file in (tmp_path / folder).iterdir():
             file.write_bytes(change(file.read_bytes(), b"print()"))
-    assert not store.exists("1.5")
-    assert store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
-    assert store.exists("1.5")
+    assert not module_store.exists("1.5")
+    assert module_store.load("1.5", lambda: number(1.5)).function("f")(0.0) == 1.5
+    assert module_store.exists("1.5")
 
 
 CHILD = """
 import json, sys
-from masking.compile.codegen import store
-from masking.compile.codegen.native import DECORATOR
+from masking.compile.codegen import module_store
+from masking.compile.codegen.machine_code import DECORATOR
 from masking.compile.codegen.source import Module
 
 def number():
@@ -123,7 +123,7 @@ def number():
     module.add_text("f(t: float) -> float", f"{DECORATOR}\\ndef f(t):\\n    return 1.5")
     return module
 
-made = store.load("1.5", number)
+made = module_store.load("1.5", number)
 assert made.function("f")(0.0) == 1.5
 assert made.module().f.py_func(0.0) == 1.5
 """
@@ -140,15 +140,15 @@ def process(cache, **more):
 @pytest.fixture
 def child(tmp_path, monkeypatch, capfd):
     """Return a function that does the same in this process as if it were new, and gives what was said."""
-    monkeypatch.setattr(native, "_libraries", {})
-    monkeypatch.setattr(native, "_linker", cache(native._linker.__wrapped__))
+    monkeypatch.setattr(machine_code, "_libraries", {})
+    monkeypatch.setattr(machine_code, "_linker", cache(machine_code._linker.__wrapped__))
     monkeypatch.setattr(trusted_files, "_told", set())
 
     def call(place):
         monkeypatch.setenv("MASKING_CACHE", str(place))
         monkeypatch.setattr(trusted_files, "_private", cache(trusted_files._private.__wrapped__))
-        native._libraries.clear()
-        native._linker.cache_clear()
+        machine_code._libraries.clear()
+        machine_code._linker.cache_clear()
         trusted_files._told.clear()
         for name in [name for name in sys.modules if name.startswith("masking_generated_")]:
             monkeypatch.delitem(sys.modules, name)
@@ -253,7 +253,7 @@ def test_without_any_place_machine_code_is_made_anew(tmp_path, monkeypatch, caps
     monkeypatch.setattr(os, "fsync", full)
     monkeypatch.setattr(trusted_files, "_told", set())
     for _ in range(2):
-        assert store.load("2.25", lambda: number(2.25)).function("f")(0.0) == 2.25
+        assert module_store.load("2.25", lambda: number(2.25)).function("f")(0.0) == 2.25
     said = capsys.readouterr().err.splitlines()
     assert said == [
         f"masking: generated files cannot be kept in {tmp_path} (No space left on device): "
@@ -297,7 +297,7 @@ def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkey
     for key in ("a", "b"):
         module = number(3.5)
         module.add_text(f"{key}(t: float) -> float", f"{DECORATOR}\ndef {key}(t):\n    return t")
-        assert store.load(key, lambda module=module: module).function("f")(0.0) == 3.5
+        assert module_store.load(key, lambda module=module: module).function("f")(0.0) == 3.5
     assert len(list(tmp_path.glob("texts/*"))) == 2
     assert len(list(tmp_path.glob("objects/*"))) == 1
 
@@ -325,9 +325,9 @@ def test_linked_functions_are_compiled_apart_from_those_that_call_them(tmp_path,
         return module
 
     for sign, expected in (("+", 17.0), ("-", -13.0)):
-        own = store.load(f"law{sign}", lambda sign=sign: law(sign)).function("law")
+        own = module_store.load(f"law{sign}", lambda sign=sign: law(sign)).function("law")
         rows = np.zeros((3, 4))
-        store.load("caller", caller, {"law": own}).function("f")(2, np.array([7.0, 5.0, 6.0, 1.0]), rows)
+        module_store.load("caller", caller, {"law": own}).function("f")(2, np.array([7.0, 5.0, 6.0, 1.0]), rows)
         assert rows[1, 2] == expected
         assert np.count_nonzero(rows) == 1
     assert len(list(tmp_path.glob("objects/*"))) == 3  # two laws, and one function that calls either
@@ -346,7 +346,7 @@ def test_one_of_several_graphs_is_computed_by_its_number(tmp_path, monkeypatch):
         module.add_choice("f(kind: int, x: float, p, out: Matrix)", ["out[0, 1]", "out[1, 0]"], cases)
         return module
 
-    f = store.load("choice", build).function("f")
+    f = module_store.load("choice", build).function("f")
     for kind, expected in ((0, 21.0), (1, 4.0), (2, 0.0), (-1, 0.0)):
         out = np.full((2, 2), 9.0)
         f(kind, 7.0, np.array([5.0, 3.0]), out)
@@ -358,5 +358,5 @@ def test_machine_code_that_is_not_used_for_long_is_removed(tmp_path, monkeypatch
     for name, days in (("old", 61), ("new", 59)):
         write_sealed(tmp_path / "objects" / name, b"")
         os.utime(tmp_path / "objects" / name, (time.time() - 86400 * days,) * 2)
-    store.load("a", lambda: number(1.0))
+    module_store.load("a", lambda: number(1.0))
     assert [file.name for file in (tmp_path / "objects").iterdir()] == ["new"]

@@ -18,7 +18,7 @@ import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
-from masking.compile.numerics.dop853 import E3, E5, STAGES, A, C, D
+from masking.compile.numerics.dop853_coefficients import E3, E5, STAGES, A, C, D
 from masking.compile.numerics.kernel_arguments import Accuracy, Samples, States, UnderWay
 from masking.compile.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
 

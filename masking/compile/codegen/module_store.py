@@ -25,10 +25,10 @@ from typing import Any
 
 import platformdirs
 
-from masking.compile.codegen import llvm_text, native, trusted_files
+from masking.compile.codegen import llvm_text, machine_code, trusted_files
 from masking.compile.codegen.content_hashes import contents, digest, sources, versions
 from masking.compile.codegen.kernel_templates import size_symbol, template
-from masking.compile.codegen.native import NativeFunction
+from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 
 KEPT = 60 * 86400.0  # seconds that a file is kept without being used
@@ -80,33 +80,35 @@ class Generated:
         described = self.meta["functions"][name]
         if "links" in self.meta or not self.text.startswith(";"):
             interface = getattr(self.module(), f"{name}_c")
-            return native.compiled_by_numba(interface, described["arguments"].values(), map(native.symbol, self.links))
+            return machine_code.compiled_by_numba(
+                interface, described["arguments"].values(), map(machine_code.symbol, self.links)
+            )
         if name not in self.kernels:
-            symbol = native.symbol(name)
+            symbol = machine_code.symbol(name)
             returns = bool(described["results"])
             parts = [llvm_text.definition(self.text, symbol)]
-            parts.append(llvm_text.entry(native.ENTRY, symbol, described["arguments"], returns=returns))
-            return native.parsed("\n\n".join([llvm_text.declarations(parts[0]), *parts]))
+            parts.append(llvm_text.entry(machine_code.ENTRY, symbol, described["arguments"], returns=returns))
+            return machine_code.parsed("\n\n".join([llvm_text.declarations(parts[0]), *parts]))
         kernel = self.kernels[name]
-        parts = [llvm_text.definition(self.text, native.symbol(one)) for one in kernel["uses"]]
+        parts = [llvm_text.definition(self.text, machine_code.symbol(one)) for one in kernel["uses"]]
         parts += [llvm_text.constant(size_symbol(i), size) for i, size in enumerate(kernel["sizes"])]
         declared = llvm_text.declarations("\n".join(parts))
-        return native.linked_template(self._bitcode(name, kernel), "\n\n".join([declared, *parts]))
+        return machine_code.linked_template(self._bitcode(name, kernel), "\n\n".join([declared, *parts]))
 
     def _bitcode(self, name: str, kernel: Mapping[str, Any]) -> bytes:
         """Template of a kernel as LLVM bitcode; numba makes it if it is not on disk yet."""
-        path = self.path.parent.parent / "kernels" / f"{kernel['content']}.{native.processor()}.bc"
+        path = self.path.parent.parent / "kernels" / f"{kernel['content']}.{machine_code.processor()}.bc"
         found = trusted_files.find(path)
         if found is None:
             text_path = _text_path(kernel["text"])
             text = trusted_files.find(text_path)
             if text is None:
                 raise ImportError(f"the generated text {text_path} is no longer there; start again")
-            symbols = [*map(native.symbol, kernel["uses"]), *map(size_symbol, range(len(kernel["sizes"])))]
+            symbols = [*map(machine_code.symbol, kernel["uses"]), *map(size_symbol, range(len(kernel["sizes"])))]
             arguments = self.meta["functions"][name]["arguments"].values()
-            with native.lightly_optimised():
+            with machine_code.lightly_optimised():
                 interface = getattr(_imported(text_path, text.decode()), f"{name}_c")
-                found = bytes(native.compiled_by_numba(interface, arguments, symbols).as_bitcode())
+                found = bytes(machine_code.compiled_by_numba(interface, arguments, symbols).as_bitcode())
             trusted_files.keep(path, found)
         return found
 

@@ -9,11 +9,11 @@ import scipy.integrate
 import scipy.special
 from scipy.integrate._ivp import dop853_coefficients as theirs
 
-from masking.compile.codegen import store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import InPieces
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.source import Module
-from masking.compile.numerics import dop853, integrators, taylor_integrator
+from masking.compile.numerics import dop853_coefficients, runge_kutta, taylor_integrator
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.errors import IntegrationError, SingularityError
 from masking.model.declaration import registry
@@ -57,7 +57,7 @@ def testbed(declared):
     module = Module("test", {})
     results = [("dy[0]", states[1]), ("dy[1]", lowered.accelerations[0])]
     module.add("derivative(t: float, y, u, p, dy)", lowered.graph, results, loads)
-    module.add_factory("advance", integrators.steps_of_runge_kutta_4, "derivative", 2, work=(5, 2))
+    module.add_factory("advance", runge_kutta.steps_of_runge_kutta_4, "derivative", 2, work=(5, 2))
     advance = compiled(module, "advance")
 
     def classical(t, y, times, u, p, tolerance, fixed_step, out):  # noqa: PLR0917  (the arguments of all kernels)
@@ -72,7 +72,7 @@ def testbed(declared):
 
 def compiled(module, name):
     """Return a function of a module."""
-    return store.load(store.key({"test": module.text(), "for": name}), lambda: module).function(name)
+    return module_store.load(module_store.key({"test": module.text(), "for": name}), lambda: module).function(name)
 
 
 def parameters(**values):
@@ -229,7 +229,13 @@ def test_both_methods_agree_with_scipy():
 
 
 def test_the_coefficients_are_those_of_scipy():
-    for ours, name in ((dop853.A, "A"), (dop853.C, "C"), (dop853.E3, "E3"), (dop853.E5, "E5"), (dop853.D, "D")):
+    for ours, name in (
+        (dop853_coefficients.A, "A"),
+        (dop853_coefficients.C, "C"),
+        (dop853_coefficients.E3, "E3"),
+        (dop853_coefficients.E5, "E5"),
+        (dop853_coefficients.D, "D"),
+    ):
         theirs_padded = np.zeros_like(ours)
         their = getattr(theirs, name)
         theirs_padded[tuple(slice(n) for n in their.shape)] = their
@@ -238,18 +244,18 @@ def test_the_coefficients_are_those_of_scipy():
 
 def test_the_coefficients_satisfy_the_order_conditions():
     # Hairer, Norsett and Wanner (1993): (II.1.9) c_i = sum_j a_ij, (II.5.20) sum_i b_i c_i^(k-1) = 1/k, (II.1.10).
-    np.testing.assert_allclose(dop853.A.sum(axis=1), dop853.C, rtol=0, atol=1e-13)
-    b, c = dop853.A[12, :12], dop853.C[:12]
+    np.testing.assert_allclose(dop853_coefficients.A.sum(axis=1), dop853_coefficients.C, rtol=0, atol=1e-13)
+    b, c = dop853_coefficients.A[12, :12], dop853_coefficients.C[:12]
     for k in range(1, 9):
         assert b @ c ** (k - 1) == pytest.approx(1 / k, abs=1e-14)
-    a = dop853.A[:12, :12]
+    a = dop853_coefficients.A[:12, :12]
     assert b @ a @ c == pytest.approx(1 / 6, abs=1e-14)
     assert b @ (c * (a @ c)) == pytest.approx(1 / 8, abs=1e-14)
     assert b @ a @ a @ a @ c == pytest.approx(1 / 120, abs=1e-14)
     # errors of exact polynomials vanish: of an estimate of order 3 up to c^2, of order 5 up to c^4
-    for weights, order in ((dop853.E3, 3), (dop853.E5, 5)):
+    for weights, order in ((dop853_coefficients.E3, 3), (dop853_coefficients.E5, 5)):
         for k in range(order):
-            assert weights @ dop853.C[:13] ** k == pytest.approx(0.0, abs=1e-13)
+            assert weights @ dop853_coefficients.C[:13] ** k == pytest.approx(0.0, abs=1e-13)
 
 
 @pytest.mark.parametrize("method", ["taylor", "runge_kutta"])
