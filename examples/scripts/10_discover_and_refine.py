@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import masking
-from masking.app.workflows import calibration_records
+from masking.app.workflows import calibration_excitation
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs.experiment import Experiment
 
@@ -33,7 +33,7 @@ with TemporaryDirectory() as name:
     (folder / "experiment.yaml").write_text(EXPERIMENT)
     rig = Experiment.load(folder / "experiment.yaml").twin
     settings = {"seconds": 20.0, "lockstep": True, "seed": 1, "say": print, "progress": lambda part: None}
-    calibration_records.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
+    calibration_excitation.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
     found = masking.refine(
         folder / "experiment.yaml",
         record=folder / "records" / "fit",

@@ -1,7 +1,7 @@
 """End a run when the clocks have synchronised, say how they did, and show that they are not chaotic."""
 
 import masking
-from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.stability.lyapunov_exponent import largest_exponent
 from masking.analysis.synchronisation import synchronisation
 from masking.lab.runs.experiment import Experiment
 

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from masking.analysis.stability.basins import basins
-from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.equilibria import equilibria
 from masking.analysis.stability.modes import sweep, upsilon
 from masking.analysis.stability.orbits import orbit

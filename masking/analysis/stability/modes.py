@@ -125,7 +125,7 @@ def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:
     if not model.is_autonomous:
         raise ModelError(
             f"the equations of {model.name} hold the time: they have no constant matrix; for its motions there are "
-            "masking.analysis.stability.transverse and masking.analysis.stability.lyapunov"
+            "masking.analysis.stability.transverse and masking.analysis.stability.lyapunov_exponent"
         )
     lowered = LoweredEquations.of(model.equations, Graph())
     graph, s = lowered.graph, model.equations.symbols

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from masking.analysis.stability.certificate import Certificate, certificate
+from masking.analysis.stability.energy_certificate import Certificate, certificate
 from masking.analysis.stability.equilibria import Box, Equilibria, Equilibrium, check_box, equilibria
-from masking.analysis.stability.lyapunov import Exponent
+from masking.analysis.stability.lyapunov_exponent import Exponent
 from masking.analysis.stability.modes import Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.json_text import plain

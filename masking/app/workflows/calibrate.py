@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from masking.app.workflows import calibration_records
-from masking.app.workflows.calibration_records import Progress, Say
+from masking.app.workflows import calibration_excitation
+from masking.app.workflows.calibration_excitation import Progress, Say
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
@@ -86,7 +86,7 @@ def calibrate(
     costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
     costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
     parts = iter(_parts(progress or (lambda part: None), costs))
-    made = calibration_records.make(
+    made = calibration_excitation.make(
         twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, seed=seed, say=tell, progress=next(parts)
     )
     stages = []

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.stability.lyapunov_exponent import largest_exponent
 from masking.analysis.stability.study import LoopModes, Stability, loop_modes, study
 from masking.app.workflows.output_folders import check_folder
 from masking.errors import DeclarationError, Problem

@@ -23,9 +23,9 @@ from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import table_chunks
 from masking.lab.records.parquet import replacing
 from masking.lab.records.table_chunks import Columns
-from masking.lab.runs import manifest, sweep_variation
+from masking.lab.runs import manifest, varied_experiment
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.sweep_design import Design, Sampling, Values
+from masking.lab.runs.sweep_values import Design, Sampling, Values
 from masking.reports import html, run_measures, sweep_page
 
 PLAN: Final = "sweep.json"
@@ -209,7 +209,7 @@ def _facts(plan: Plan) -> dict[str, Any]:
     given = json.dumps([declared, over, names, kind, design.runs, design.seed], sort_keys=True, default=str).encode()
     identity = hashlib.sha256(given + np.ascontiguousarray(design.points).tobytes()).hexdigest()
     for one, places in zip(over, plan.places, strict=True):
-        one["unit"] = sweep_variation.unit(experiment, places[0])
+        one["unit"] = varied_experiment.unit(experiment, places[0])
     return {
         "name": experiment.declaration.name, "identity": identity, "rows": plan.rows, "runs": design.runs,
         "seed": design.seed, "sampling": design.sampling, "over": over, "measures": names, **kind,

@@ -17,10 +17,10 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, MaskingError, Problem
 from masking.lab.records.recording import Recording
 from masking.lab.records.table_chunks import Columns
-from masking.lab.runs import sweep_variation
+from masking.lab.runs import varied_experiment
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.sweep_design import Design
-from masking.lab.runs.sweep_variation import Place
+from masking.lab.runs.sweep_values import Design
+from masking.lab.runs.varied_experiment import Place
 from masking.model.modelling import ensembles
 from masking.reports import run_measures
 from masking.reports.run_measures import Measured
@@ -54,7 +54,7 @@ class Plan:
     def places(self) -> tuple[tuple[Place, ...], ...]:
         """Where the values of each axis stand."""
         return tuple(
-            tuple(sweep_variation.place(self.experiment, name) for name in axis.names) for axis in self.design.axes
+            tuple(varied_experiment.place(self.experiment, name) for name in axis.names) for axis in self.design.axes
         )
 
     @cached_property
@@ -85,11 +85,11 @@ class Plan:
         oscillators = model.declaration.oscillators or ()
         run_measures.check(names, oscillators, model.state_names, inputs, has_rig=not self.virtual)
         for axis in self.design.axes:
-            for where in (sweep_variation.place(self.experiment, name) for name in axis.names):
+            for where in (varied_experiment.place(self.experiment, name) for name in axis.names):
                 if self.virtual and where.path[0] not in {"parameters", "initial"}:
                     message = "is no parameter or initial state of the virtual system, which runs by itself"
                     raise DeclarationError(Problem(None, axis.label, message, "leave --virtual out"))
-                sweep_variation.value(where, 1.0, is_factor=axis.is_factor)
+                varied_experiment.value(where, 1.0, is_factor=axis.is_factor)
         if self.continuation and not (self.virtual and self.design.grid and self.design.runs == 1):
             message = "follows a grid or a list with the virtual system by itself"
             raise DeclarationError(Problem(None, "continuation", message, "give --virtual, and no distributions"))
@@ -130,7 +130,7 @@ class Plan:
         return [*found, (Place((SEED,), None), float(self.seed(row)), False)] if self.has_seeds else found
 
     def _row(self, row: int) -> dict[str, Measured]:
-        return self._measured(lambda: sweep_variation.varied(self.experiment, self._settings(row)).run())
+        return self._measured(lambda: varied_experiment.varied(self.experiment, self._settings(row)).run())
 
     def _measured(self, run: Callable[[], Recording]) -> dict[str, Measured]:
         """Measures of a run, and why it has none."""
@@ -207,10 +207,12 @@ class Plan:
         """Values of rows by parameter and state, each (rows,); those of one state if nothing varies."""
         if not self.design.axes:
             name = self.experiment.virtual.state_names[0]
-            return {name: np.full(len(rows), sweep_variation.place(self.experiment, name).declared, dtype=float)}
+            return {name: np.full(len(rows), varied_experiment.place(self.experiment, name).declared, dtype=float)}
         points = self.design.points[self._points(rows)]
         return {
-            where.path[-1]: np.array([float(sweep_variation.value(where, x, is_factor=axis.is_factor)) for x in column])
+            where.path[-1]: np.array(
+                [float(varied_experiment.value(where, x, is_factor=axis.is_factor)) for x in column]
+            )
             for axis, places, column in zip(self.design.axes, self.places, points.T, strict=True)
             for where in places
         }

@@ -32,13 +32,13 @@ def history_shape(size: int, lags: int, inputs: int) -> tuple[int, int]:
 
 
 def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, lags: int, inputs: int) -> Kernel:
-    """Make the integrator of `integrators.runge_kutta` for equations with delays.
+    """Make the integrator of `runge_kutta.runge_kutta` for equations with delays.
 
     `derivative` writes the derivatives of y = [q, v, s, w], whose first `size` are integrated; `lagged(t, y, p, w)`
     what the delayed expressions are now, and `delays(p, w)` their delays.
 
     Returns:
-        `solve`, as that of `integrators.runge_kutta`, with states [q, v, s, w] and the work space of `history_shape`.
+        `solve`, as that of `runge_kutta.runge_kutta`, with states [q, v, s, w] and the work space of `history_shape`.
     """
 
     @compiled

@@ -49,7 +49,7 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
     """Make the search of a step for its first event; `conditions` writes `events` conditions, and values that jump.
 
     Returns:
-        `crossing(t, y, f, length, known, p)`, as `integrators.embedded_steps` takes it, with the work space `known`.
+        `crossing(t, y, f, length, known, p)`, as `runge_kutta.embedded_steps` takes it, with the work space `known`.
     """
     interpolate = dense_output(size)
 
@@ -146,9 +146,9 @@ def first_crossing(conditions: Kernel, size: int, events: int) -> Kernel:
 
 
 def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, inputs: int) -> Kernel:
-    """Make the integrator of `integrators.runge_kutta` for equations with events: it stops at each of them.
+    """Make the integrator of `runge_kutta.runge_kutta` for equations with events: it stops at each of them.
 
-    Returns `solve`, as that of `integrators.runge_kutta`, with `y` (size + events + 1,): the state, for each condition
+    Returns `solve`, as that of `runge_kutta.runge_kutta`, with `y` (size + events + 1,): the state, for each condition
     1 where it has been below zero and else 0, and the longest first step. At an event it returns `EVENT`, with the time
     on the far side of the crossing and the state before the jump, which is also what is recorded then.
     """

@@ -375,11 +375,11 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
 
     At sample k, at time k h, the sensors are read, the controller answers, and its command joins those under way; the
     rig then moves for h. `sense(t, y, p, noise, s)` writes the readings s of a state y for unit normal samples `noise`;
-    `move` moves the rig of `size` states under the commands under way, as that of `integrators.steps_under_way`.
+    `move` moves the rig of `size` states under the commands under way, as that of `runge_kutta.steps_under_way`.
 
     Returns `run(samples, rig, unit, noise, first, recorded, work) -> (status, samples done, first)`; `noise` (count,
     sensors); row k // every of the tables gets what happened at sample k, from sample 0 on; `first` as for
-    `integrators.sampled`.
+    `runge_kutta.sampled`.
     """
 
     @compiled

@@ -21,7 +21,7 @@ from masking.inference.discovery import (
     fitting,
     held_out,
     instrument_errors,
-    shooting,
+    shooting_intervals,
     unit_check,
     verdict,
 )
@@ -144,15 +144,17 @@ def _in_unit(
     twin = whole.rig.twin
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
-    problem = replace(whole, interval=shooting.interval(whole, settings.shooting_interval))
-    problem = replace(problem.apart(), substeps=shooting.substeps(problem))
+    problem = replace(whole, interval=shooting_intervals.interval(whole, settings.shooting_interval))
+    problem = replace(problem.apart(), substeps=shooting_intervals.substeps(problem))
     noise = noise_of(twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
         problem = problem.apart()
-        for seconds in shooting.shorter(whole):
+        for seconds in shooting_intervals.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
-            again = _explained(replace(problem, interval=shooting.interval(whole, seconds)), unseen, noise, say)
+            again = _explained(
+                replace(problem, interval=shooting_intervals.interval(whole, seconds)), unseen, noise, say
+            )
             if again.verdict != "unknown":
                 found = again
                 break
@@ -241,7 +243,7 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
     if known is None or problem.work.ends():
         return found
     with threadpool_limits(1):
-        steps = shooting.finer(found.problem, known, problem.substeps)
+        steps = shooting_intervals.finer(found.problem, known, problem.substeps)
     if steps == found.problem.substeps:
         return found
     say(f"again, with {steps} steps between samples", 0.0)

@@ -17,7 +17,7 @@ import numpy as np
 from masking.errors import IntegrationError
 from masking.inference.discovery import (
     fitting,
-    shooting,
+    shooting_intervals,
     simpler_explanations,
     sticking_laws,
     verdict,
@@ -194,7 +194,7 @@ class Search:
         """Integration steps between samples that an explanation needs, if it leaves hardly anything."""
         if best.kind != "effects" or not verdict.leaves_little(best.cost, base.cost, self.size, self.rules):
             return self.problem.substeps
-        return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
+        return shooting_intervals.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
 
     def _known(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
@@ -203,7 +203,7 @@ class Search:
         if self.rough is None:
             return {}
         if now.hypothesis.instances:
-            rougher = shooting.corrected(self.rough, now.hypothesis)
+            rougher = shooting_intervals.corrected(self.rough, now.hypothesis)
             if rougher is None:
                 return {}
             problem, hypothesis = rougher

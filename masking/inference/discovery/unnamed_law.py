@@ -19,7 +19,7 @@ from masking.inference.discovery import (
     free_law,
     further_places,
     latent_force,
-    shooting,
+    shooting_intervals,
     signal_ranges,
     verdict,
 )
@@ -217,7 +217,7 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int, part:
     if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, found.problem.rules):
         return law  # smaller steps would make nothing of it
     with threadpool_limits(1):
-        needed = shooting.finer(law.free.problem, law.free.hypothesis, substeps)
+        needed = shooting_intervals.finer(law.free.problem, law.free.hypothesis, substeps)
     if needed <= steps:
         return law
     again = _law_of(found, validation, needed)

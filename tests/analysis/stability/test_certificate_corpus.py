@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.energy_certificate import certificate
 from tests.benchmarks.certificates.comparison import proved, wrong
 from tests.benchmarks.certificates.entry import NONE
 from tests.benchmarks.certificates.models import CORPUS

@@ -6,9 +6,9 @@ import pytest
 import sympy as sp
 from mpmath import iv
 
-from masking.analysis.stability.certificate import certificate
 from masking.analysis.stability.confirmation import enclosed_again, has_root
 from masking.analysis.stability.crosscheck import contradiction_on_a_box, misjudged
+from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.equilibria import equilibria, stability_of
 from masking.analysis.stability.free_equations import Motion, jumps
 from masking.analysis.stability.hypotheses import Hypotheses

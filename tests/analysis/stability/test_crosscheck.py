@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from masking.analysis.stability.certificate import certificate
 from masking.analysis.stability.crosscheck import contradiction
+from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet
@@ -121,7 +121,7 @@ def test_simulated_motions_contradict_an_energy_that_is_said_not_to_grow(declare
 
 def test_a_certificate_that_is_contradicted_is_withdrawn(declared, monkeypatch):
     monkeypatch.setattr(
-        "masking.analysis.stability.certificate.invariant_set", lambda motion, forms: rest_alone(motion)
+        "masking.analysis.stability.energy_certificate.invariant_set", lambda motion, forms: rest_alone(motion)
     )
     found = certificate(declared(**on_beam(0.041, 7.38, 0.058, 10.44)))
     assert found.status == "open"

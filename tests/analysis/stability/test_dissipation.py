@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.energy_certificate import certificate
 
 
 def pair(declared, loss, *, on="-"):

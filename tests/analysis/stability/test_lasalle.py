@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.energy_certificate import certificate
 from masking.model.modelling.model import load_model
 
 

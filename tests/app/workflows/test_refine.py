@@ -8,7 +8,7 @@ import pytest
 
 import masking
 from masking.app import cli
-from masking.app.workflows import calibration_records
+from masking.app.workflows import calibration_excitation
 from masking.app.workflows import refine as refinement
 from masking.app.workflows.refine import assumed, refined
 from masking.errors import DeclarationError, RecordError
@@ -39,7 +39,7 @@ def recorded(folder, experiment, seconds):
     (folder / "e.yaml").write_text(experiment)
     twin = Experiment.load(folder / "e.yaml").twin
     settings = {"seconds": seconds, "lockstep": True, "seed": 1, "say": lambda text: None, "progress": lambda p: None}
-    calibration_records.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
+    calibration_excitation.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
     return folder
 
 

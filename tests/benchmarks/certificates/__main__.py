@@ -6,7 +6,7 @@ import sys
 import time
 from collections import Counter
 
-from masking.analysis.stability.certificate import Certificate, certificate
+from masking.analysis.stability.energy_certificate import Certificate, certificate
 from masking.model.declaration.schema import ModelDeclaration
 from masking.model.modelling.model import Model
 from tests.benchmarks.certificates.comparison import proved, wrong

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import sympy as sp
 
-from masking.analysis.stability.certificate import Certificate
+from masking.analysis.stability.energy_certificate import Certificate
 from tests.benchmarks.certificates.entry import BOUNDED, NONE
 from tests.benchmarks.certificates.truth import ROWS, Truth
 

@@ -9,7 +9,7 @@ from scipy import optimize, signal
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
-from masking.inference.discovery import fitting, initial_states, shooting
+from masking.inference.discovery import fitting, initial_states, shooting_intervals
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
@@ -262,7 +262,7 @@ def test_shooting_intervals_are_no_shorter_than_what_an_initial_state_may_take(p
     fewest, rules = problem.rules.fewest_samples, replace(problem.rules, settling_rates=1e9)
     for count, samples in ((fewest // 2, 0), (5 * fewest, fewest), (40 * fewest, 2 * fewest)):
         short = replace(problem, record=problem.record.part(0, count), rules=rules)
-        assert shooting.interval(short, None) == pytest.approx(samples, abs=0.1 * fewest)
+        assert shooting_intervals.interval(short, None) == pytest.approx(samples, abs=0.1 * fewest)
 
 
 def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
@@ -271,7 +271,7 @@ def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
     fine, spring = replace(problem, substeps=16), EffectInstance("linear_spring", "spring1", (0.5,), (0,))
     told = noisy(replace(problem, substeps=8), (friction, spring))
     known = fitting.fit(replace(fine, record=told.record), (friction,))
-    rough, there = shooting.corrected(replace(told, substeps=2), known)
+    rough, there = shooting_intervals.corrected(replace(told, substeps=2), known)
     found = rough.equations(there.theta, there.start, there.instances, there.added)
     np.testing.assert_allclose(rough.record.readings - found.simulated, known.residuals, atol=1e-12)
     beside = fitting.fit(rough, (*there.instances, spring), theta=there.theta, start=there.start)

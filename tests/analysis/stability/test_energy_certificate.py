@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
 
-from masking.analysis.stability.certificate import certificate
+from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import invariant_set

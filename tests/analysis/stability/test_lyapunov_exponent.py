@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from masking.analysis.stability.lyapunov import largest_exponent
+from masking.analysis.stability.lyapunov_exponent import largest_exponent
 from masking.analysis.stability.variational_equations import Variational
 from masking.errors import ModelError
 from masking.model.modelling.model import load_model
