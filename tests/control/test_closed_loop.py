@@ -29,6 +29,7 @@ def test_a_push_without_a_force_sensor_is_felt_better_than_by_hand():
     assert ours < theirs
 
 
+@pytest.mark.search
 def test_a_sweep_on_the_imperfect_twin_beside_a_controller_written_by_hand():
     ideal, ours, theirs = sweep(GAPS[::14]).T
     assert len(ours) >= 2
