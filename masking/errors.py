@@ -1,4 +1,4 @@
-"""Exceptions that say what is wrong, where (file:line:column) and how to mend it.
+"""Exceptions that say what is wrong, where (file:line:column) and how to correct it.
 
 Every exception of the package is a `MaskingError` and carries the exit status of the command line: 2 where the
 declaration or the call is at fault and running again cannot help, 1 where a run was started and stopped.
@@ -47,14 +47,14 @@ class Problem:
     place: Place | None
     path: str
     message: str
-    mend: str = ""
+    remedy: str = ""
     excerpt: str = ""
 
     def __str__(self) -> str:
         where = [str(part) for part in (self.place, self.path) if part]
         line = ": ".join([*where, self.message])
-        if self.mend:
-            line += f"; {self.mend}"
+        if self.remedy:
+            line += f"; {self.remedy}"
         return f"{line}\n{self.excerpt}" if self.excerpt else line
 
     def as_dict(self) -> dict[str, str | int | None]:
@@ -66,7 +66,7 @@ class Problem:
             "column": place.column if place else None,
             "path": self.path,
             "message": self.message,
-            "mend": self.mend,
+            "remedy": self.remedy,
         }
 
 
@@ -111,16 +111,16 @@ class ActuationError(MaskingError):
 class SingularityError(MaskingError):
     """A matrix that must be inverted became singular on the way; holds the time and the state at which it did."""
 
-    def __init__(self, message: str, time: float, state: Mapping[str, float], mend: str = "") -> None:
+    def __init__(self, message: str, time: float, state: Mapping[str, float], remedy: str = "") -> None:
         self.time = time
         self.state: dict[str, float] = dict(state)
-        self.mend = mend
-        super().__init__(message, self.time, self.state, mend)
+        self.remedy = remedy
+        super().__init__(message, self.time, self.state, remedy)
 
     def __str__(self) -> str:
         state = ", ".join(f"{name} = {value:.6g}" for name, value in self.state.items())
-        mend = f"; {self.mend}" if self.mend else ""
-        return f"{self.args[0]} at t = {self.time:.6g}" + (f" ({state})" if state else "") + mend
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.args[0]} at t = {self.time:.6g}" + (f" ({state})" if state else "") + remedy
 
 
 class IntegrationError(MaskingError):

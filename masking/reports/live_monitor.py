@@ -144,21 +144,21 @@ class Monitor:
 
     def state(self, now: float) -> dict[str, Any]:
         """Loop's state in a word and what there is to say about it, as JSON can hold it."""
-        told = self.switch.told if self.switch is not None else {}
-        trip, end = told.get("trip"), str(told.get("end") or "ended")
+        published = self.switch.published if self.switch is not None else {}
+        trip, end = published.get("trip"), str(published.get("end") or "ended")
         pressed = self.switch is not None and self.switch.pressed
         acknowledged = self.switch is not None and self.switch.is_acknowledged
         why = ""
         if trip:
             word = "TRIPPED"
         elif self.reader.is_closed:
-            word, why = end.upper(), str(told.get("why", ""))
+            word, why = end.upper(), str(published.get("why", ""))
         elif not is_running(self.reader.process):
             word, why = "LOST", "the process of the run has ended without a word; the plant's watchdog stops the rig"
         elif pressed:
             word = "STOPPING"
         elif not self.reader.count:
-            word, why = str(told.get("state", "DISARMED")), "no sample has come yet"
+            word, why = str(published.get("state", "DISARMED")), "no sample has come yet"
         elif now - self._changed > _SILENT:
             word, why = "SILENT", f"no sample has come for {now - self._changed:.0f} s"
         else:

@@ -190,7 +190,7 @@ def _budget(study: Study) -> CaptionedFigure:
     most = 1.08 * min(max(largest, whole), 2.0 * whole) if math.isfinite(whole) and whole > 0.0 else 1.0
     caption = (
         f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
-        "without one cause: to the left, mending it helps."
+        "without one cause: to the left, correcting it helps."
     )
     start = Level(min(whole, most), width=1.1, axis="x")
     finish = functools.partial(_draw_budget, rows=rows, whole=whole, most=most)

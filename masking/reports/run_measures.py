@@ -119,10 +119,10 @@ def check(
         allowed = [name for name in allowed if name not in _WITH_TWO]
     for name in names:
         if name not in allowed:
-            mend = nearest(name, allowed)
+            remedy = nearest(name, allowed)
             if name.partition(".")[0] in _ONLY_WITH_A_RIG and not has_rig:
-                mend = "the virtual system runs by itself, without a rig; leave --virtual out, or this measure"
-            raise DeclarationError(Problem(None, name, "is no measure of these runs", mend))
+                remedy = "the virtual system runs by itself, without a rig; leave --virtual out, or this measure"
+            raise DeclarationError(Problem(None, name, "is no measure of these runs", remedy))
 
 
 def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:

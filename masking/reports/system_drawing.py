@@ -100,8 +100,8 @@ def generic(title: str, names: Sequence[str], reach: Array) -> Drawing:
     try:
         return Drawing(title, "", tuple(names), tuple(_on_lines(names, reach)), {}, note)
     except ValueError:  # of pydantic
-        mend = "rename its columns: a name is made of letters, digits and underscores"
-        raise RecordError(f"{title}: one of {', '.join(names)} is no name of a coordinate; {mend}") from None
+        remedy = "rename its columns: a name is made of letters, digits and underscores"
+        raise RecordError(f"{title}: one of {', '.join(names)} is no name of a coordinate; {remedy}") from None
 
 
 def _on_lines(names: Sequence[str], reach: Array) -> Iterator[Shape]:

@@ -224,7 +224,7 @@ def test_a_chosen_bandwidth_overrides_the_rule():
     np.testing.assert_array_equal(Kalman(0, (100.0, 50.0, 25.0)).bandwidths(noisy), [100.0, 50.0, 25.0])
 
 
-# Refusals, each with its mend.
+# Refusals, each with its remedy.
 
 
 def test_a_bandwidth_faster_than_sampling_is_refused():

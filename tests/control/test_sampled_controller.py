@@ -163,7 +163,7 @@ def test_internal_states_move_on_within_a_sample():
         switches = {n: p for n, p in declared.parameters.items() if n.endswith("_on")}
         values = {n: p.model_copy(update={"value": made.plant.value(n)}) for n, p in switches.items()}
         known = declared.model_copy(update={"parameters": {**declared.parameters, **values}})
-        found.append(chi(run(Experiment(replace(made.assembly, believed_model=known)), 50.0 / OMEGA)))
+        found.append(chi(run(Experiment(replace(made.assembly, controller_model=known)), 50.0 / OMEGA)))
     assert found[0] < 2e-5
     assert np.log2(found[0] / found[1]) == pytest.approx(2.0, abs=0.2)
 
@@ -549,8 +549,10 @@ def test_a_rate_too_low_for_the_rig_is_refused_with_one_that_does():
     """The fastest free motion of the set-up: 14.7 rad/s, that of oscillator 2 against the beam."""
     jacobian = np.array([free(*np.split(x, 2)) for x in np.eye(6)]).T
     fastest = np.abs(np.linalg.eigvals(np.vstack([np.eye(6)[3:], jacobian]))).max()
-    mend = rf"controller.rate 5 Hz is too low for this rig: .* give at least {fastest:.3g} Hz, better ten times as much"
-    with pytest.raises(ModelError, match=mend):
+    remedy = (
+        rf"controller.rate 5 Hz is too low for this rig: .* give at least {fastest:.3g} Hz, better ten times as much"
+    )
+    with pytest.raises(ModelError, match=remedy):
         experiment(controller={"rate": "5 Hz"}).validate()
     experiment(controller={"rate": f"{1.01 * fastest} Hz"}).validate()
 

@@ -116,16 +116,16 @@ def test_the_phase_is_that_of_two_sines(phase):
 def test_a_switch_is_shared_and_goes_with_its_loop():
     made = Switch.make()
     other = next(one for one in switches() if one.path == made.path)
-    assert (made.pressed, other.silence, other.told) == (0, math.inf, {})
+    assert (made.pressed, other.silence, other.published) == (0, math.inf, {})
     other.press(Presser.COMMAND_LINE)
     other.press(Presser.PAGE)
     other.see()
     assert made.pressed == Presser.COMMAND_LINE
     assert 0.0 <= made.silence < 1.0
-    made.tell(end="tripped", trip={"cause": "ESTOP"})
-    assert other.told == {"end": "tripped", "trip": {"cause": "ESTOP"}}
-    made.tell(text="x" * 50_000)
-    assert other.told["text"] == "x" * 1000
+    made.publish(end="tripped", trip={"cause": "ESTOP"})
+    assert other.published == {"end": "tripped", "trip": {"cause": "ESTOP"}}
+    made.publish(text="x" * 50_000)
+    assert other.published["text"] == "x" * 1000
     made.remove()
     with pytest.raises(RecordError, match="no switch of a running loop"):
         Switch(made.path)

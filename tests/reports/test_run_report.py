@@ -377,7 +377,7 @@ def test_other_kinds_of_motion_are_named(other, said):
 
 
 BUDGET = {
-    "sentence": "Mend first: friction (chi 0.03 -> 0.01 without).",
+    "sentence": "Remedy first: friction (chi 0.03 -> 0.01 without).",
     "chi": {"x1": 0.03, "x2": 0.03, "x3": 0.03},
     "rms": 0.03,
     "rows": [
@@ -395,7 +395,7 @@ def test_what_limits_the_masking_error_is_drawn_and_tabulated(tmp_path):
     assert [path.stem for path in result.figures] == [*FIGURES, "budget"]
     assert BUDGET["sentence"] in result.summary
     text = page_of(result).text
-    assert "Mend first: friction (χ 0.03 → 0.01 without)." in text
+    assert "Remedy first: friction (χ 0.03 → 0.01 without)." in text
     assert (
         "without friction0.010.010.010.01\N{MINUS SIGN}67 %align the coil"
         "sampled faster0.030.030.030.030 %"

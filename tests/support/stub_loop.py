@@ -62,9 +62,9 @@ def main():
         os.kill(os.getpid(), 9)
     if switch.pressed:
         sentence = f"tick {n}: ESTOP: the emergency stop was pressed; release it once the rig is safe"
-        switch.tell(end="tripped", trip={"cause": "ESTOP", "tick": n, "sentence": sentence})
+        switch.publish(end="tripped", trip={"cause": "ESTOP", "tick": n, "sentence": sentence})
     else:
-        switch.tell(end="finished")
+        switch.publish(end="finished")
     ring.close()
     switch.remove()
     told = {"rows": n, "stopped": pressed_at, "seen": seen, "p99": float(np.quantile(late[: max(n, 1)], 0.99))}

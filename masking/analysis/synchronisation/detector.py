@@ -23,7 +23,7 @@ from masking.errors import ModelError
 PHASES: Final = {"in": 0.0, "anti": math.pi}  # rad, of a against b
 _LEAST_SAMPLES: Final = 8  # of a period
 _FORGETTING: Final = 1 / 64  # of the mean, for each half period: drift slower than some 30 periods is followed
-_PULL: Final = 0.2  # part of a wrong frequency that is mended in each half period
+_PULL: Final = 0.2  # part of a wrong frequency that is corrected in each half period
 _RANGE: Final = 0.25  # relative, about the declared period, in which that of a is followed
 
 

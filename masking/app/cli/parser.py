@@ -18,7 +18,7 @@ VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identifi
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to mend first."""
+    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to correct first."""
     given = sys.argv[1:] if arguments is None else [*arguments]
     parser = _parser()
     call: Call | None = None

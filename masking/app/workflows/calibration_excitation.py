@@ -38,7 +38,7 @@ RATE: Final = 1000.0
 PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record
 STARTS: Final = 5  # of the search for a small crest factor
-_MEND = "calibrate that plant, or give the plant file of the one that is there"
+_REMEDY = "calibrate that plant, or give the plant file of the one that is there"
 _DIGITS = 9  # of a number that shows whether a twin is the same
 
 Say = Callable[[str], None]
@@ -102,13 +102,13 @@ def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: f
 
 def _check(before: Mapping[str, Any] | None, now: Mapping[str, Any], path: Path) -> None:
     """Refuse a record that was made with other settings."""
-    mend = f"give another folder with --out, or delete {path.parent} to record anew"
+    remedy = f"give another folder with --out, or delete {path.parent} to record anew"
     if before is None:
-        raise RecordError(f"{path} does not say with which settings it was recorded; {mend}")
+        raise RecordError(f"{path} does not say with which settings it was recorded; {remedy}")
     other = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]
     if other:
         differences = ", ".join(_difference(name, before.get(name), now.get(name)) for name in other)
-        raise RecordError(f"{path} was recorded with other settings: {differences}; {mend}")
+        raise RecordError(f"{path} was recorded with other settings: {differences}; {remedy}")
 
 
 def _difference(name: str, before: object, now: object) -> str:
@@ -178,7 +178,7 @@ def _record(
         limits=limits,
         hooks=Hooks(
             lambda found: check_channels(
-                found, twin.sensors, twin.actuators, f"the calibration is for {wanted}", _MEND
+                found, twin.sensors, twin.actuators, f"the calibration is for {wanted}", _REMEDY
             ),
             on_tick=every(progress, len(commands)),
         ),

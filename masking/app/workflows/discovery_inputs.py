@@ -75,16 +75,16 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
 def _check_unseen(train: Data, held_out: Data, origin: Origin) -> None:
     """Refuse for validation what is searched: the same record, or parts of one file that overlap."""
     (record, content), (validation, other) = origin.records["record"], origin.records["validation"]
-    mend = "leave --validate out, and the last 30 % of the record are held out, or give another record"
+    remedy = "leave --validate out, and the last 30 % of the record are held out, or give another record"
     if np.array_equal(train.readings, held_out.readings) and np.array_equal(train.commands, held_out.commands):
-        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to validate; {mend}")
+        raise RecordError(f"{validation}: it holds the same samples as {record}, which it is to validate; {remedy}")
     first, second = Part.of(record), Part.of(validation)
     start, end = max(first.limits[0], second.limits[0]), min(first.limits[1], second.limits[1])
     if content == other and start < end:
         border = start if np.isfinite(start) else end
         raise RecordError(
             f"{validation}: its samples{_between(start, end)} are also in {record}, which it is to validate; give "
-            f"parts that share no time, such as {first.file}@:{border:.9g} and {first.file}@{border:.9g}:, or {mend}"
+            f"parts that share no time, such as {first.file}@:{border:.9g} and {first.file}@{border:.9g}:, or {remedy}"
         )
 
 
@@ -103,8 +103,8 @@ def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
     if plant is not None:
         twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     elif model is None:
-        mend = "name a model, such as --model setup, or a plant with --plant"
-        raise DeclarationError(Problem(None, "model", "there is nothing to hold the record against", mend))
+        remedy = "name a model, such as --model setup, or a plant with --plant"
+        raise DeclarationError(Problem(None, "model", "there is nothing to hold the record against", remedy))
     else:
         base = registry.load_model(model)
         for what in beyond_ordinary(base):

@@ -102,8 +102,8 @@ def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
     stem, rate, changes = Path(name_or_path).stem, settings.rate, settings.changes
     if kind == "experiment":
         if rate is not None:
-            mend = "change controller.rate in the experiment file"
-            raise DeclarationError(Problem(None, "--rate", "a controller has the rate that is declared", mend))
+            remedy = "change controller.rate in the experiment file"
+            raise DeclarationError(Problem(None, "--rate", "a controller has the rate that is declared", remedy))
         made = Experiment.load(name_or_path, plant=settings.plant, changes=changes)
         made.validate()
         _check_inputs(made)
@@ -129,11 +129,13 @@ def _check_inputs(experiment: Experiment) -> None:
         if source.expression is None and not experiment.has_observer:
             path = f"inputs.{name}"
             message = f"an exported control law of the states takes expressions, not a {source.kinds[0]}"
-            mend = f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or give the controller rate and observer"
-            raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, mend))
+            remedy = (
+                f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or give the controller rate and observer"
+            )
+            raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, remedy))
 
 
 def _check(option: str, given: str, allowed: tuple[str, ...]) -> None:
     if given not in allowed:
-        mend = f"allowed: {', '.join(allowed)}"
-        raise DeclarationError(Problem(None, option, f"there is no {option.removeprefix('--')} '{given}'", mend))
+        remedy = f"allowed: {', '.join(allowed)}"
+        raise DeclarationError(Problem(None, option, f"there is no {option.removeprefix('--')} '{given}'", remedy))

@@ -50,11 +50,11 @@ def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None
     options = [] if page is None else ["--page", str(page)]
     options += [] if stream is None else ["--stream", stream]
     process = Child("masking.app.workflows.operator_process", [str(ring), str(switch), *options], is_quiet=True)
-    told = json.loads(process.line() or '{"error": "the process of the operator page did not start"}')
-    if "error" in told:
+    answer = json.loads(process.line() or '{"error": "the process of the operator page did not start"}')
+    if "error" in answer:
         process.wait()
-        raise OperatorError(told["error"])
-    return Attendant(told["page"] or "", process)
+        raise OperatorError(answer["error"])
+    return Attendant(answer["page"] or "", process)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -11,7 +11,7 @@ from masking.lab.records import stream
 from masking.lab.records.recording import MANIFEST, TABLE
 
 RUN: Final = (TABLE, MANIFEST, stream.MANIFEST)  # what every run saves, and what one that was killed leaves
-_MEND: Final = "name another folder with --out, or replace it with --overwrite (in Python, out= and overwrite=True)"
+_REMEDY: Final = "name another folder with --out, or replace it with --overwrite (in Python, out= and overwrite=True)"
 
 
 def beside(record: str | Path) -> Path:
@@ -38,4 +38,4 @@ def check_folder(out: str | Path | None, *files: str, overwrite: bool = True) ->
     if stream.MANIFEST in held and not overwrite:
         raise RecordError(f"{path} holds the stream of a run that did not end in order; {stream.MEND.format(path)}")
     if held and not overwrite:
-        raise RecordError(f"{path} holds an earlier result, {held[0]}; {_MEND}")
+        raise RecordError(f"{path} holds an earlier result, {held[0]}; {_REMEDY}")

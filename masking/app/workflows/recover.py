@@ -166,12 +166,12 @@ def _run(
     if not (column["index"] >= 0).any():
         return None, "the run ended in the homing, before the release"
     read_from = found.manifest["read_from"]
-    mend = "put them back as they were, and recover it again"
+    remedy = "put them back as they were, and recover it again"
     try:
         experiment = Experiment.load(read_from["experiment"], plant=read_from["plant"])
         content = manifest.content(experiment.assembly, experiment.virtual, {})
         if json.loads(json_text(content["declarations"])) != found.manifest["declarations"]:
-            return None, f"{read_from['experiment']} or what it names has changed since the run; {mend}"
+            return None, f"{read_from['experiment']} or what it names has changed since the run; {remedy}"
         layout = RowLayout(experiment)
         if [*layout.columns.items()] != [*found.manifest["columns"].items()]:
             return None, "another version of this program has written it; recover it with that version"

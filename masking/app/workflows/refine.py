@@ -181,8 +181,8 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     say = tell or (lambda text, part: None)
     twin = discovery_inputs.with_effects(assumed(experiment), settings.effects)
     if not twin.sensors:
-        message, mend = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
-        raise DeclarationError(Problem(None, "sensors", message, mend))
+        message, remedy = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
+        raise DeclarationError(Problem(None, "sensors", message, remedy))
     given = discovery_inputs.read(twin, settings.record, settings)
     named = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
     say("running with the model as it is", 0.0)
@@ -212,7 +212,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
 def assumed(experiment: Experiment) -> Twin:
     """Plant as the controller assumes it: its own model, and of the plant's effects noise and delay."""
     assembly, settings = experiment.assembly, experiment.declaration.controller
-    base = assembly.believed_model
+    base = assembly.controller_model
     known = {}
     for name, use in assembly.plant.effects.items():
         if experiment.twin.dictionary[use.effect].is_known_to_controller:

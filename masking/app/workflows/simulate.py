@@ -73,8 +73,8 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
     except ColumnError as error:
         if plant is not None or alone:
             raise
-        mend = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
-        raise ColumnError(f"{error}; {mend}") from None
+        remedy = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
+        raise ColumnError(f"{error}; {remedy}") from None
     if initial is not None and interval is not None:
         message = "each shooting interval has an initial state of its own"
         raise DeclarationError(Problem(None, "initial", message, "give only one of initial and shooting_interval"))

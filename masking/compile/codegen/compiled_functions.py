@@ -188,17 +188,17 @@ class Kernels:
         names, internal = tuple(self.meta["coordinates"]), tuple(self.meta.get("states", ()))
         return Trajectory(times, out, names, int(found[:, 2].sum()), internal, errors=errors)
 
-    def stop(self, status: int, time: float, state: Sequence[float] | Array, mend: str = "") -> None:
+    def stop(self, status: int, time: float, state: Sequence[float] | Array, remedy: str = "") -> None:
         """Raise the error that a kernel's status, one of `stop_codes`, stands for, with the time and the state there.
 
-        A `SingularityError` holds the state and `mend`, what to do about a singular matrix; all else is an
+        A `SingularityError` holds the state and `remedy`, what to do about a singular matrix; all else is an
         `IntegrationError`.
         """
         names = self.meta["coordinates"]
         internal = self.meta.get("states", ())
         at = dict(zip([*names, *(f"{n}'" for n in names), *internal], map(float, state), strict=True))
         if status == SINGULAR:
-            raise SingularityError(MESSAGES[status], time, at, mend)
+            raise SingularityError(MESSAGES[status], time, at, remedy)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
 

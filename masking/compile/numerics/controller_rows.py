@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-# A state, the accelerations that the model lacks, and at the beginning, the middle and the end of a sample the inputs
-# and the accelerations; at its beginning and end the parts of these that inputs give; the velocities that are wanted.
-STATE, LACKING, EARLY_INPUTS, MIDDLE_INPUTS, LATE_INPUTS, EARLY, MIDDLE, LATE, EARLY_PART, LATE_PART, WANTED = range(11)
+# A state, the unmodelled accelerations, and at the beginning, the middle and the end of a sample the inputs
+# and the accelerations; at its beginning and end the parts of these that inputs give; the desired velocities.
+STATE, DISTURBANCE, EARLY_INPUTS, MIDDLE_INPUTS, LATE_INPUTS = range(5)
+EARLY, MIDDLE, LATE, EARLY_PART, LATE_PART, DESIRED = range(5, 11)
 # The estimate when the inputs begin to act, inputs, the four slopes of a step and the state of one, expected readings.
 AHEAD, INPUTS, SLOPES, STAGE, EXPECTED = 11, 12, 13, 17, 18
 SENSED, DEMANDED, APPLIED = range(19, 22)  # of the rig

@@ -122,7 +122,7 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
 
     @compiled
     def held(t, since, z, past, p, h, u, work):
-        y, d, v = work[rows.STATE], work[rows.LACKING][:n], work[rows.WANTED][:n]
+        y, d, v = work[rows.STATE], work[rows.DISTURBANCE][:n], work[rows.DESIRED][:n]
         u0, u1, u2 = work[rows.EARLY_INPUTS][:m], work[rows.MIDDLE_INPUTS][:m], work[rows.LATE_INPUTS][:m]
         r0, r1, r2 = work[rows.EARLY][:n], work[rows.MIDDLE][:n], work[rows.LATE][:n]
         g0, g2 = work[rows.EARLY_PART][:n], work[rows.LATE_PART][:n]
@@ -350,7 +350,7 @@ def control_with_differences(
     def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         x, p, gain, table = unit
         now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
-        d, u = work[rows.LACKING][:n], work[rows.EARLY_INPUTS][:m]
+        d, u = work[rows.DISTURBANCE][:n], work[rows.EARLY_INPUTS][:m]
         r, g = work[rows.EARLY][:n], work[rows.EARLY_PART][:n]
         for i in range(n):
             position = 0.0

@@ -25,14 +25,14 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
     problems = []
     rows = np.zeros((len(model.inputs), len(plant.actuators)))
     for name in plant.allocation.keys() - model.inputs.keys():
-        message, mend = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
-        problems.append(Problem(plant.key_place(f"allocation.{name}"), f"allocation.{name}", message, mend))
+        message, remedy = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
+        problems.append(Problem(plant.key_place(f"allocation.{name}"), f"allocation.{name}", message, remedy))
     for i, name in enumerate(model.inputs):
         path = f"allocation.{name}"
         if name not in plant.allocation:
             message = f"nothing is allocated to the input {name}"
-            mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            problems.append(Problem(plant.key_place("allocation"), path, message, mend))
+            remedy = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
+            problems.append(Problem(plant.key_place("allocation"), path, message, remedy))
             continue
         expression = plant.allocation[name]
         unknown = expression.check_symbols([*plant.actuators, *parameters])

@@ -132,8 +132,8 @@ class Twin:
         path = f"effects.{name}"
         known = self.dictionary.get(use.effect)
         if known is None:
-            message, mend = f"there is no effect '{use.effect}'", nearest(use.effect, self.dictionary)
-            problems.append(Problem(self.declaration.place(f"{path}.effect"), f"{path}.effect", message, mend))
+            message, remedy = f"there is no effect '{use.effect}'", nearest(use.effect, self.dictionary)
+            problems.append(Problem(self.declaration.place(f"{path}.effect"), f"{path}.effect", message, remedy))
             return
         places = {"element": self.base.elements, "sensor": self.sensors, "actuator": self.actuators}
         allowed = [str(place) for place in places.get(known.where, ())]

@@ -72,13 +72,13 @@ def _entry(address: str) -> EntryPoint:
     scheme = scheme_of(address)
     if not scheme:
         known = ", ".join(f"{name}:" for name in schemes())
-        mend = f"write it as udp://127.0.0.1:5005, or with another scheme that is installed: {known}"
-        raise PlantMismatchError(f"'{address}' is no address of a plant; {mend}")
+        remedy = f"write it as udp://127.0.0.1:5005, or with another scheme that is installed: {known}"
+        raise PlantMismatchError(f"'{address}' is no address of a plant; {remedy}")
     found = {entry.value: entry for entry in entry_points(group=GROUP, name=scheme)}
     if not found:
         known = ", ".join(schemes()) or "none: install masking itself anew"
-        mend = f"install the package that has it; there are {known}"
-        raise PlantMismatchError(f"{address}: no adapter has the scheme '{scheme}'; {mend}")
+        remedy = f"install the package that has it; there are {known}"
+        raise PlantMismatchError(f"{address}: no adapter has the scheme '{scheme}'; {remedy}")
     if len(found) > 1:
         both = " and ".join(f"{value} of {_package(entry)}" for value, entry in found.items())
         raise PlantMismatchError(f"{address}: {both} are adapters with the scheme '{scheme}'; uninstall one")
@@ -93,5 +93,5 @@ def _lacks(entry: EntryPoint, error: ImportError) -> NoReturn:
     """Say which library an adapter needs, and the extra that brings it where the package has one of that name."""
     extras = entry.dist.metadata.get_all("Provides-Extra") or [] if entry.dist is not None else []
     package = _package(entry)
-    mend = f"pip install '{package}[{entry.name}]'" if entry.name in extras else "install what it needs"
-    raise PlantMismatchError(f"{entry.name}: the adapter of {package} cannot be loaded ({error}); {mend}") from error
+    remedy = f"pip install '{package}[{entry.name}]'" if entry.name in extras else "install what it needs"
+    raise PlantMismatchError(f"{entry.name}: the adapter of {package} cannot be loaded ({error}); {remedy}") from error

@@ -63,12 +63,14 @@ class Address:
         given = [part.strip() for part in self.options[name].split(",")] if name in self.options else list(default)
         for channel, _, own in (part.partition(":") for part in given):
             if not channel or channel in found:
-                mend = "write them as a,b or as name:a,other:b" if not channel else "let each name stand once"
-                raise PlantMismatchError(f"{self.text}: {name} are '{self.options.get(name, ','.join(given))}'; {mend}")
+                remedy = "write them as a,b or as name:a,other:b" if not channel else "let each name stand once"
+                raise PlantMismatchError(
+                    f"{self.text}: {name} are '{self.options.get(name, ','.join(given))}'; {remedy}"
+                )
             found[channel] = own or channel
             if there and found[channel] not in there:
-                mend = nearest(found[channel], there)
-                raise PlantMismatchError(f"{self.text}: there is no '{found[channel]}' for {name}; {mend}")
+                remedy = nearest(found[channel], there)
+                raise PlantMismatchError(f"{self.text}: there is no '{found[channel]}' for {name}; {remedy}")
         if not found:
             raise PlantMismatchError(f"{self.text}: it has no {name}; name some with ?{name}=a,b")
         return found
@@ -93,8 +95,8 @@ def parse(text: str, allowed: Iterable[str] = (), form: str = "udp://127.0.0.1:5
     for part in filter(None, (found[3] or "").split("&")):
         name, _, value = part.partition("=")
         if name not in names or name in options:
-            mend = "give it once" if name in options else nearest(name, names)
-            raise PlantMismatchError(f"{text}: '{name}' is no option of this address; {mend}")
+            remedy = "give it once" if name in options else nearest(name, names)
+            raise PlantMismatchError(f"{text}: '{name}' is no option of this address; {remedy}")
         options[name] = unquote(value)
     return Address(text, found[1].lower(), unquote(found[2]), options)
 

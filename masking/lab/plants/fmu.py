@@ -45,8 +45,8 @@ class FmuPlant(SteppedPlant):
             raise PlantMismatchError(f"{address}: no FMU that fmpy reads ({reason}); correct the file") from error
         version = str(self._described.fmiVersion)
         if self._described.coSimulation is None or version not in _KINDS:
-            mend = "give one for co-simulation of FMI 2.0 or 3.0"
-            raise PlantMismatchError(f"{address}: an FMU of FMI {version} that cannot be stepped so; {mend}")
+            remedy = "give one for co-simulation of FMI 2.0 or 3.0"
+            raise PlantMismatchError(f"{address}: an FMU of FMI {version} that cannot be stepped so; {remedy}")
         self._kind, self._number = _KINDS[version]
         outputs, inputs = ({
             v.name: int(v.valueReference)
@@ -113,5 +113,5 @@ class FmuPlant(SteppedPlant):
             yield
         except Exception as error:
             reason = " ".join(str(error).split())
-            mend = "a step of another length may do: change controller.rate"
-            raise PlantError(f"{self._path} {what} ({type(error).__name__}: {reason}); {mend}") from error
+            remedy = "a step of another length may do: change controller.rate"
+            raise PlantError(f"{self._path} {what} ({type(error).__name__}: {reason}); {remedy}") from error

@@ -150,15 +150,15 @@ class LifeCycle:
     def activate(self) -> None:
         """Go from INACTIVE to ACTIVE."""
         if self.state is not State.INACTIVE:
-            mend = "call deactivate and configure first" if self.state is State.ACTIVE else "call configure first"
-            raise PlantOrderError(f"activate: the plant is {self.state}; {mend}")
+            remedy = "call deactivate and configure first" if self.state is State.ACTIVE else "call configure first"
+            raise PlantOrderError(f"activate: the plant is {self.state}; {remedy}")
         self.state = State.ACTIVE
 
     def need_active(self, verb: str) -> None:
         """Refuse what only an active plant does."""
         if self.state is not State.ACTIVE:
-            mend = "call activate first" if self.state is State.INACTIVE else "call configure and activate first"
-            raise PlantOrderError(f"{verb}: the plant is {self.state}; {mend}")
+            remedy = "call activate first" if self.state is State.INACTIVE else "call configure and activate first"
+            raise PlantOrderError(f"{verb}: the plant is {self.state}; {remedy}")
 
     def deactivate(self) -> None:
         """Go to UNCONFIGURED from any state."""

@@ -62,8 +62,8 @@ class MujocoPlant(SteppedPlant):
         self._data.ctrl[self._driven] = command
         mujoco.mj_step(self._model, self._data, self._steps)
         if any(self._data.warning[kind].number for kind in _UNSTABLE):  # upon which MuJoCo begins anew
-            mend = "give it a shorter timestep"
-            raise PlantError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {mend}")
+            remedy = "give it a shorter timestep"
+            raise PlantError(f"the simulation of {self._file} became unstable at {self._data.time:g} s; {remedy}")
 
     def readings(self) -> Array:
         """Readings now: after a step, MuJoCo's are those of its beginning."""

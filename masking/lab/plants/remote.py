@@ -67,7 +67,7 @@ class RemotePlant(ABC):
     def open_line(self) -> Line:
         """Line to the plant; OSError where it cannot be reached."""
 
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """Remedy where no plant answers."""
         key = " --key FILE" if self._key is not None else ""
         return f"start it with 'masking rig serve PLANT --address {self._address}{key}', or correct the address"
@@ -179,7 +179,7 @@ class RemotePlant(ABC):
             raise PlantRefusedError(
                 f"{self._address} answers, but not with this key; give both sides the same --key FILE"
             )
-        raise PlantLostError(f"no plant answers at {self._address}; {self.mend()}")
+        raise PlantLostError(f"no plant answers at {self._address}; {self.remedy()}")
 
     def _following(self, wait: float) -> Frame | None:
         """Answer to the start, else the next frame within a number of seconds."""
@@ -260,8 +260,8 @@ class RemotePlant(ABC):
         return self._line
 
     def _lost(self, what: str, error: Exception | None = None, kind: type[PlantLostError] = PlantLostError) -> NoReturn:
-        mend = "look at its own output and record, then start it again with 'masking rig serve PLANT'"
-        raise kind(f"the plant at {self._address} {what}; {mend}") from error
+        remedy = "look at its own output and record, then start it again with 'masking rig serve PLANT'"
+        raise kind(f"the plant at {self._address} {what}; {remedy}") from error
 
     def _close(self) -> None:
         if self._line is not None:

@@ -42,7 +42,7 @@ class SerialPlant(RemotePlant):
         """Line to the plant."""
         return SerialLine(_opened(self._where.place, self._baud))
 
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """Remedy where no plant answers."""
         return "look at its cable, its baud rate, and the program on the board"
 

@@ -233,12 +233,12 @@ class _Server:
         settings = wire.read_settings(frame.text)
         if settings.lockstep == self.is_real:
             wanted = "lockstep" if settings.lockstep else "real"
-            mend = "start both in lockstep, or both without"
-            raise PlantMismatchError(f"its clock is '{self.serving.clock}', the controller wants '{wanted}'; {mend}")
+            remedy = "start both in lockstep, or both without"
+            raise PlantMismatchError(f"its clock is '{self.serving.clock}', the controller wants '{wanted}'; {remedy}")
         self.serving.allowed.check(settings)
         if self.tripped and not settings.acknowledge:
-            mend = "look at the rig, then start once with --acknowledge"
-            raise PlantRefusedError(f"it has tripped: {self.tripped}; {mend}")
+            remedy = "look at the rig, then start once with --acknowledge"
+            raise PlantRefusedError(f"it has tripped: {self.tripped}; {remedy}")
         self.plant.configure(settings)
         if self.guard is not None:
             self.guard.begin(self.plant, settings)

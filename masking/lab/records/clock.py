@@ -75,9 +75,9 @@ def _cause(t: Array, name: str) -> str:
     if gaps:
         missing, others = gaps[0].missing, len(gaps) - 1
         more = f", and there {'are' if others > 1 else 'is'} {others} more gap{'s' * (others > 1)}" if others else ""
-        mend = "cut the record there, and" if others < _MANY else "resample the record to one rate, or"
+        remedy = "cut the record there, and" if others < _MANY else "resample the record to one rate, or"
         what = f"{missing} samples are" if missing > 1 else "1 sample is"
-        return f"{what} missing after t = {t[gaps[0].first - 1]:.9g} s{more}; {mend} use one part{part}"
+        return f"{what} missing after t = {t[gaps[0].first - 1]:.9g} s{more}; {remedy} use one part{part}"
     period, off = _line(t)
     if np.abs(off).max() <= _FAR * period and np.median(np.abs(off)) <= 0.5 * period:
         return (

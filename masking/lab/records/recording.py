@@ -41,7 +41,7 @@ FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
 MANIFEST: Final = "manifest.json"
 _DRAWN: Final = 2**15  # samples of a recording on disk that a picture in a notebook has
-_MEND = f"give a folder that holds {TABLE}, such as results/duffing"
+_REMEDY = f"give a folder that holds {TABLE}, such as results/duffing"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -301,8 +301,8 @@ class Recording:
         if path.is_dir():
             path /= TABLE
         if not path.is_file():
-            mend = "" if path.parent.is_dir() else f"; the folder {path.parent} does not exist"
-            raise RecordError(f"{path}: no such recording{mend}; {_MEND}")
+            remedy = "" if path.parent.is_dir() else f"; the folder {path.parent} does not exist"
+            raise RecordError(f"{path}: no such recording{remedy}; {_REMEDY}")
         columns, text = read(path)
         if text is None:
             raise RecordError(f"{path}: not a recording: the table carries no manifest")

@@ -107,7 +107,7 @@ class Switch:
         seen = self._words[_SEEN]
         return (time.monotonic_ns() - seen) * 1e-9 if seen else float("inf")
 
-    def tell(self, **facts: Any) -> None:  # noqa: ANN401
+    def publish(self, **facts: Any) -> None:  # noqa: ANN401
         """Write what the loop says of its state, as JSON can hold it, in place of what it said before."""
         text = json.dumps(facts).encode()
         if len(text) > _MOST:
@@ -118,7 +118,7 @@ class Switch:
         self._words[_WHOLE] = self._words[_BEGUN]
 
     @property
-    def told(self) -> dict[str, Any]:
+    def published(self) -> dict[str, Any]:
         """What the loop said of its state last; empty where it said nothing."""
         for _ in range(_TRIES):
             whole = self._words[_WHOLE]

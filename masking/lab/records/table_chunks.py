@@ -97,8 +97,8 @@ def read(folder: Path) -> Columns:
             with pq.ParquetFile(path(folder, first, last), page_checksum_verification=True) as file:
                 table = file.read()  # pq.read_table would import pandas
         except (pa.ArrowException, OSError) as error:
-            mend = "remove it, then start the same sweep again"
-            raise RecordError(f"{path(folder, first, last)} is cut off or damaged; {mend}") from error
+            remedy = "remove it, then start the same sweep again"
+            raise RecordError(f"{path(folder, first, last)} is cut off or damaged; {remedy}") from error
         tables.append(table.slice(max(0, reached - first)))
         reached = last
     if not tables:

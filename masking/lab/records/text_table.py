@@ -73,14 +73,14 @@ def check_cells(
     count = len(np.unique(np.concatenate([*wrong.values()])))
     at = f" (t = {clock[row]:.9g} s)" if np.isfinite(clock[row]) else ""
     rest = f", and {count - 1} more line{'s' * (count > 2)} so" if count > 1 else ""
-    mend = "take the line out, or put numbers there"
+    remedy = "take the line out, or put numbers there"
     if row == 0:
-        mend = "take the line out, such as one of units, or put numbers there"
+        remedy = "take the line out, such as one of units, or put numbers there"
     elif at:
-        mend = f"put numbers there, or use a part without, such as {part.file}@:{clock[row]:.9g}"
+        remedy = f"put numbers there, or use a part without, such as {part.file}@:{clock[row]:.9g}"
     what = f"'{_shown(cell)}'" if cell else "nothing"
     kind = "no finite number" if math.isinf(_number(cell, table)) else "not a number"
-    raise RecordError(f"{part.name}: line {number} holds {what} in column '{name}'{at}, {kind}{rest}; {mend}")
+    raise RecordError(f"{part.name}: line {number} holds {what} in column '{name}'{at}, {kind}{rest}; {remedy}")
 
 
 def _text(file: Path) -> str:

@@ -62,8 +62,8 @@ def load(plan: str | Path) -> tuple[BatchDeclaration, Experiment, tuple[Run, ...
                 changed(experiment, {name: value})
             except DeclarationError as error:
                 place = declared.place(f"vary.{name}.{i}") or declared.key_place(f"vary.{name}")
-                message, mend = error.problems[0].message, error.problems[0].mend
-                raise DeclarationError(Problem(place, f"vary.{name}", message, mend)) from error
+                message, remedy = error.problems[0].message, error.problems[0].remedy
+                raise DeclarationError(Problem(place, f"vary.{name}", message, remedy)) from error
     return declared, experiment, runs
 
 
@@ -71,8 +71,8 @@ def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
     if plan.repeats < 1:
         yield Problem(plan.place("repeats"), "repeats", "must be at least 1, not 0")
     if plan.budget.trips == 0:
-        mend = "leave it out for any number; a run that tripped is made again only as 'retries' says"
-        yield Problem(plan.place("budget.trips"), "budget.trips", "must be at least 1, not 0", mend)
+        remedy = "leave it out for any number; a run that tripped is made again only as 'retries' says"
+        yield Problem(plan.place("budget.trips"), "budget.trips", "must be at least 1, not 0", remedy)
     if plan.cool < 0.0:
         yield Problem(plan.place("cool"), "cool", f"must be at least 0, not {plan.cool:g}", "give seconds")
     many = plan.repeats

@@ -33,7 +33,7 @@ _WORTH: Final = 0.9  # of chi: what a cause must bring it down to, to be worth a
 _PROBES: Final = 200  # states of the run at which the controller's model is compared with the rig
 _KNOWN: Final = 0.5  # of the error of the model: what knowing a cause must bring it down to
 _KNOWN_NOTE: Final = "the controller's model knows it: without it, the model is wrong"
-_OFFSETS_NOTE: Final = "makes up for another cause: to mend it alone makes matters worse"
+_OFFSETS_NOTE: Final = "makes up for another cause: to correct it alone makes matters worse"
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Budget:
         best = min(self.rows, key=lambda row: row.rms)
         if best.rms <= _WORTH * self.whole.rms:
             how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
-            return f"Mend first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
+            return f"Remedy first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
         if self.without_all.rms <= _WORTH * self.whole.rms:
             return (
                 f"No single cause limits the masking error; all together do (chi {now} -> {left} without any of them)."

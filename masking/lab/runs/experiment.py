@@ -115,7 +115,7 @@ class Experiment:
         """Control law."""
         settings = self.declaration.controller
         overrides = {} if settings.model else self.assembly.plant.parameters
-        assumed = Model(self.assembly.believed_model, {**overrides, **settings.parameters})
+        assumed = Model(self.assembly.controller_model, {**overrides, **settings.parameters})
         transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
         balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
@@ -180,11 +180,13 @@ class Experiment:
         """
         assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
         allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
-        mend = f"allowed: {', '.join(allowed) or 'none'}; forces and gains belong into controller.model and .parameters"
+        remedy = (
+            f"allowed: {', '.join(allowed) or 'none'}; forces and gains belong into controller.model and .parameters"
+        )
         problems = []
         for name in assumed.keys() - set(allowed):
             path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"
-            problems.append(Problem(self.declaration.key_place(path), path, message, mend))
+            problems.append(Problem(self.declaration.key_place(path), path, message, remedy))
         if problems:
             raise DeclarationError(problems)
         return {**self.declaration.effects, **assumed}

@@ -82,7 +82,7 @@ class Use:
 
 
 @dataclass(frozen=True)
-class Mend:
+class Remedy:
     """One change that makes a motion fit, or that was tried in vain."""
 
     what: What  # the seconds per unit of virtual time, the stroke that the transform uses, or all initial values
@@ -117,7 +117,7 @@ class Feasibility:
 
     name: str  # of the experiment
     uses: tuple[Use, ...]  # each limit and how much of it is used
-    mends: tuple[Mend, ...] = ()  # what was tried where a limit is passed; empty where the motion fits
+    remedies: tuple[Remedy, ...] = ()  # what was tried where a limit is passed; empty where the motion fits
     notes: tuple[str, ...] = ()  # what could not be determined
 
     @property
@@ -135,8 +135,8 @@ class Feasibility:
         if self.fits:
             return f"fits: {max(self.uses, key=lambda use: use.part)} at most"
         needs = "; ".join(str(use) for use in sorted(self.uses, key=lambda use: -use.part) if not use.fits)
-        ways = ", or ".join(str(mend) for mend in self.mends if mend.factor is not None)
-        vain = [str(mend) for mend in self.mends if mend.factor is None]
+        ways = ", or ".join(str(remedy) for remedy in self.remedies if remedy.factor is not None)
+        vain = [str(remedy) for remedy in self.remedies if remedy.factor is None]
         parts = [f"does not fit: {needs}", f"To fit: {ways}" if ways else "", *(f"{v[0].upper()}{v[1:]}" for v in vain)]
         return ". ".join(part for part in parts if part)
 
@@ -162,7 +162,9 @@ class Feasibility:
                 {"name": u.name, "kind": u.kind, "needed": u.needed, "limit": u.limit, "unit": u.unit, "used": u.part}
                 for u in self.uses
             ],
-            "mends": [{"change": m.what, "factor": m.factor, "left": [u.label for u in m.left]} for m in self.mends],
+            "remedies": [
+                {"change": m.what, "factor": m.factor, "left": [u.label for u in m.left]} for m in self.remedies
+            ],
             "notes": list(self.notes),
         }
 
@@ -184,8 +186,8 @@ def feasibility(experiment: Experiment) -> Feasibility:
         raise DeclarationError(_problem(experiment, error)) from error
     unsettled = () if settled else (f"peaks between the {rows} rows of the simulation may be higher",)
     notes = (*motion.notes, *unsettled)
-    mends = () if all(use.fits for use in uses) else tuple(_mend(motion, what, rows, uses) for what in LADDERS)
-    return Feasibility(experiment.declaration.name, uses, mends, notes)
+    remedies = () if all(use.fits for use in uses) else tuple(_remedy(motion, what, rows, uses) for what in LADDERS)
+    return Feasibility(experiment.declaration.name, uses, remedies, notes)
 
 
 @dataclass(frozen=True)
@@ -322,7 +324,7 @@ class _Columns:
         return np.asarray(np.frompyfunc(number, len(args), 1)(*args), dtype=float)
 
 
-def _mend(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> Mend:
+def _remedy(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> Remedy:
     """Search the factor nearest to 1 that makes a motion fit, ladder by ladder."""
     tried = [unchanged]
 
@@ -339,12 +341,12 @@ def _mend(motion: Motion, what: What, rows: int, unchanged: tuple[Use, ...]) -> 
             if fits(factor):
                 found = _bisect(fits, outside, factor)
                 shown = _outward(found)
-                return Mend(what, found, shown if fits(shown) else found)
+                return Remedy(what, found, shown if fits(shown) else found)
             outside = factor
     least = [min(column, key=lambda use: use.part) for column in zip(*tried, strict=True)]
     never = tuple(use for use in least if not use.fits)
     together = tuple(use for use in min(tried, key=_worst) if not use.fits)
-    return Mend(what, None, None, never or together)
+    return Remedy(what, None, None, never or together)
 
 
 def _bisect(fits: Callable[[float], bool], outside: float, inside: float) -> float:
@@ -377,12 +379,12 @@ def _problem(experiment: Experiment, error: MaskingError) -> Problem:
     if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
         path = "transform"
         message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
-        mend = INVERTIBLE
+        remedy = INVERTIBLE
     else:
         path = "initial"
         message = f"the virtual motion cannot be followed to its end: {error}"
-        mend = "start elsewhere, or change the virtual system so that it stays in reach"
-    return Problem(declaration.key_place(path) or declaration.key_place("virtual"), path, message, mend)
+        remedy = "start elsewhere, or change the virtual system so that it stays in reach"
+    return Problem(declaration.key_place(path) or declaration.key_place("virtual"), path, message, remedy)
 
 
 def _can_follow_virtual(experiment: Experiment) -> bool:

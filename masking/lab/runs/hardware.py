@@ -35,7 +35,7 @@ from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_
 from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 
 WATCHDOG = 0.02
-_MEND = "run it on that plant, or write the plant that is there into it"
+_REMEDY = "run it on that plant, or write the plant that is there into it"
 
 
 def serve(
@@ -236,7 +236,7 @@ class _Run:
     def _accept(self, plant: Plant) -> None:
         declared, instruments = self.experiment.assembly.plant, self.experiment.instruments
         wanted = Path(next(iter(declared.files), declared.name)).stem
-        check_channels(plant, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _MEND)
+        check_channels(plant, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _REMEDY)
 
     def _end(self, ran: RigRun) -> None:
         self.ended = ran

@@ -23,7 +23,7 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
     """Manifest of a run: what was declared, the virtual system as it was integrated, and what the run adds."""
     declaration, rate = assembly.experiment, assembly.experiment.controller.rate
     files = {**declaration.files, **assembly.plant.files}
-    for model in (assembly.plant_model, assembly.virtual_model, assembly.believed_model):
+    for model in (assembly.plant_model, assembly.virtual_model, assembly.controller_model):
         files |= model.files
     return {
         "format": "masking recording 1",
@@ -38,7 +38,7 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
             "plant": assembly.plant.canonical(),
             "plant_model": assembly.plant_model.canonical(),
             "virtual": assembly.virtual_model.canonical(),
-            "controller_model": assembly.believed_model.canonical(),
+            "controller_model": assembly.controller_model.canonical(),
         },
         "parameters": virtual.parameter_values(),
         "virtual_name": virtual.name,

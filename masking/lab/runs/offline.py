@@ -147,7 +147,7 @@ def sampled_chunks(
     y, u, p, first = np.array(state, dtype=float), np.zeros(len(loop.plant.inputs)), loop.values(), 0.0
     changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
     span = every * (most or samples)
-    mend = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
+    remedy = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
     for begin, end in itertools.pairwise(_bounds(0, samples, span, changes)):
         if begin % span == 0:
             rows = np.arange(begin, min(begin + span, samples), every)
@@ -159,7 +159,7 @@ def sampled_chunks(
         status, done, first = loop.kernels.run_sampled(
             Samples(begin, count, 1.0 / rate, substeps, every), y, u, p, first, States(out_y[row:], out_u[row:])
         )
-        check_status(loop.kernels, status, (begin + done) / rate, y, mend)
+        check_status(loop.kernels, status, (begin + done) / rate, y, remedy)
         if progress is not None:
             progress(end / samples)
         if end % span == 0 or end == samples:
@@ -213,7 +213,7 @@ def twin_chunks(
     rig, unit = Rig(y, p, queue, late), Unit(memory.x, memory.p, sampled.gain, sampled.limits)
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     lasting = np.empty((1, 0))
-    mend = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
+    remedy = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
     for begin, end in itertools.pairwise(_bounds(-before, samples, span)):
         if begin == -before or begin % span == 0:
             rows = np.arange(max(0, begin), min(max(0, begin) + span, samples), every)
@@ -226,7 +226,7 @@ def twin_chunks(
         row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
         piece, kept = Samples(begin, count, 1.0 / rate, substeps, every), Recorded(*(table[row:] for table in out))
         status, done, first = kernels.run(piece, rig, unit, noise, first, kept)
-        check_status(kernels, status, (begin + done) / rate, y, mend)
+        check_status(kernels, status, (begin + done) / rate, y, remedy)
         noise = noise[:0]
         if progress is not None:
             progress((end + before) / (samples + before))

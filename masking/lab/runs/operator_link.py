@@ -106,7 +106,7 @@ class Operator:
     def end(self, reason: str, trip: Trip | None) -> None:
         """Show the end of the run."""
         self.trip = trip
-        self.switch.tell(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
+        self.switch.publish(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
         if self._shown is not None:
             self._shown.ring.close()
 

@@ -175,16 +175,16 @@ def _reason(error: BaseException, rows: Rows) -> str:
     return TRIPPED if rows.chain.trip is not None else FAILED
 
 
-def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, mend: str) -> None:
+def check_channels(plant: Plant, sensors: Sequence[str], actuators: Sequence[str], whose: str, remedy: str) -> None:
     """Refuse a plant whose channels are not those wanted, in their order.
 
-    `whose` says who wants them, such as "the experiment is for linear_rig", and `mend` what to do about it.
+    `whose` says who wants them, such as "the experiment is for linear_rig", and `remedy` what to do about it.
     """
     for kind, theirs, ours in (("sensors", plant.sensors, sensors), ("actuators", plant.actuators, actuators)):
         if tuple(theirs) != tuple(ours):
             raise PlantMismatchError(
                 f"the plant's {kind} are {', '.join(theirs)}; {whose}, whose {kind} are {', '.join(ours)}, in this "
-                f"order: {mend}"
+                f"order: {remedy}"
             )
 
 
@@ -276,9 +276,9 @@ class _Taken:
         self._row += 1
         if self._row % self._every:
             return
-        told, names = self._plant.telemetry(), self._chain.rules.actuators
+        telemetry, names = self._plant.telemetry(), self._chain.rules.actuators
         for i, name in enumerate(names):
-            is_idle = self._least[i] > 0.0 and told.get(APPLIED + name, np.nan) == 0.0
+            is_idle = self._least[i] > 0.0 and telemetry.get(APPLIED + name, np.nan) == 0.0
             self._idle[i] = self._idle[i] + 1 if is_idle else 0
             if self._idle[i] > _IDLE:
                 self._chain.stop(Cause.COMMANDS_NOT_TAKEN, tick, name, value=float(written[i]))

@@ -167,8 +167,8 @@ class _Pulse:
         def accept(found: Plant) -> None:
             if twin is not None:
                 stem = Path(next(iter(twin.declaration.files), twin.declaration.name)).stem
-                whose, mend = f"the plant file is that of {stem}", "give the plant file of the rig that is there"
-                check_channels(found, twin.sensors, twin.actuators, whose, mend)
+                whose, remedy = f"the plant file is that of {stem}", "give the plant file of the rig that is there"
+                check_channels(found, twin.sensors, twin.actuators, whose, remedy)
 
         ran = run_rig(
             self.step, plant, Settings(rate, lockstep=lockstep, acknowledge=acknowledge), samples=self.stop + rest,
@@ -206,16 +206,16 @@ def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[
             ratio = f"{at_rest / declared:.0f} times what is declared"
             yield f"{sensor} reads {at_rest:.2g} of noise at rest, {ratio}: look at its cable, and what shakes the rig"
     clear = [answer for answer in answers if answer.is_clear]
-    told = {a.sensor: [x for x in clear if x.sensor == a.sensor] for a in answers}
+    by_sensor = {a.sensor: [x for x in clear if x.sensor == a.sensor] for a in answers}
     reversed_sensors = {
         sensor
-        for sensor, own in told.items()
+        for sensor, own in by_sensor.items()
         if own
         and all(x.gain < -_DEAD for x in own)
         and any(y.gain > _DEAD for x in own for y in clear if y.actuator == x.actuator and y.sensor != sensor)
     }
     for sensor in sorted(reversed_sensors):
-        yield f"{sensor} has the wrong sign: {_shown(told[sensor][:1])}; look at its polarity"
+        yield f"{sensor} has the wrong sign: {_shown(by_sensor[sensor][:1])}; look at its polarity"
     for actuator in twin.actuators:
         own = [x for x in clear if x.actuator == actuator and x.sensor not in reversed_sensors]
         if not own:
@@ -230,7 +230,7 @@ def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[
                 if abs(x.gain) < _DEAD:
                     yield f"{x.sensor} does not answer {actuator}: {_shown([x])}; look at the sensor and its cable"
                 elif not _GAIN[0] <= x.gain <= _GAIN[1]:
-                    yield f"{x.sensor} answers {actuator} wrongly: {_shown([x])}; look at both, or mend the plant file"
+                    yield f"{x.sensor} answers {actuator} wrongly: {_shown([x])}; look at both and the plant file"
 
 
 def _shown(answers: list[Answer]) -> str:

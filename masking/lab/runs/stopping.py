@@ -45,14 +45,14 @@ REASONS: Final = {
 _ROWS: Final = 2**15  # of the ideal motion, of which the period is taken
 
 
-def check_status(kernels: Kernels, status: int, time: float, state: Array, mend: str) -> None:
+def check_status(kernels: Kernels, status: int, time: float, state: Array, remedy: str) -> None:
     """Raise what the status of a closed loop's kernel stands for, unless it reached its end.
 
-    `time` in s and `state` are those at which it stopped; `mend` is what to do about a rig that became unstable. A
+    `time` in s and `state` are those at which it stopped; `remedy` is what to do about a rig that became unstable. A
     SingularityError, which holds the state, or an IntegrationError.
     """
     if status == NOT_FINITE:
-        raise IntegrationError(f"the masked rig became unstable and grew without bound by t = {time:.6g} s: {mend}")
+        raise IntegrationError(f"the masked rig became unstable and grew without bound by t = {time:.6g} s: {remedy}")
     if status != REACHED:
         kernels.stop(status, time, state, INVERTIBLE)
 

@@ -189,5 +189,5 @@ def _fit(key: str, path: str) -> tuple[list[str], Array, Array]:
         _refuse(key, f"{path} has no fit with a covariance", "name the fit.json that 'masking identify' writes")
 
 
-def _refuse(name: str, message: str, mend: str = "") -> NoReturn:
-    raise DeclarationError(Problem(None, name, message, mend))
+def _refuse(name: str, message: str, remedy: str = "") -> NoReturn:
+    raise DeclarationError(Problem(None, name, message, remedy))

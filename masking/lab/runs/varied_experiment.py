@@ -132,8 +132,8 @@ def _with_plant(experiment: Experiment, parameters: Mapping[str, float]) -> Expe
     assembly, declaration = experiment.assembly, experiment.declaration
     names = () if declaration.controller.model else parameters
     known = {name: place(experiment, f"{PLANT}.{name}").declared for name in names}
-    believed = {n: x for n, x in known.items() if isinstance(x, float)} | dict(declaration.controller.parameters)
-    controller = declaration.controller.model_copy(update={"parameters": believed})
+    assumed = {n: x for n, x in known.items() if isinstance(x, float)} | dict(declaration.controller.parameters)
+    controller = declaration.controller.model_copy(update={"parameters": assumed})
     changed = declaration.model_copy(update={"controller": controller})
     plant = assembly.plant.model_copy(update={"parameters": {**assembly.plant.parameters, **parameters}})
     return Experiment(replace(assembly, experiment=changed, plant=plant))

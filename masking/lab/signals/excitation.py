@@ -147,8 +147,8 @@ class Excitation:
         if over:
             # Rounded down, so that the factor as printed fits too.
             power = 10.0 ** (4 - math.floor(math.log10(factor)))
-            mend = f"scale the signal by {math.floor(factor * power) / power:.5g} or less, or change the limit"
-            raise ModelError(f"{self.name}: {'; '.join(over)}; {mend}")
+            remedy = f"scale the signal by {math.floor(factor * power) / power:.5g} or less, or change the limit"
+            raise ModelError(f"{self.name}: {'; '.join(over)}; {remedy}")
         return self
 
     def recording(self) -> Recording:

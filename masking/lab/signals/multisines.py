@@ -63,8 +63,10 @@ class Multisine:
         for what, unit, values in (("frequency", " Hz", lines), ("amplitude", "", sizes)):
             bad = np.flatnonzero(values <= 0.0)
             if len(bad):
-                mend = "give numbers above 0; a line without power is left out"
-                raise ModelError(f"the {what} of line {bad[0]} (they count from 0) is {values[bad[0]]:g}{unit}; {mend}")
+                remedy = "give numbers above 0; a line without power is left out"
+                raise ModelError(
+                    f"the {what} of line {bad[0]} (they count from 0) is {values[bad[0]]:g}{unit}; {remedy}"
+                )
         if base is not None:
             positive("base", base, "Hz")
             with np.errstate(over="ignore"):

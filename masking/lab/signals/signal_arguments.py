@@ -1,4 +1,4 @@
-"""Checks of what a signal is asked to be: each refuses with what was given, what is allowed, and the mend."""
+"""Checks of what a signal is asked to be: each refuses with what was given, what is allowed, and the remedy."""
 
 from __future__ import annotations
 

@@ -149,14 +149,14 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
     entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
     if kind == "experiment" and found in {"plant", "model"}:
         plant, virtual = (shown, "duffing") if found == "plant" else ("ideal", shown)
-        mend = f"{needed}, which names a plant and a model: 'plant: {plant}', 'virtual: {virtual}'"
+        remedy = f"{needed}, which names a plant and a model: 'plant: {plant}', 'virtual: {virtual}'"
     elif (kind, found) == ("plant", "model"):
-        mend = f"{needed}, which names a model: 'model: {shown}'"
+        remedy = f"{needed}, which names a model: 'model: {shown}'"
     elif entry is not None and isinstance(entry.value, str):
-        mend = f"{needed}, such as the {found}'s own: {entry.value}"
+        remedy = f"{needed}, such as the {found}'s own: {entry.value}"
     else:
-        mend = needed
-    return Problem(reference.place, reference.path, f"{shown} is {_ARTICLE[found]}", mend)
+        remedy = needed
+    return Problem(reference.place, reference.path, f"{shown} is {_ARTICLE[found]}", remedy)
 
 
 def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path], reference: Reference) -> Problem:
@@ -166,17 +166,17 @@ def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path
         if is_name
         else f"there is no file {text}"
     )
-    mend = f"{_ARTICLE[kind]} is a .yaml file"
+    remedy = f"{_ARTICLE[kind]} is a .yaml file"
     if is_name:
-        mend = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])
+        remedy = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])
     endings = [end for end in _ENDINGS if any(_is(Path(f"{c}{end}"), Path.is_file) for c in candidates)]
     if endings:
-        mend = f"did you mean the file {text}{endings[0]}?"
+        remedy = f"did you mean the file {text}{endings[0]}?"
     elif any(_is(candidate, Path.is_dir) for candidate in candidates):
-        message, mend = f"{text} is a folder", f"name a file in it; {mend}" if not is_name else mend
+        message, remedy = f"{text} is a folder", f"name a file in it; {remedy}" if not is_name else remedy
     elif is_name and any(_is(candidate, Path.is_file) for candidate in candidates):
-        mend = f"write ./{text} for the file {text}"
-    return Problem(reference.place, reference.path, message, mend)
+        remedy = f"write ./{text} for the file {text}"
+    return Problem(reference.place, reference.path, message, remedy)
 
 
 def _is(path: Path, test: Callable[[Path], bool]) -> bool:

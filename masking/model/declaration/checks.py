@@ -100,10 +100,10 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     return problems
 
 
-def problem_at(declaration: Declaration, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
+def problem_at(declaration: Declaration, path: str, message: str, remedy: str = "", at_key: bool = False) -> Problem:
     """Describe what is wrong with one value of a declaration, or with its key."""
     place = declaration.key_place(path) if at_key else declaration.place(path)
-    return Problem(place, path, message, mend)
+    return Problem(place, path, message, remedy)
 
 
 def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
@@ -204,8 +204,8 @@ def check_symbols(
             yield expression.problem(expression.first(symbol), message, nearest(name, coordinates))
         elif symbol in known:
             names = ", ".join(allowed)
-            mend = f"allowed: {names}" if names and len(allowed) < 9 else ""
-            yield expression.problem(expression.first(symbol), f"'{symbol}' may not be used here", mend)
+            remedy = f"allowed: {names}" if names and len(allowed) < 9 else ""
+            yield expression.problem(expression.first(symbol), f"'{symbol}' may not be used here", remedy)
         else:
             yield problem
 
@@ -228,8 +228,8 @@ def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that the parts of a model fit together: as many equations as coordinates, or one Lagrangian."""
     count, wanted = len(model.motion), len(model.coordinates)
     if model.terms:
-        mend = "add to the equations themselves, or extend another model"
-        yield problem_at(model, "terms", "terms are only for a model that extends another", mend, at_key=True)
+        remedy = "add to the equations themselves, or extend another model"
+        yield problem_at(model, "terms", "terms are only for a model that extends another", remedy, at_key=True)
     yield from _counted_states(model)
     if model.lagrangian is not None:
         if count:
@@ -295,23 +295,23 @@ def _events(model: ModelDeclaration) -> Iterator[Problem]:
     states = [*model.coordinates, *velocities(model.coordinates), *model.states]
     moving, driven = [*states, *model.definitions, "t"], _definitions_with(model, model.inputs)
     for name, event in model.events.items():
-        for part, message, mend in event.problems(states, moving):
-            yield problem_at(model, f"events.{name}.{part}", message, mend, at_key=part.startswith("jumps."))
+        for part, message, remedy in event.problems(states, moving):
+            yield problem_at(model, f"events.{name}.{part}", message, remedy, at_key=part.startswith("jumps."))
         for _, expression in event.formulas:
             for symbol in sorted(expression.symbols & driven):
                 message = f"'{symbol}' contains an input, which an event may not contain"
-                mend = "write the condition in terms of the motion, or give the model a state that follows the input"
-                yield expression.problem(expression.first(symbol), message, mend)
+                remedy = "write the condition in terms of the motion, or give the model a state that follows the input"
+                yield expression.problem(expression.first(symbol), message, remedy)
     if model.events and any(delayed(model)):
-        mend = "leave one of them out"
-        yield problem_at(model, "events", "a model has events or delays, not both", mend, at_key=True)
+        remedy = "leave one of them out"
+        yield problem_at(model, "events", "a model has events or delays, not both", remedy, at_key=True)
 
 
 def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
     """Describe that no equation of motion is a coordinate's own, so that a force cannot act on it."""
     message = f"no equation has {coordinate}'' and no other acceleration on its left side"
-    mend = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
-    return problem_at(model, path, message, mend, at_key=True)
+    remedy = f"a force on {coordinate} acts in such an equation, as {coordinate}'': ..., or in those of a lagrangian"
+    return problem_at(model, path, message, remedy, at_key=True)
 
 
 def _counted(model: ModelDeclaration) -> Iterator[Problem]:
@@ -358,10 +358,13 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
             lines = _joined([str(place.line) for place in places if place], "and")
             where = f" (lines {lines})" if lines else ""
             message = f"the equations determine {_joined(names, 'and')} {often}{where} and {never} never"
-            mend = f"one of these must contain {never}"
+            remedy = f"one of these must contain {never}"
         else:
-            message, mend = f"the equation contains no acceleration, and none determines {never}", f"write {never}: ..."
-        yield problem_at(model, f"equations.{lefts[equations[-1]].text}", message, mend, at_key=True)
+            message, remedy = (
+                f"the equation contains no acceleration, and none determines {never}",
+                f"write {never}: ...",
+            )
+        yield problem_at(model, f"equations.{lefts[equations[-1]].text}", message, remedy, at_key=True)
 
 
 def _matched(equation: int, present: Sequence[Collection[str]], owner: dict[str, int]) -> list[int]:
@@ -418,8 +421,8 @@ def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Exp
 def _large(model: ModelDeclaration) -> Iterator[Problem]:
     for path, size in expansion_size.oversized(formulas(model), model.definitions):
         message = f"with its definitions written out it has {size} operations and operands"
-        mend = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
-        yield problem_at(model, path, message, mend)
+        remedy = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
+        yield problem_at(model, path, message, remedy)
 
 
 def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:

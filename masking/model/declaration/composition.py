@@ -126,8 +126,8 @@ def _check_actuators(parts: list[Part]) -> None:
     for part in parts if with_own else ():
         if not part.plant.actuators and part.model.inputs:
             message = f"{part.plant.name} declares no actuators, {with_own[0].plant.name} does"
-            mend = "write actuators and allocation into both"
-            raise DeclarationError(Problem(part.plant.place("name"), f"plants.{part.name}", message, mend))
+            remedy = "write actuators and allocation into both"
+            raise DeclarationError(Problem(part.plant.place("name"), f"plants.{part.name}", message, remedy))
 
 
 def _effects(parts: list[Part], given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -189,8 +189,8 @@ def _shared(parts: list[Part], what: str, given: list[Any]) -> Any:  # noqa: ANN
     for part, one in zip(parts[1:], given[1:], strict=True):
         if one != given[0]:
             message = f"{what}: not those of {parts[0].name}; plants in one loop share them"
-            mend = f"write the same into {part.plant.name} and {parts[0].plant.name}"
-            raise DeclarationError(Problem(None, f"plants.{part.name}", message, mend))
+            remedy = f"write the same into {part.plant.name} and {parts[0].plant.name}"
+            raise DeclarationError(Problem(None, f"plants.{part.name}", message, remedy))
     return given[0]
 
 

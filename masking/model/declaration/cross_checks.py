@@ -32,8 +32,8 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
     """List what in a plant does not fit its model."""
     problems = list(_overrides(plant, "parameters", plant.parameters, model))
     for what in beyond_ordinary(model):
-        mend = "only models that are simulated by themselves, and virtual systems, do"
-        problems.append(problem_at(plant, "model", f"the model {model.name} has {what}", mend))
+        remedy = "only models that are simulated by themselves, and virtual systems, do"
+        problems.append(problem_at(plant, "model", f"the model {model.name} has {what}", remedy))
     measurable = [*model.coordinates, *velocities(model.coordinates), *model.parameters]
     further = (*accelerations(model.coordinates), *model.states, *model.inputs, *model.outputs)
     seen = [*measurable, *(name for name in further if name not in measurable)]
@@ -82,8 +82,8 @@ def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Pr
         yield from check_symbols(expression, [*plant.actuators, *model.parameters], ())
     for name in model.inputs if plant.actuators else ():
         if name not in plant.allocation:
-            mend = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            yield problem_at(plant, "allocation", f"nothing is allocated to the input {name}", mend, at_key=True)
+            remedy = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
+            yield problem_at(plant, "allocation", f"nothing is allocated to the input {name}", remedy, at_key=True)
     used = set().union(*(expression.names for expression in plant.allocation.values()))
     for name in plant.actuators:
         if plant.allocation and name not in used:
@@ -96,24 +96,24 @@ def check_experiment(
     plant: PlantDeclaration,
     plant_model: ModelDeclaration,
     virtual_model: ModelDeclaration,
-    believed_model: ModelDeclaration | None = None,
+    controller_model: ModelDeclaration | None = None,
 ) -> list[Problem]:
     """List what does not fit where an experiment, its plant and its models meet.
 
-    `believed_model` is that which `controller.model` names, if it names one.
+    `controller_model` is that which `controller.model` names, if it names one.
     """
     problems = check_plant(plant, plant_model)
     problems += _overrides(experiment, "parameters", experiment.parameters, virtual_model)
-    assumed = believed_model or plant_model
+    assumed = controller_model or plant_model
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
-    problems += _jumps(experiment, virtual_model, believed_model)
+    problems += _jumps(experiment, virtual_model, controller_model)
     problems += _initial(experiment, virtual_model, plant_model)
     problems += _effects(experiment, plant)
     problems += _sampling(experiment)
     if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
         message = f"the model {virtual_model.name} has no energy to balance"
-        mend = "declare its energy or a lagrangian, or leave energy_balance out"
-        problems.append(problem_at(experiment, "controller.energy_balance", message, mend, at_key=True))
+        remedy = "declare its energy or a lagrangian, or leave energy_balance out"
+        problems.append(problem_at(experiment, "controller.energy_balance", message, remedy, at_key=True))
     problems += _record(experiment)
     problems += _stop(experiment, virtual_model)
     problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
@@ -126,7 +126,7 @@ def check_experiment(
 
 
 def _jumps(
-    experiment: ExperimentDeclaration, virtual: ModelDeclaration, believed: ModelDeclaration | None
+    experiment: ExperimentDeclaration, virtual: ModelDeclaration, assumed: ModelDeclaration | None
 ) -> Iterator[Problem]:
     """Check that in an event only internal states jump, and in the virtual system alone."""
     for name, event in virtual.events.items():
@@ -135,12 +135,14 @@ def _jumps(
             message = (
                 f"in the event '{name}' of {virtual.name}, {', '.join(moved)} jumps, and no force makes a rig jump"
             )
-            mend = "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
-            yield problem_at(experiment, "virtual", message, mend)
-    if experiment.controller.model is not None and believed is not None:
-        for what in beyond_ordinary(believed):
-            message, mend = f"the model {believed.name} has {what}", "take a model of the rig without"
-            yield problem_at(experiment, "controller.model", message, mend)
+            remedy = (
+                "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
+            )
+            yield problem_at(experiment, "virtual", message, remedy)
+    if experiment.controller.model is not None and assumed is not None:
+        for what in beyond_ordinary(assumed):
+            message, remedy = f"the model {assumed.name} has {what}", "take a model of the rig without"
+            yield problem_at(experiment, "controller.model", message, remedy)
 
 
 def recorded_rows(experiment: ExperimentDeclaration, time_scale: float, rows_per_unit: float) -> float:
@@ -167,8 +169,10 @@ def check_size(
     if size <= largest:
         return []
     message = f"{_short(experiment.duration)} units are {_short(rows)} rows, {_short(size / 2**30)} GiB"
-    mend = "shorten duration or " + ("lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'")
-    return [problem_at(experiment, "duration", message, mend)]
+    remedy = "shorten duration or " + (
+        "lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'"
+    )
+    return [problem_at(experiment, "duration", message, remedy)]
 
 
 def _short(number: float) -> str:
@@ -183,13 +187,13 @@ def _loop(experiment: ExperimentDeclaration, plant: PlantDeclaration, rig: Model
     """Check that a control loop can be closed around a rig: it moves, and is seen before it is commanded."""
     if not rig.coordinates:
         message = f"the model {rig.name} of the plant has no coordinates: there is no motion to close a loop around"
-        mend = "choose a rig; what such a model is missing is found by 'masking discover', from a record"
-        yield problem_at(experiment, "plant", message, mend)
+        remedy = "choose a rig; what such a model is missing is found by 'masking discover', from a record"
+        yield problem_at(experiment, "plant", message, remedy)
     for name, sensor in plant.sensors.items():
         if rig.coordinates and is_commanded(rig, sensor.measures):
             message = f"the sensor {name} reads {sensor.measures}, which a command changes at once"
-            mend = "a controller reads before it commands; leave this sensor out of the plant"
-            yield problem_at(plant, f"sensors.{name}", message, mend)
+            remedy = "a controller reads before it commands; leave this sensor out of the plant"
+            yield problem_at(plant, f"sensors.{name}", message, remedy)
 
 
 def _record(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -243,7 +247,7 @@ def _overrides(
         name = problem.path.split(".")[1] if "." in problem.path else ""
         path = f"{section}.{name}"
         place = declaration.place(path) if name in known else problem.place
-        yield Problem(place, path if name in known else problem.path, problem.message, problem.mend, problem.excerpt)
+        yield Problem(place, path if name in known else problem.path, problem.message, problem.remedy, problem.excerpt)
 
 
 def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iterator[Problem]:
@@ -251,8 +255,8 @@ def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iter
         for name in changes:
             if name not in plant.effects:
                 message = f"'{name}' is not an effect of {plant.name}"
-                mend = nearest(name, plant.effects) if plant.effects else "it declares none"
-                yield problem_at(experiment, f"{section}.{name}", message, mend, at_key=True)
+                remedy = nearest(name, plant.effects) if plant.effects else "it declares none"
+                yield problem_at(experiment, f"{section}.{name}", message, remedy, at_key=True)
 
 
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -261,18 +265,18 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     for name in ("observer", "homing", "effects", "rest", "energy_balance"):
         if settings.rate is None and getattr(settings, name):
             message = f"{name} is for a controller that runs at a rate"
-            mend = "write 'rate: 1 kHz', or leave it out"
-            yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
+            remedy = "write 'rate: 1 kHz', or leave it out"
+            yield problem_at(experiment, f"controller.{name}", message, remedy, at_key=True)
     yield from _regulation(experiment)
     yield from _following(experiment)
     observer = settings.observer
     if observer is not None and observer.kind == "exact" and settings.homing is not None:
-        message, mend = "an exact observer places the rig where it starts", "leave homing out, or take an observer"
-        yield problem_at(experiment, "controller.homing", message, mend, at_key=True)
+        message, remedy = "an exact observer places the rig where it starts", "leave homing out, or take an observer"
+        yield problem_at(experiment, "controller.homing", message, remedy, at_key=True)
     if observer is not None and observer.order not in {1, 2}:
         message = f"{observer.order} is not an order of a disturbance"
-        mend = "allowed: 1 (a constant), 2 (a straight line)"
-        yield problem_at(experiment, "controller.observer.order", message, mend)
+        remedy = "allowed: 1 (a constant), 2 (a straight line)"
+        yield problem_at(experiment, "controller.observer.order", message, remedy)
 
 
 def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -282,11 +286,14 @@ def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     for name in ("rest", "energy_balance"):
         if getattr(settings, name) is not None and not has_model:
             message = f"{name} needs an observer that follows a model"
-            mend = "take 'observer: disturbance', or leave it out"
-            yield problem_at(experiment, f"controller.{name}", message, mend, at_key=True)
+            remedy = "take 'observer: disturbance', or leave it out"
+            yield problem_at(experiment, f"controller.{name}", message, remedy, at_key=True)
     if settings.rest is not None and settings.homing is None:
-        message, mend = "offsets are measured before homing, and there is none", "write 'homing: 3', or leave rest out"
-        yield problem_at(experiment, "controller.rest", message, mend, at_key=True)
+        message, remedy = (
+            "offsets are measured before homing, and there is none",
+            "write 'homing: 3', or leave rest out",
+        )
+        yield problem_at(experiment, "controller.rest", message, remedy, at_key=True)
 
 
 def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -295,13 +302,13 @@ def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
     if wanted is None:
         return
     if wanted.energy is None and wanted.phase is None:
-        message, mend = "nothing is regulated", "give 'energy: 0.02', 'phase: anti', or both; or leave it out"
-        yield problem_at(experiment, "controller.regulate", message, mend, at_key=True)
+        message, remedy = "nothing is regulated", "give 'energy: 0.02', 'phase: anti', or both; or leave it out"
+        yield problem_at(experiment, "controller.regulate", message, remedy, at_key=True)
         return
     for name, needs, value in (("rate", "energy", wanted.energy), ("coupling", "phase", wanted.phase)):
         if value is None and name in wanted.model_fields_set:
-            message, mend = f"{name} has no effect without {needs}", f"give {needs}, or leave {name} out"
-            yield problem_at(experiment, f"controller.regulate.{name}", message, mend, at_key=True)
+            message, remedy = f"{name} has no effect without {needs}", f"give {needs}, or leave {name} out"
+            yield problem_at(experiment, f"controller.regulate.{name}", message, remedy, at_key=True)
 
 
 def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
@@ -315,13 +322,13 @@ def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: Mo
             yield problem_at(experiment, f"initial.{name}", message, nearest(name, allowed), at_key=True)
         elif name.rstrip("'") in free and experiment.controller.homing is not None:
             message = f"{name.rstrip(chr(39))} is passive: homing cannot bring it to a value"
-            mend = "leave it out: it begins as homing leaves it; or leave homing out, in a simulation"
-            yield problem_at(experiment, f"initial.{name}", message, mend, at_key=True)
+            remedy = "leave it out: it begins as homing leaves it; or leave homing out, in a simulation"
+            yield problem_at(experiment, f"initial.{name}", message, remedy, at_key=True)
     for name, coordinate in model.coordinates.items():
         if coordinate.initial is None and name not in experiment.initial:
             message = f"no initial value for {name}"
-            mend = f"give initial.{name} here or coordinates.{name}.initial in {model.name}"
-            yield problem_at(experiment, "initial", message, mend, at_key=True)
+            remedy = f"give initial.{name} here or coordinates.{name}.initial in {model.name}"
+            yield problem_at(experiment, "initial", message, remedy, at_key=True)
 
 
 def _transform(
@@ -334,8 +341,8 @@ def _transform(
         return
     if transform.kind == "identity" and driven_coordinates.selected([*rig.coordinates], [*virtual.coordinates]) is None:
         message = f"the identity takes rig coordinates by name, and the rig has {', '.join(rig.coordinates)}"
-        mend = f"say what {', '.join(virtual.coordinates)} are: 'transform: {{expressions: {{...}}}}', or a matrix"
-        yield problem_at(experiment, "virtual", message, mend)
+        remedy = f"say what {', '.join(virtual.coordinates)} are: 'transform: {{expressions: {{...}}}}', or a matrix"
+        yield problem_at(experiment, "virtual", message, remedy)
     if transform.matrix is not None and transform.expressions is not None:
         yield problem_at(experiment, "transform", "a transform is a matrix or expressions, not both")
     used: set[str] = set()

@@ -143,8 +143,8 @@ class _Checker:
             names = getattr(effect, section)
             if len(names) > most:
                 message = f"{len(names)} {what} are too many"
-                mend = f"an effect has at most {MOST_PARAMETERS} parameters and {MOST_STATES} state"
-                yield self._problem(section, message, mend, at_key=True)
+                remedy = f"an effect has at most {MOST_PARAMETERS} parameters and {MOST_STATES} state"
+                yield self._problem(section, message, remedy, at_key=True)
             for name in names:
                 if name in TAKEN:
                     message = f"the name '{name}' is taken in an effect"
@@ -170,20 +170,22 @@ class _Checker:
         used = effect.expression.names.union(*(state.rate.names for state in effect.states.values()))
         for name in {**effect.parameters, **effect.states}.keys() - used:
             section, what = ("parameters", "parameter") if name in effect.parameters else ("states", "state")
-            message, mend = f"the {what} '{name}' is not used", "remove it or use it"
-            yield self._problem(f"{section}.{name}", message, mend, at_key=True)
+            message, remedy = f"the {what} '{name}' is not used", "remove it or use it"
+            yield self._problem(f"{section}.{name}", message, remedy, at_key=True)
         for name, parameter in effect.parameters.items():
             path = f"parameters.{name}"
             shown = f"{parameter.value or 0.0:g}"
             yield from bounded(self.declaration, f"{self.path}.{path}", shown, parameter.value, parameter.bounds)
             if name in used - {*found} and parameter.value is None and not parameter.tried:
                 message = f"'{name}' is no factor of what the effect does"
-                mend = "give values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
-                yield self._problem(path, message, mend, at_key=True)
+                remedy = (
+                    "give values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
+                )
+                yield self._problem(path, message, remedy, at_key=True)
         starts = math.prod(len(parameter.tried) for parameter in effect.parameters.values() if parameter.tried)
         if starts > MOST_STARTS:
-            message, mend = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
-            yield self._problem("parameters", message, mend, at_key=True)
+            message, remedy = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
+            yield self._problem("parameters", message, remedy, at_key=True)
 
     def units(self) -> Iterator[Problem]:
         """Check that units are made of those of the place, and that the expressions have the dimensions they should."""
@@ -218,9 +220,11 @@ class _Checker:
         if template.symbols <= units.keys():
             return dimension_of(template.renamed(units))
         *first, last = units
-        mend = f"units of {_A[self.effect.where]} are made of {', '.join(first)} and {last}, such as {_SUCH[first[0]]}"
+        remedy = (
+            f"units of {_A[self.effect.where]} are made of {', '.join(first)} and {last}, such as {_SUCH[first[0]]}"
+        )
         step = template.first(min(template.symbols - units.keys()))
-        raise DeclarationError(template.problem(step, f"'{step.value}' is no unit here", mend))
+        raise DeclarationError(template.problem(step, f"'{step.value}' is no unit here", remedy))
 
     def _same(
         self, expression: Expression, symbols: Mapping[str, Dimension | None], wanted: Dimension, said: str
@@ -231,7 +235,9 @@ class _Checker:
             found = dimension_in(expression, symbols)
         except DeclarationError as error:
             for problem in error.problems:
-                yield Problem(problem.place, problem.path, self._shown(problem.message), problem.mend, problem.excerpt)
+                yield Problem(
+                    problem.place, problem.path, self._shown(problem.message), problem.remedy, problem.excerpt
+                )
             return
         if found is not None and found != wanted:
             is_number = "a number without unit" if found == NONE else self._shown(describe(found))
@@ -243,8 +249,8 @@ class _Checker:
             text = re.sub(rf"\b{unit}\b", letter, text)
         return text
 
-    def _problem(self, path: str, message: str, mend: str = "", at_key: bool = False) -> Problem:
-        return problem_at(self.declaration, f"{self.path}.{path}", message, mend, at_key)
+    def _problem(self, path: str, message: str, remedy: str = "", at_key: bool = False) -> Problem:
+        return problem_at(self.declaration, f"{self.path}.{path}", message, remedy, at_key)
 
 
 _A = {"element": "an element", "sensor": "a sensor", "actuator": "an actuator"}

@@ -60,8 +60,8 @@ def check_scales(model: ModelDeclaration) -> list[Problem]:
             more = {name: of for name, of in whole.items() if name not in scales and powers[name] != 0.0}
             wanted = ", ".join(f"'{name}: {{value: 1, unit: {of}}}'" for name, of in more.items())
             also = f" (also of {', '.join(other.split('.')[1] for other in others)})" if others else ""
-            mend = f"add to scales: {wanted}, with the value that suits"
-            problems.append(Problem(model.place(path), path, error.problems[0].message + also, mend))
+            remedy = f"add to scales: {wanted}, with the value that suits"
+            problems.append(Problem(model.place(path), path, error.problems[0].message + also, remedy))
     return problems
 
 
@@ -113,7 +113,7 @@ def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | N
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
     """Describe a unit that is none, at its place in a declaration, by what reading it raised."""
     problem = error.problems[0]
-    return Problem(declaration.place(path), path, problem.message, problem.mend, problem.excerpt)
+    return Problem(declaration.place(path), path, problem.message, problem.remedy, problem.excerpt)
 
 
 def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Problem]]:
@@ -280,8 +280,8 @@ class _Checker:
         if wanted is not None and found is not None and wanted != found:
             whole = (0, len(expression.text))
             first = describe(wanted) if "unit is {}" in message else _shown(wanted)
-            mend = instead_of(written, found)
-            self.problems.append(expression.problem(whole, message.format(first, _shown(found)), mend))
+            remedy = instead_of(written, found)
+            self.problems.append(expression.problem(whole, message.format(first, _shown(found)), remedy))
 
 
 def _shown(dimension: Dimension) -> str:
@@ -342,8 +342,8 @@ class _Dimensions:
         late, time = dimensions[-1], self.symbols.get("t")
         if step.operation == "delay" and late is not None and time is not None and late != time:
             message = f"the delay is {_shown(late)}, and time is {_shown(time)}"
-            mend = "declare the delay as a parameter with a unit"
-            raise DeclarationError(self.expression.problem(step, message, mend))
+            remedy = "declare the delay as a parameter with a unit"
+            raise DeclarationError(self.expression.problem(step, message, remedy))
 
     def _same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
         first: Dimension | None = None

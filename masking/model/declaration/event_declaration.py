@@ -35,7 +35,7 @@ class Event(BaseModel):
         return ", ".join(f"{name} -> {value.text}" for name, value in self.jumps.items())
 
     def problems(self, states: Collection[str], moving: Collection[str]) -> Iterator[tuple[str, str, str]]:
-        """Yield part, message, mend of what is wrong beside its symbols. States may jump; moving names change."""
+        """Yield part, message, remedy of what is wrong beside its symbols. States may jump; moving names change."""
         if not self.jumps:
             first = next(iter(states), "s")
             yield "jumps", "an event without jumps does nothing", f"write what jumps, such as 'jumps: {{{first}: 0}}'"

@@ -80,14 +80,14 @@ class Expression:
                 return Place(place.file, place.line, place.column + index - start)
         return self.place and Place(self.place.file, self.place.line, self.place.column + index)
 
-    def problem(self, span: Step | tuple[int, int], message: str, mend: str = "") -> Problem:
+    def problem(self, span: Step | tuple[int, int], message: str, remedy: str = "") -> Problem:
         """Describe what is wrong with a step or a span of the text, with the source line and a caret below it."""
         start, end = (span.start, span.end) if isinstance(span, Step) else span
         window = max(0, start - 60)
         shown = re.sub(r"[^ -~\u00a0-\U0010ffff]", " ", self.text[window : window + 120])
         width = max(1, min(end, window + len(shown)) - start)
         excerpt = f"    {shown}\n    {' ' * (start - window)}{'^' * width}"
-        return Problem(self.locate(start), self.path, message, mend, excerpt)
+        return Problem(self.locate(start), self.path, message, remedy, excerpt)
 
     def walk(self, algebra: Algebra[V]) -> V:
         """Fold the expression, arguments before operations."""
@@ -137,8 +137,8 @@ class Expression:
         """Translate into sympy; decimals become exact rationals; `symbols` are given by name with primes."""
         return self.walk(_Symbolic(self, symbols))
 
-    def _refuse(self, start: int, end: int, message: str, mend: str) -> DeclarationError:
-        return DeclarationError(self.problem((start, end), message, mend))
+    def _refuse(self, start: int, end: int, message: str, remedy: str) -> DeclarationError:
+        return DeclarationError(self.problem((start, end), message, remedy))
 
     def _unknown(self, step: Step, allowed: Collection[str]) -> Problem:
         return self.problem(step, f"unknown symbol '{step.value}'", nearest(step.value, allowed))
@@ -211,8 +211,8 @@ class _Bounds:
                 message = f"the exponent is larger than {LARGEST_EXPONENT}"
                 raise DeclarationError(self.expression.problem(step, message, "nested powers count as their product"))
         if step.operation in TABLES and (wrong := trouble(constants[1:])):
-            mend = f"write {step.operation}(x, x1, y1, x2, y2)"
-            raise DeclarationError(self.expression.problem(step, wrong, mend))
+            remedy = f"write {step.operation}(x, x1, y1, x2, y2)"
+            raise DeclarationError(self.expression.problem(step, wrong, remedy))
         known = [value for value in constants if value is not None]
         if len(known) < len(constants):
             return None, degree

@@ -68,9 +68,9 @@ def _shown(value: object) -> str:
     return f"'{value}'" if isinstance(value, str) else repr(float(value) if isinstance(value, float) else value)
 
 
-def refuse(message: str, mend: str = "") -> PydanticCustomError:
+def refuse(message: str, remedy: str = "") -> PydanticCustomError:
     """Make the error that a field's validator raises."""
-    return PydanticCustomError("masking", "{message}", {"message": message, "mend": mend})
+    return PydanticCustomError("masking", "{message}", {"message": message, "remedy": remedy})
 
 
 def _read_text(value: object) -> str:

@@ -27,36 +27,42 @@ def check_inputs(
     if missing:
         shown = ", ".join(f"{name}: 0" for name in missing)
         message = f"{virtual.name} has inputs that are not given: {', '.join(missing)}"
-        mend = f"say where each comes from under inputs, a number at least: 'inputs: {{{shown}}}'"
+        remedy = f"say where each comes from under inputs, a number at least: 'inputs: {{{shown}}}'"
         at_inputs = bool(experiment.inputs)
-        yield problem_at(experiment, "inputs" if at_inputs else "virtual", message, mend, at_key=at_inputs)
+        yield problem_at(experiment, "inputs" if at_inputs else "virtual", message, remedy, at_key=at_inputs)
     for name, source in experiment.inputs.items():
         path = f"inputs.{name}"
         if name not in virtual.inputs:
             have = nearest(name, virtual.inputs) if virtual.inputs else "it has none"
             yield problem_at(experiment, path, f"'{name}' is not an input of {virtual.name}", have, at_key=True)
-        for part, message, mend in source.problems():
-            yield problem_at(experiment, f"{path}.{part}" if part else path, message, mend, at_key=True)
+        for part, message, remedy in source.problems():
+            yield problem_at(experiment, f"{path}.{part}" if part else path, message, remedy, at_key=True)
         if source.expression is not None:
             yield from check_symbols(source.expression, ["t", *virtual.parameters], ())
         if source.sensor is not None and source.sensor not in plant.sensors:
-            message, mend = f"'{source.sensor}' is not a sensor of {plant.name}", nearest(source.sensor, plant.sensors)
-            yield problem_at(experiment, f"{path}.sensor", message, mend)
+            message, remedy = (
+                f"'{source.sensor}' is not a sensor of {plant.name}",
+                nearest(source.sensor, plant.sensors),
+            )
+            yield problem_at(experiment, f"{path}.sensor", message, remedy)
         if source.push is not None and source.push not in rig.coordinates:
-            message, mend = f"'{source.push}' is not a coordinate of {rig.name}", nearest(source.push, rig.coordinates)
-            yield problem_at(experiment, f"{path}.push", message, mend)
+            message, remedy = (
+                f"'{source.push}' is not a coordinate of {rig.name}",
+                nearest(source.push, rig.coordinates),
+            )
+            yield problem_at(experiment, f"{path}.push", message, remedy)
         yield from _live(experiment, name, source)
 
     live = [name for name, source in experiment.inputs.items() if source.is_live]
     if experiment.controller.external == "felt" and not live:
         message = f"external forces are to be felt, and no input of {virtual.name} takes them"
-        mend = "give one of its inputs from a force sensor, such as 'F: {sensor: force}', or 'F: {push: x, above: 1}'"
-        yield problem_at(experiment, "controller.external", message, mend, at_key=True)
+        remedy = "give one of its inputs from a force sensor, such as 'F: {sensor: force}', or 'F: {push: x, above: 1}'"
+        yield problem_at(experiment, "controller.external", message, remedy, at_key=True)
     pushes = [name for name in live if experiment.inputs[name].push is not None]
     if experiment.controller.external == "rejected" and pushes:
         message = f"a push is rejected where external forces are not felt, and {pushes[0]} is to feel it"
-        mend = "write 'controller: {external: felt}'"
-        yield problem_at(experiment, f"inputs.{pushes[0]}", message, mend, at_key=True)
+        remedy = "write 'controller: {external: felt}'"
+        yield problem_at(experiment, f"inputs.{pushes[0]}", message, remedy, at_key=True)
 
 
 def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> Iterator[Problem]:
@@ -65,8 +71,8 @@ def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> 
     kind = None if settings.observer is None else settings.observer.kind
     if source.is_live and (settings.rate is None or kind == "exact"):
         message = f"a {source.kinds[0]} is known to a controller that reads sensors"
-        mend = "write 'controller: {rate: 500 Hz, observer: disturbance}'"
-        yield problem_at(experiment, path, message, mend, at_key=True)
+        remedy = "write 'controller: {rate: 500 Hz, observer: disturbance}'"
+        yield problem_at(experiment, path, message, remedy, at_key=True)
     elif source.push is not None and kind not in {None, "disturbance"}:
         message = "a push is what a disturbance observer finds"
         yield problem_at(

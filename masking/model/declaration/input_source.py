@@ -55,15 +55,15 @@ class InputSource(BaseModel):
         return self.sensor is not None or self.push is not None
 
     def problems(self) -> Iterator[tuple[str, str, str]]:
-        """Yield what is wrong with it alone: part, message, mend."""
+        """Yield what is wrong with it alone: part, message, remedy."""
         kinds = self.kinds
         if len(kinds) != 1:
             what = " and ".join(kinds) or "nothing"
             yield "", f"an input comes from one source, not from {what}", f"write one of {', '.join(KINDS)}"
             return
         if self.is_series and self.interpolation is None:
-            mend = "write 'interpolation: linear', previous or cubic"
-            yield "", f"a {kinds[0]} is known at points: it must say what it is between them", mend
+            remedy = "write 'interpolation: linear', previous or cubic"
+            yield "", f"a {kinds[0]} is known at points: it must say what it is between them", remedy
         if self.signal is not None and self.signal not in SIGNALS:
             yield "signal", f"there is no signal '{self.signal}'", nearest(self.signal, SIGNALS)
         belong = {"column": "file", "arguments": "signal", "above": "push"}

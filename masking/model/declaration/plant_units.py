@@ -98,8 +98,8 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
             if not _is_written(limit):  # it is in SI units, on what may be declared in others
                 if not math.isclose(factor_of(unit), 1.0):
                     message = f"the limit of {limit.max:g} has no unit, and what it bounds is declared in {unit}"
-                    mend = f"write 'unit: {unit}', or the unit that the limit is in"
-                    yield problem_at(plant, f"limits.{key}.{expression.text}", message, mend)
+                    remedy = f"write 'unit: {unit}', or the unit that the limit is in"
+                    yield problem_at(plant, f"limits.{key}.{expression.text}", message, remedy)
                 continue
             if dimension_of(limit.unit) != tuple(a - order * b for a, b in zip(found, second, strict=True)):
                 what = f"the rate of {expression.text}" if order else expression.text
@@ -129,9 +129,9 @@ def check_experiment_units(
             continue
         if measured is not None and measured != dimension_of(unit):
             what = f"{source.sensor} measures {sensor.measures.text} in {_unit_of(sensor.measures, measured, rig)}"
-            mend = "give a factor, which multiplies what the sensor measures, or take another sensor"
+            remedy = "give a factor, which multiplies what the sensor measures, or take another sensor"
             message = f"{what}, and the input {name} of {virtual.name} is in {unit}"
-            problems.append(problem_at(experiment, f"inputs.{name}", message, mend, at_key=True))
+            problems.append(problem_at(experiment, f"inputs.{name}", message, remedy, at_key=True))
     return problems
 
 
@@ -155,11 +155,11 @@ def _sensor(
     shown = f"{sensor.gain.value:g}" + ("" if sensor.gain.unit == "1" else f" {sensor.gain.unit}")
     message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
     wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
-    mend = (
+    remedy = (
         instead_of(sensor.unit, made)
-        or f"measure another quantity, give the gain in {wanted} with its value in that unit, or mend the unit"
+        or f"measure another quantity, give the gain in {wanted} with its value in that unit, or correct the unit"
     )
-    yield problem_at(plant, f"sensors.{name}", message, mend)
+    yield problem_at(plant, f"sensors.{name}", message, remedy)
 
 
 def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclaration) -> str:

@@ -41,13 +41,13 @@ _MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements", 
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
-    """An experiment with everything it refers to, checked together; `believed_model` is what the controller assumes."""
+    """An experiment with all that it refers to, checked together; the controller assumes `controller_model`."""
 
     experiment: ExperimentDeclaration
     plant: PlantDeclaration
     plant_model: ModelDeclaration
     virtual_model: ModelDeclaration
-    believed_model: ModelDeclaration
+    controller_model: ModelDeclaration
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
@@ -130,14 +130,14 @@ def load_batch(name_or_path: str | Path) -> BatchDeclaration:
 
 def _check_plants(experiment: ExperimentDeclaration, is_whole: bool, lost: Collection[str]) -> list[Problem]:
     """List what is wrong with the plants that an experiment names: it has one, or several together."""
-    path, mend = "plants", "name one plant with plant, or several with plants, such as 'plants: {a: cart, b: cart}'"
+    path, remedy = "plants", "name one plant with plant, or several with plants, such as 'plants: {a: cart, b: cart}'"
     place = experiment.key_place(path)
     if experiment.plant is None and not experiment.plants and not {"plant", "plants"} & {*lost} and is_whole:
-        return [Problem(experiment.place(""), "plant", "the key 'plant' is missing", mend)]
+        return [Problem(experiment.place(""), "plant", "the key 'plant' is missing", remedy)]
     if experiment.plant is not None and experiment.plants:
-        return [Problem(place, path, "plant and plants are both given", mend)]
+        return [Problem(place, path, "plant and plants are both given", remedy)]
     if len(experiment.plants) == 1:
-        return [Problem(place, path, "plants are at least two", mend)]
+        return [Problem(place, path, "plants are at least two", remedy)]
     return []
 
 
@@ -160,7 +160,7 @@ def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
     else:
         made["plant"] = name_from(assembly.plant, start)
     if declared.controller.model is not None:
-        made["controller"]["model"] = name_from(assembly.believed_model, start)
+        made["controller"]["model"] = name_from(assembly.controller_model, start)
     for name, source in declared.inputs.items():
         if source.file is not None:
             folder = refer(declared, f"inputs.{name}").folder
@@ -181,12 +181,12 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
     rig, plant_model = _rig(experiment, plant)
     virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
     assumed = experiment.controller.model
-    believed_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
-    problems = check_experiment(experiment, rig, plant_model, virtual_model, believed_model)
+    controller_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
+    problems = check_experiment(experiment, rig, plant_model, virtual_model, controller_model)
     problems += check_inputs(experiment, rig, plant_model, virtual_model)
     if problems:
         raise DeclarationError(in_order(problems))
-    return Assembly(experiment, rig, plant_model, with_inputs(virtual_model, experiment.inputs), believed_model)
+    return Assembly(experiment, rig, plant_model, with_inputs(virtual_model, experiment.inputs), controller_model)
 
 
 def parts(experiment: ExperimentDeclaration) -> list[Part]:

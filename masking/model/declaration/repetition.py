@@ -34,7 +34,7 @@ _OWN_RANGE = re.compile(r"\[\s*([A-Za-z][A-Za-z0-9_]*)\s*=[^][]*\]")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z]\w*")
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _SUM = re.compile(r"\bsum\(")
-_MEND = "write 'repeat: i = 1..50', or 'repeat: [N = 50, i = 1..N]'"
+_REMEDY = "write 'repeat: i = 1..50', or 'repeat: [N = 50, i = 1..N]'"
 
 
 def repeated(node: Node, given: Mapping[str, int]) -> tuple[Node, dict[str, int]]:
@@ -65,7 +65,7 @@ class _Repetition:
         for item in node.value if isinstance(node.value, list) else [node]:
             match = _ITEM.fullmatch(item.text)
             if match is None:
-                raise _problem(item, f"'{item.text}' is neither a count nor a range", _MEND)
+                raise _problem(item, f"'{item.text}' is neither a count nor a range", _REMEDY)
             name, first, last = match.groups()
             if name in {*self.counts, *self.ranges}:
                 raise _problem(item, f"'{name}' stands here twice", "give it another name")
@@ -91,7 +91,7 @@ class _Repetition:
             raise DeclarationError(expression.check_symbols([*known]))
         value = expression.evaluate(known)
         if value != int(value):
-            raise _problem(node, f"{text} is {value:g}, not an integer", _MEND)
+            raise _problem(node, f"{text} is {value:g}, not an integer", _REMEDY)
         return int(value)
 
     def made(self, node: Node, known: Mapping[str, int], path: str) -> Node:
@@ -119,8 +119,8 @@ class _Repetition:
             for more in self.values({**self.free(replace(at, text=text, value=text), known), **ranges}):
                 name = self.text(text, {**known, **more}, at)
                 if name in keys:
-                    mend = f"the first is in line {keys[name].line}; shorten a range, as in x[i=2..N]"
-                    raise _problem(at, f"the key '{name}' is made twice", mend)
+                    remedy = f"the first is in line {keys[name].line}; shorten a range, as in x[i=2..N]"
+                    raise _problem(at, f"the key '{name}' is made twice", remedy)
                 inner = f"{path}.{name}" if path else name
                 value[name], keys[name] = self.made(child, {**known, **more}, inner), node.keys[key]
         return replace(node, path=path, value=value, keys=keys)
@@ -223,8 +223,8 @@ class _Repetition:
             return match[0]
         if missing := sorted(words & self.ranges.keys() - known.keys()):
             name = missing[0]
-            mend = f"write the index into the key of the entry, such as x[{name}], or sum({name}, ...)"
-            raise _problem(node, f"[{inside}]: the index {name} has no value here", mend)
+            remedy = f"write the index into the key of the entry, such as x[{name}], or sum({name}, ...)"
+            raise _problem(node, f"[{inside}]: the index {name} has no value here", remedy)
         if unknown := sorted(words - known.keys()):
             allowed = [*self.counts, *self.ranges]
             message = f"[{inside}]: '{unknown[0]}' is neither an index nor a count"
@@ -260,5 +260,5 @@ def _too_many(node: Node) -> DeclarationError:
     return _problem(node, message, "shorten the ranges")
 
 
-def _problem(node: Node, message: str, mend: str) -> DeclarationError:
-    return DeclarationError(Problem(node.place, node.path, message, mend))
+def _problem(node: Node, message: str, remedy: str) -> DeclarationError:
+    return DeclarationError(Problem(node.place, node.path, message, remedy))

@@ -305,8 +305,8 @@ class _Identity(Short):
 
     def widen(self, value: object) -> object:
         if isinstance(value, str) and value != "identity":
-            mend = "write identity, {matrix: [[...]]} or {expressions: {coordinate: expression}}"
-            raise refuse(f"'{value}' is not a transform", mend)
+            remedy = "write identity, {matrix: [[...]]} or {expressions: {coordinate: expression}}"
+            raise refuse(f"'{value}' is not a transform", remedy)
         return {} if isinstance(value, str) else value
 
 

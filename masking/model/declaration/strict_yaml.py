@@ -222,17 +222,17 @@ class _Builder:
         return self.root
 
     def not_yaml(self, error: yaml.YAMLError) -> Problem:
-        """Describe what PyYAML stopped at, with the mend of the mistakes that people make."""
+        """Describe what PyYAML stopped at, with the remedy of the mistakes that people make."""
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
         line, column = _position(mark) if mark else (0, 0)
         message = getattr(error, "problem", None) or str(error)
         text = self.lines[line] if line < len(self.lines) else ""
-        mend, start = "", getattr(error, "context_mark", None)
+        remedy, start = "", getattr(error, "context_mark", None)
         if "expected ':'" in message and start:
             return self.without_colon(*_position(start))
         if re.search("mapping values|unexpected ':'|expected key", message):
             if _NO_SPACE.search(text):
-                mend = "write a space after ':'"
+                remedy = "write a space after ':'"
             elif "mapping values" in message:
                 above = [i for i in range(max(0, line - _LINES_ABOVE), line) if _CONTENT.match(self.lines[i])]
                 key = next((i for i in reversed(above) if _KEY.search(self.lines[i])), -1)
@@ -240,8 +240,8 @@ class _Builder:
                 if follow and (key < 0 or self.lines[key].rstrip().endswith(":")):
                     return self.without_colon(follow[0], _indent(self.lines[follow[0]]))
                 is_deeper = key >= 0 and len(text[:column].split()) == 1 and _indent(text) > _indent(self.lines[key])
-                mend = "begin it in the column of the line above" if is_deeper else "quote a text that holds ': '"
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", mend)
+                remedy = "begin it in the column of the line above" if is_deeper else "quote a text that holds ': '"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", remedy)
 
     def without_colon(self, line: int, column: int) -> Problem:
         """Describe a line that should be 'key: value' and has no colon with a space after it."""
@@ -249,10 +249,10 @@ class _Builder:
         name = re.match(r"[^\s:]*", text)
         key = name[0] if name else ""
         shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-        what, mend = f"no ':' after '{shown}'", f"write {key}: ..."
+        what, remedy = f"no ':' after '{shown}'", f"write {key}: ..."
         if _NO_SPACE.search(text):
-            what, mend = f"no space after ':' in '{shown}'", "write a space after ':'"
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", mend)
+            what, remedy = f"no space after ':' in '{shown}'", "write a space after ':'"
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", remedy)
 
     def take(self, event: yaml.Event) -> None:
         """Add one event to the tree."""
@@ -304,9 +304,9 @@ class _Builder:
             elif _NUMBER.fullmatch(text) and not _LEADING_ZERO.match(text):
                 value = self.number(text, event)
             else:
-                for pattern, meaning, mend in _AMBIGUOUS:
+                for pattern, meaning, remedy in _AMBIGUOUS:
                     if pattern.fullmatch(text):
-                        self.report(self.place(event), f"'{text}' {meaning}", mend)
+                        self.report(self.place(event), f"'{text}' {meaning}", remedy)
                         break
         return Node(value, self.place(event), self.path(), text, pieces=self.pieces(event))
 
@@ -353,9 +353,9 @@ class _Builder:
         line, column = _position(event.start_mark)
         return Place(self.file, line + 1, column + 1 + quoted)
 
-    def report(self, place: Place, message: str, mend: str = "") -> None:
-        self.problems.append(Problem(place, self.path(), message, mend))
+    def report(self, place: Place, message: str, remedy: str = "") -> None:
+        self.problems.append(Problem(place, self.path(), message, remedy))
 
-    def stop(self, event: yaml.Event, message: str, mend: str = "") -> None:
+    def stop(self, event: yaml.Event, message: str, remedy: str = "") -> None:
         """Report what the rest of the file cannot be read after."""
-        raise DeclarationError([*self.problems, Problem(self.place(event), self.path(), message, mend)])
+        raise DeclarationError([*self.problems, Problem(self.place(event), self.path(), message, remedy)])

@@ -23,11 +23,11 @@ LONGEST_NAME = 100
 DEEPEST_NESTING = 100
 
 Refuse = Callable[[int, int, str, str], DeclarationError]
-"""Makes the error for the part of the text from one index to another, with a message and its mend."""
+"""Makes the error for the part of the text from one index to another, with a message and its remedy."""
 
 _SPLIT = "split it into definitions"
 _DEEP = f"nested deeper than {DEEPEST_NESTING}"
-_COMPARE_MEND = f"the comparisons are {' '.join(sorted(COMPARISONS))}"
+_COMPARE_REMEDY = f"the comparisons are {' '.join(sorted(COMPARISONS))}"
 _PRIME = (
     "\N{MODIFIER LETTER PRIME}"  # stands for ' in Python identifiers, once every other non-ASCII character is refused
 )
@@ -46,12 +46,12 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
     ("^", "'^' is not an operator", "write ** for a power"),
     ("//", "'//' is not an operator", "write a/b"),
     ("%", "'%' is not an operator", "of a unit, write percent"),
-    ("==", "'==' is not allowed", _COMPARE_MEND),
-    ("!=", "'!=' is not allowed", _COMPARE_MEND),
+    ("==", "'==' is not allowed", _COMPARE_REMEDY),
+    ("!=", "'!=' is not allowed", _COMPARE_REMEDY),
     ("<<", "'<<' is not an operator", ""),
     (">>", "'>>' is not an operator", ""),
     (":=", "an assignment is not allowed in an expression", ""),
-    ("=", "'=' is not allowed in an expression", _COMPARE_MEND),
+    ("=", "'=' is not allowed in an expression", _COMPARE_REMEDY),
     (
         "'",
         "a prime stands right after the name of a coordinate, and text in quotes is not allowed",
@@ -133,16 +133,16 @@ def _scan(text: str, refuse: Refuse) -> int:
 
 def _foreign(text: str, index: int, refuse: Refuse) -> DeclarationError:
     """Say what a character is that starts no token."""
-    for token, message, mend in _FOREIGN:
+    for token, message, remedy in _FOREIGN:
         if text.startswith(token, index):
-            return refuse(index, index + len(token), message, mend)
+            return refuse(index, index + len(token), message, remedy)
     character = text[index]
     if character.isascii():
         return refuse(index, index + 1, f"the character {character!r} is not allowed in an expression", "")
     name = unicodedata.name(character, "a character without a name")
     plain = unicodedata.normalize("NFKC", character)
-    mend = f"write '{plain}'" if plain.isascii() and plain.isprintable() else "write it in ASCII"
-    return refuse(index, index + 1, f"the character U+{ord(character):04X} ({name}) is not ASCII", mend)
+    remedy = f"write '{plain}'" if plain.isascii() and plain.isprintable() else "write it in ASCII"
+    return refuse(index, index + 1, f"the character U+{ord(character):04X} ({name}) is not ASCII", remedy)
 
 
 def _juxtaposed(text: str, start: int, end: int, before: str, refuse: Refuse) -> DeclarationError:
@@ -171,8 +171,8 @@ def _check_name(text: str, start: int, end: int, refuse: Refuse) -> int:
     called = bool(call and call["open"])
     if called and name not in FUNCTIONS:
         hint = nearest(name, sorted(FUNCTIONS))
-        mend = hint if hint.startswith("did") else f"write {text[start:last]}*(...) for a product"
-        raise refuse(start, last, f"'{name}' is not a function", mend)
+        remedy = hint if hint.startswith("did") else f"write {text[start:last]}*(...) for a product"
+        raise refuse(start, last, f"'{name}' is not a function", remedy)
     if name in FUNCTIONS and not called:
         raise refuse(start, end, f"'{name}' is a function", f"write {name}(...)")
     return last
@@ -220,8 +220,8 @@ class _Walker:
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                 yield from self._call(name, args, start, end, depth)
             case ast.Compare():
-                mend = "write where(x > 0, a, b)"
-                raise self.refuse(start, end, "a comparison is allowed only as the condition of where", mend)
+                remedy = "write where(x > 0, a, b)"
+                raise self.refuse(start, end, "a comparison is allowed only as the condition of where", remedy)
             case ast.Tuple():
                 raise self.refuse(start, end, "a comma stands only between the arguments of a function", "")
             case _:
@@ -263,8 +263,8 @@ class _Walker:
             case ast.Compare():
                 raise self.refuse(start, end, "a chain of comparisons is not allowed", "put one where inside another")
             case _:
-                mend = "write where(x > 0, a, b)"
-                raise self.refuse(start, end, "the condition of where is not a comparison", mend)
+                remedy = "write where(x > 0, a, b)"
+                raise self.refuse(start, end, "the condition of where is not a comparison", remedy)
 
     def _span(self, node: ast.expr) -> tuple[int, int]:
         """Give the node's first and last index in the text; Python counts bytes of the bracketed source."""

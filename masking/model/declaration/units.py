@@ -228,8 +228,8 @@ class _Units:
         try:
             return *self.named(step.value), None
         except LookupError:
-            mend = "units are written as in N*s/m**2"
-            raise DeclarationError(self.expression.problem(step, f"'{step.value}' is not a unit", mend)) from None
+            remedy = "units are written as in N*s/m**2"
+            raise DeclarationError(self.expression.problem(step, f"'{step.value}' is not a unit", remedy)) from None
 
     def apply(self, step: Step, args: Sequence[_Read]) -> _Read:
         (factor, powers, number), (other, others, exponent) = args[0], args[-1]

@@ -17,7 +17,7 @@ from masking.model.declaration.schema import Declaration
 from masking.model.declaration.strict_yaml import Node, Places
 
 D = TypeVar("D", bound=Declaration)
-MOST_LISTED = 100  # keys and values that the schema refuses, each with its mend: nobody reads more
+MOST_LISTED = 100  # keys and values that the schema refuses, each with its remedy: nobody reads more
 
 
 def read(
@@ -116,9 +116,11 @@ def _translate(kind: type[Declaration], errors: Iterable[ErrorDetails], places: 
         match details["type"]:
             case "expression":
                 problem: Problem = context["problem"]
-                yield problem if problem.place else Problem(place, path, problem.message, problem.mend, problem.excerpt)
+                yield (
+                    problem if problem.place else Problem(place, path, problem.message, problem.remedy, problem.excerpt)
+                )
             case "masking":
-                yield Problem(place, path, context["message"], context["mend"])
+                yield Problem(place, path, context["message"], context["remedy"])
             case "extra_forbidden":
                 place = places.keys.get(path, place)
                 allowed = sorted(_keys_at(kind, details["loc"][:-1]))

@@ -116,7 +116,7 @@ def attach(
 
     Raises:
         DeclarationError: the effect, the element or a parameter is not known, a value is missing, or the model that
-            results is wrong; says how to mend it.
+            results is wrong; says how to correct it.
     """
     return attach_all(declaration, [Attachment(effect, at, label, parameters or {})])
 
@@ -201,11 +201,11 @@ def _in_series(declaration: ModelDeclaration, effect: Effect, at: str, label: st
     what = "in series with" if effect.attaches == "in_series" else "in the place of"
     message = f"the effect '{effect.name}' stands {what} an element's own force, and "
     if element.force is None:
-        mend = f"give elements.{at}.force, such as k*d + c*d_rate, and take these terms out of the equations"
-        raise _refusal(at, f"{message}'{at}' declares none", mend)
+        remedy = f"give elements.{at}.force, such as k*d + c*d_rate, and take these terms out of the equations"
+        raise _refusal(at, f"{message}'{at}' declares none", remedy)
     if not has_own_force(declaration, element):
-        mend = "write it over d, d_rate and parameters alone"
-        raise _refusal(at, f"{message}that of '{at}' has definitions that hold coordinates", mend)
+        remedy = "write it over d, d_rate and parameters alone"
+        raise _refusal(at, f"{message}that of '{at}' has definitions that hold coordinates", remedy)
     if effect.attaches == "instead":
         text = f"(1 - {label}_on)*({element.force.text}) + {label}_f"
     else:
@@ -231,12 +231,12 @@ def _motion(
     elif element.displacement is not None and has_rate(declaration, element):
         found["d_rate"] = Expression(rate_of(element.displacement, declaration.coordinates), path=label)
     elif used & {"d_rate", "d_acc"}:
-        mend = f"give elements.{at}.rate, how fast it is stretched"
-        raise _refusal(at, f"{what} a rate, and that of '{at}' is not known from coordinates", mend)
+        remedy = f"give elements.{at}.rate, how fast it is stretched"
+        raise _refusal(at, f"{what} a rate, and that of '{at}' is not known from coordinates", remedy)
     if effect.is_inertia:
         if found["d_rate"].names & {*declaration.states, *declaration.inputs}:
-            mend = "an inertia needs an element whose displacement is made of coordinates"
-            raise _refusal(at, f"{what} an acceleration, and that of '{at}' is not known", mend)
+            remedy = "an inertia needs an element whose displacement is made of coordinates"
+            raise _refusal(at, f"{what} an acceleration, and that of '{at}' is not known", remedy)
         moving = [*declaration.coordinates, *velocities(declaration.coordinates)]
         found["d_acc"] = Expression(rate_of(found["d_rate"], moving), path=label)
     return found
@@ -249,15 +249,15 @@ def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
             at, f"the effect '{effect.name}' sits in {place}, not in an element of a model", "declare it in a plant"
         )
     if at not in declaration.elements:
-        mend = nearest(at, declaration.elements) if declaration.elements else "declare it under elements"
-        raise _refusal(at, f"{declaration.name} has no element '{at}'", mend)
+        remedy = nearest(at, declaration.elements) if declaration.elements else "declare it under elements"
+        raise _refusal(at, f"{declaration.name} has no element '{at}'", remedy)
     return declaration.elements[at]
 
 
 def _check_label(declaration: ModelDeclaration, label: str) -> None:
     if not re.match(NAME_PATTERN, label):
-        mend = "a label is made of ASCII letters, digits and _, and starts with a letter"
-        raise _refusal(label, f"'{label}' is not a label", mend)
+        remedy = "a label is made of ASCII letters, digits and _, and starts with a letter"
+        raise _refusal(label, f"'{label}' is not a label", remedy)
     if f"{label}_on" in declaration.parameters:
         raise _refusal(label, f"there is already an effect '{label}'", "give this one another label")
 
@@ -330,5 +330,5 @@ def _sum(before: Expression | None, factor: Expression, force: str) -> Expressio
     return Expression(term.removeprefix("+ ")) if before is None else replace(before, text=f"{before.text} {term}")
 
 
-def _refusal(path: str, message: str, mend: str = "") -> DeclarationError:
-    return DeclarationError(Problem(None, path, message, mend))
+def _refusal(path: str, message: str, remedy: str = "") -> DeclarationError:
+    return DeclarationError(Problem(None, path, message, remedy))

@@ -108,7 +108,7 @@ def test_a_lag_of_a_sensor_begins_anywhere(folder):
     assert made.residual.std() == pytest.approx(NOISE, rel=0.05)
 
 
-def test_what_cannot_be_simulated_is_refused_with_the_mend(folder):
+def test_what_cannot_be_simulated_is_refused_with_the_remedy(folder):
     with pytest.raises(RecordError, match=r"there is no column .* name that with --plant \(in Python, plant=\)$"):
         masking.simulate("setup", folder / "decay.csv", columns={"t": "time"})
     with pytest.raises(RecordError, match="there is no column") as error:

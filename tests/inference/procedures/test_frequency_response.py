@@ -207,7 +207,7 @@ def refused(error, function=frequency_response, *, u=None, y=None, harmonics=(),
     return str(caught.value)
 
 
-def test_a_record_that_cannot_be_used_is_refused_with_the_mend():
+def test_a_record_that_cannot_be_used_is_refused_with_the_remedy():
     u = multisine(LINES, 1, periods=4)
     gap = u.copy()
     gap[[7, 9]] = np.nan

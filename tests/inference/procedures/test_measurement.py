@@ -163,7 +163,7 @@ def test_a_ramp_that_is_too_fast_is_refused():
 
 
 @pytest.mark.parametrize("function", [spring_curve, shift_of_equilibrium, locate_friction])
-def test_columns_that_cannot_be_used_are_refused_with_the_mend(function):
+def test_columns_that_cannot_be_used_are_refused_with_the_remedy(function):
     t, x, f = quasi_static(np.random.default_rng(0))
     broken = x.copy()
     broken[[3, 8]] = np.nan

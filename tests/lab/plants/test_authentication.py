@@ -220,8 +220,8 @@ def test_a_key_that_others_can_use_is_refused(key, mode, capsys):
 
 
 def test_a_key_that_is_none_is_refused(tmp_path):
-    mend = "make one with 'openssl rand -hex 32 > FILE; chmod 600 FILE'"
-    with pytest.raises(PlantMismatchError, match=rf"nothing cannot be read \(No such file or directory\); {mend}"):
+    remedy = "make one with 'openssl rand -hex 32 > FILE; chmod 600 FILE'"
+    with pytest.raises(PlantMismatchError, match=rf"nothing cannot be read \(No such file or directory\); {remedy}"):
         Key.read(tmp_path / "nothing")
     with pytest.raises(PlantMismatchError, match="is no file"):
         Key.read(tmp_path)
@@ -232,7 +232,7 @@ def test_a_key_that_is_none_is_refused(tmp_path):
         path = tmp_path / "key"
         path.write_bytes(content)
         path.chmod(0o600)
-        with pytest.raises(PlantMismatchError, match=f"it has 16 to 4096: {mend}"):
+        with pytest.raises(PlantMismatchError, match=f"it has 16 to 4096: {remedy}"):
             Key.read(path)
 
 

@@ -116,10 +116,10 @@ def test_a_missing_column_names_the_nearest():
 
 
 def test_load_says_what_is_wrong(tmp_path):
-    mend = "give a folder that holds recording.parquet, such as results/duffing"
-    with pytest.raises(RecordError, match=rf"recording\.parquet: no such recording; {mend}$"):
+    remedy = "give a folder that holds recording.parquet, such as results/duffing"
+    with pytest.raises(RecordError, match=rf"recording\.parquet: no such recording; {remedy}$"):
         Recording.load(tmp_path)
-    with pytest.raises(RecordError, match=rf"^nowhere: no such recording; {mend}$"):
+    with pytest.raises(RecordError, match=rf"^nowhere: no such recording; {remedy}$"):
         Recording.load("nowhere")
     with pytest.raises(RecordError, match=r"no such recording; the folder .*nowhere does not exist"):
         Recording.load(tmp_path / "nowhere" / "recording.parquet")

@@ -143,9 +143,9 @@ def row(cause: str, chi: float) -> Row:
 @pytest.mark.parametrize(
     ("rows", "rest", "said"),
     [
-        ([row("friction", 0.012), row("noise", 0.03)], 1e-6, "Mend first: friction (chi 0.031 -> 0.012 without)."),
+        ([row("friction", 0.012), row("noise", 0.03)], 1e-6, "Remedy first: friction (chi 0.031 -> 0.012 without)."),
         ([row("friction", 0.03), row(SAMPLING, 0.002)], 1e-6,
-         "Mend first: sampling (chi 0.031 -> 0.002 sampled at 10 kHz)."),
+         "Remedy first: sampling (chi 0.031 -> 0.002 sampled at 10 kHz)."),
         ([row("friction", 0.03), row("noise", math.inf)], 1e-6,
          "No single cause limits the masking error; all together do (chi 0.031 -> 1e-06 without any of them)."),
         ([row("friction", 0.03)], 0.03,

@@ -1,4 +1,4 @@
-"""What a motion asks of a rig, against closed forms and scaling laws; what mends it, against a second simulation."""
+"""What a motion asks of a rig, against closed forms and scaling laws; what remedies it, against a second simulation."""
 
 import json
 import math
@@ -92,7 +92,7 @@ def test_voltage_stroke_and_mean_power_have_their_closed_form(write, w):
     assert found["mean power of u"].needed == pytest.approx(settled, rel=0.15, abs=1e-9)
     assert found["mean power of u"].needed >= settled * (1.0 - 1e-3)
     assert found.fits
-    assert found.mends == ()
+    assert found.remedies == ()
 
 
 def test_a_long_mean_power_is_half_the_square_of_the_peak(write):
@@ -106,11 +106,11 @@ def test_inertia_alone_asks_for_the_inverse_square_of_the_time_scale(write):
     assert needed[0] / needed[2] == pytest.approx(9.0, rel=1e-3)
 
 
-def test_the_mends_have_their_closed_form(write):
+def test_the_remedies_have_their_closed_form(write):
     # Needed at w = 8: |50 - 128| 0.1 / 4 = 1.95 V of 1 V.
     found = find(write(most=1.0))
     assert not found.fits
-    time, transform, initial = found.mends
+    time, transform, initial = found.remedies
     assert time.factor == pytest.approx(8.0 / math.sqrt((K + 40.0) / M), rel=1e-3)  # m w^2 - k = 40 N/m
     assert transform.factor == pytest.approx(1.0 / 1.95, rel=1e-3)
     assert initial.factor == pytest.approx(1.0 / 1.95, rel=1e-3)
@@ -123,30 +123,30 @@ def test_the_mends_have_their_closed_form(write):
 @pytest.mark.parametrize(
     "changed",
     [
-        lambda mends, way: {"scale": mends[0].factor / way},
-        lambda mends, way: {"map": f"x/{mends[1].factor * way}"},
-        lambda mends, way: {"initial": AMPLITUDE * mends[2].factor * way},
+        lambda remedies, way: {"scale": remedies[0].factor / way},
+        lambda remedies, way: {"map": f"x/{remedies[1].factor * way}"},
+        lambda remedies, way: {"initial": AMPLITUDE * remedies[2].factor * way},
     ],
     ids=["time_scale", "transform", "initial"],
 )
-def test_what_is_mended_fits_and_2_per_cent_less_does_not(write, changed):
-    mends = find(write(most=1.0)).mends
-    assert find(write(most=1.0, **changed(mends, 1.0))).fits
-    assert not find(write(most=1.0, **changed(mends, 1.02))).fits
+def test_what_is_remedied_fits_and_2_per_cent_less_does_not(write, changed):
+    remedies = find(write(most=1.0)).remedies
+    assert find(write(most=1.0, **changed(remedies, 1.0))).fits
+    assert not find(write(most=1.0, **changed(remedies, 1.02))).fits
 
 
 def test_a_rig_too_stiff_for_a_slow_motion_is_told_to_be_faster(write):
     # u = (k - m w^2) A / c is 4.8 V, and tends to 5 V for a slower motion; 2 V are reached where k - m w^2 = 80 N/m.
     found = find(write(k=200.0, w=2.0, most=2.0))
-    time = found.mends[0]
+    time = found.remedies[0]
     assert time.factor == pytest.approx(2.0 / math.sqrt((200.0 - 80.0) / M), rel=1e-3)
     assert "times faster" in str(time)
 
 
-def test_no_time_scale_mends_a_stroke_that_is_too_long(write):
+def test_no_time_scale_remedies_a_stroke_that_is_too_long(write):
     found = find(write(initial=0.5))
     assert found["x"].part == pytest.approx(2.5, rel=1e-4)
-    time, transform, initial = found.mends
+    time, transform, initial = found.remedies
     assert time.factor is None
     assert [use.label for use in time.left] == ["x"]
     assert str(time) == "another time_scale alone does not help: x needs 250 % of 200 mm even then"
@@ -162,7 +162,7 @@ def test_a_limit_cycle_is_not_made_smaller_by_its_initial_values(write, tmp_path
         "equations: {y'': -w**2*y + b*(1 - (y/a)**2)*y'}\n",
         encoding="utf-8",
     )
-    initial = find(path).mends[2]
+    initial = find(path).remedies[2]
     assert initial.factor is None
     assert str(initial).startswith("smaller initial values alone do not help: u needs ")
 
@@ -230,7 +230,7 @@ def test_check_gives_status_1_for_what_does_not_fit_and_the_same_in_json(write, 
     assert [limit["name"] for limit in fit["limits"]] == ["u", "u", "x"]
     assert [limit["kind"] for limit in fit["limits"]] == ["command", "power", "coordinate"]
     assert fit["limits"][0]["used"] == pytest.approx(1.95, rel=1e-3)
-    assert [mend["change"] for mend in fit["mends"]] == ["time_scale", "transform", "initial"]
+    assert [remedy["change"] for remedy in fit["remedies"]] == ["time_scale", "transform", "initial"]
     assert fit["verdict"].startswith("does not fit: u needs 195 % of 1 V. To fit: time_scale x 1.2")
 
 

@@ -634,11 +634,15 @@ class Refusing:
         (
             "s1 s2 s3",
             "u1 u2 u3",
-            "the plant's actuators are u1, u2, u3; {wanted}, whose actuators are V1, V2, V3, {mend}",
+            "the plant's actuators are u1, u2, u3; {wanted}, whose actuators are V1, V2, V3, {remedy}",
         ),
-        ("s1 s2", "V1 V2 V3", "the plant's sensors are s1, s2; {wanted}, whose sensors are s1, s2, s3, {mend}"),
-        ("s2 s1 s3", "V1 V2 V3", "the plant's sensors are s2, s1, s3; {wanted}, whose sensors are s1, s2, s3, {mend}"),
-        ("s1 s2 s3", "V1", "the plant's actuators are V1; {wanted}, whose actuators are V1, V2, V3, {mend}"),
+        ("s1 s2", "V1 V2 V3", "the plant's sensors are s1, s2; {wanted}, whose sensors are s1, s2, s3, {remedy}"),
+        (
+            "s2 s1 s3",
+            "V1 V2 V3",
+            "the plant's sensors are s2, s1, s3; {wanted}, whose sensors are s1, s2, s3, {remedy}",
+        ),
+        ("s1 s2 s3", "V1", "the plant's actuators are V1; {wanted}, whose actuators are V1, V2, V3, {remedy}"),
     ],
     ids=["other names", "too few sensors", "another order", "too few actuators"],
 )
@@ -648,8 +652,8 @@ def test_a_plant_with_other_channels_is_refused_before_it_is_activated(offline, 
     with pytest.raises(PlantMismatchError) as caught:
         hardware.run(experiment, plant, hardware.RunSettings(lockstep=True))
     wanted = "the experiment is for linear_rig"
-    mend = "in this order: run it on that plant, or write the plant that is there into it"
-    assert str(caught.value) == said.format(wanted=wanted, mend=mend)
+    remedy = "in this order: run it on that plant, or write the plant that is there into it"
+    assert str(caught.value) == said.format(wanted=wanted, remedy=remedy)
     assert plant.calls[0] == "configure"
     assert set(plant.calls[1:]) == {"deactivate"}
 
@@ -708,8 +712,8 @@ def test_where_nobody_listens_it_is_said_what_to_start(offline, tmp_path, capsys
     path, _, _ = offline("linear_rig")
     address = "udp://127.0.0.1:9"  # whose service, discard, nobody runs
     assert cli.main(["rig", "run", str(path), "--plant", address, "--out", str(tmp_path / "out")]) == 1
-    mend = f"start it with 'masking rig serve PLANT --address {address}', or correct the address"
-    assert capsys.readouterr().err == f"masking: no plant answers at {address}; {mend}\n"
+    remedy = f"start it with 'masking rig serve PLANT --address {address}', or correct the address"
+    assert capsys.readouterr().err == f"masking: no plant answers at {address}; {remedy}\n"
 
 
 @pytest.mark.realtime

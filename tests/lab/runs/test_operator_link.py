@@ -64,7 +64,7 @@ def test_what_is_shown_is_what_is_recorded(cart):
         table = {name: taken.table[:, i] for i, name in enumerate(reader.columns)}
         kept = (table["index"] >= 0) & (table["index"] % cart.every == 0)
         assert reader.is_closed
-        assert operator.switch.told == {"end": "finished"}
+        assert operator.switch.published == {"end": "finished"}
     assert taken.missed == 0
     assert kept.sum() == len(recording.t) > 1000
     np.testing.assert_array_equal(table["index"][kept] / reader.rate, recording.t)
@@ -97,7 +97,7 @@ def test_a_pressed_switch_trips_within_two_ticks(presser, said):
 
         ran = run_rig(damped, MassSpring(), **RUN, samples=500, lockstep=True, look=operator.look, on_tick=on_tick)
         operator.end(ran.reason, ran.trip)
-        assert operator.switch.told["trip"]["cause"] == "ESTOP"
+        assert operator.switch.published["trip"]["cause"] == "ESTOP"
     assert (ran.reason, ran.trip.cause) == ("tripped", Cause.ESTOP)
     assert ran.trip.tick == 21
     assert said in str(ran.trip)

@@ -521,7 +521,7 @@ def test_bad_files_are_refused_and_leave_nothing(tmp_path):
         ),
     ],
 )
-def test_bad_input_is_refused_with_the_mend(call, message):
+def test_bad_input_is_refused_with_the_remedy(call, message):
     with pytest.raises(ModelError) as caught:
         call()
     assert str(caught.value).startswith(message)

@@ -1,4 +1,4 @@
-"""Declarations: what is written is what is read, and every mistake is told with its place and mend."""
+"""Declarations: what is written is what is read, and every mistake is told with its place and remedy."""
 
 import hashlib
 import itertools
@@ -84,7 +84,7 @@ def problems(call, *args):
     for problem in caught.value.problems:
         place = problem.place
         where = f"{place.line}:{place.column}: " if place else ""
-        lines.append(f"{where}{problem.path}: {problem.message}" + (f"; {problem.mend}" if problem.mend else ""))
+        lines.append(f"{where}{problem.path}: {problem.message}" + (f"; {problem.remedy}" if problem.remedy else ""))
     return lines
 
 
@@ -129,7 +129,7 @@ def test_experiment_is_assembled(folder):
     assert assembly.experiment.controller.rate == 1000.0
     assert assembly.experiment.name == "run"
     assert assembly.plant.sensors["s2"].gain.value == 3.0
-    assert assembly.believed_model is assembly.plant_model
+    assert assembly.controller_model is assembly.plant_model
 
 
 @pytest.mark.parametrize(
@@ -439,7 +439,7 @@ def test_dimensions(folder, change, message):
     model = registry.load_model(write(folder, "si.yaml", SI.replace(*change)))
     problem = check_dimensions(model)[0]
     shown = f"{problem.place.line}:{problem.place.column}: {problem.path}: {problem.message}"
-    assert shown + (f"; {problem.mend}" if problem.mend else "") == message
+    assert shown + (f"; {problem.remedy}" if problem.remedy else "") == message
 
 
 def test_scales_of_a_dimensionless_model_give_no_time_a_unit(folder):
@@ -527,10 +527,10 @@ SOUND = WIRED.replace("q1 - q2', gain: 3, unit: mV", "q1 - q2, gain: {value: 3, 
         (("unit: W", "unit: N"), ["8:27: limits.power.unit: a power is in W, the limit in N"]),
         (("unit: V/m", "unit: V"),
          ["3:7: sensors.s1: 200 V times q1 [m] is V*m, not V; measure another quantity, "
-          "give the gain in V/m with its value in that unit, or mend the unit"]),
+          "give the gain in V/m with its value in that unit, or correct the unit"]),
         (("{measures: q1, gain: {value: 200, unit: V/m}", "{measures: q1', gain: 200"),
          ["3:7: sensors.s1: 200 times q1' [m/s] is m/s, not V; measure another quantity, "
-          "give the gain in V/(m/s) with its value in that unit, or mend the unit"]),
+          "give the gain in V/(m/s) with its value in that unit, or correct the unit"]),
         (("  s1: {measures: q1, gain: {value: 200, unit: V/m}, unit: V}", "  s1: q1"), []),
     ],
 )  # fmt: skip
@@ -770,7 +770,7 @@ def test_numbers_without_unit_are_called_so(folder):
 def test_all_missing_scales_at_once(folder):
     scales = "scales: {time: {value: 1, unit: s}, length: {value: 1, unit: m}}\n"
     model = registry.load_model(write(folder, "m.yaml", MACHINE + scales))
-    found = [(p.place.line, p.place.column, p.path, p.message, p.mend) for p in check_scales(model)]
+    found = [(p.place.line, p.place.column, p.path, p.message, p.remedy) for p in check_scales(model)]
     start, mass, voltage = "add to scales: ", "'mass: {value: 1, unit: kg}'", "'voltage: {value: 1, unit: V}'"
     end = ", with the value that suits"
     assert found == [
@@ -788,7 +788,7 @@ def test_all_missing_scales_at_once(folder):
     assert check_scales(registry.load_model(write(folder, "m.yaml", MACHINE + whole))) == []
     assert check_scales(registry.load_model(write(folder, "m.yaml", MACHINE))) == []
     taken = scales.replace("length", "mass")  # the proposal takes another name
-    assert "mass2: " in check_scales(registry.load_model(write(folder, "m.yaml", MACHINE + taken)))[1].mend
+    assert "mass2: " in check_scales(registry.load_model(write(folder, "m.yaml", MACHINE + taken)))[1].remedy
     wrong = registry.load_model(write(folder, "m.yaml", MODEL + "scales: {time: {value: 1, unit: sec9}}\n"))
     assert [problem.message for problem in check_dimensions(wrong)] == ["'sec9' is not a unit"]
 
@@ -847,12 +847,12 @@ def test_rows_of_a_recording(folder):
 
 
 def test_a_problem_as_json():
-    problem = Problem(Place("m.yaml", 3, 7), "parameters.k", "is wrong", "mend it", "    k\n    ^")
+    problem = Problem(Place("m.yaml", 3, 7), "parameters.k", "is wrong", "correct it", "    k\n    ^")
     assert json.loads(json.dumps(problem.as_dict())) == {
-        "file": "m.yaml", "line": 3, "column": 7, "path": "parameters.k", "message": "is wrong", "mend": "mend it",
+        "file": "m.yaml", "line": 3, "column": 7, "path": "parameters.k", "message": "is wrong", "remedy": "correct it",
     }  # fmt: skip
     assert Problem(None, "", "is wrong").as_dict() == {
-        "file": None, "line": None, "column": None, "path": "", "message": "is wrong", "mend": "",
+        "file": None, "line": None, "column": None, "path": "", "message": "is wrong", "remedy": "",
     }  # fmt: skip
 
 
