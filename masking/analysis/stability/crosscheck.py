@@ -16,10 +16,10 @@ from scipy.integrate import solve_ivp
 from masking.analysis.stability.dissipation import default_box
 from masking.analysis.stability.equilibria import STABLE, UNSTABLE, Box, stability_of
 from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.growth import evaluated
+from masking.analysis.stability.growth import along
 from masking.analysis.stability.lasalle import InvariantSet
 from masking.analysis.stability.modes import state_matrix
-from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph import Graph
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
@@ -105,16 +105,16 @@ class _Motions:
     def __init__(
         self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, box: Box | None = None
     ) -> None:
-        self.motion, self.forms, self.found, self.graph = motion, forms, found, Graph()
+        self.motion, self.forms, self.found, graph = motion, forms, found, Graph()
         state = (*motion.q, *motion.v)
-        symbols, self.values = motion.on(self.graph, state)
-        self.at = [symbols[x] for x in state]
+        symbols, values = motion.on(graph, state)
+        at = [symbols[x] for x in state]
         energy = motion.energy or sp.Integer(0)
         watched = [energy, energy - energy.subs(dict.fromkeys(motion.v, 0)), *forms]
         self.families = [[*f.relations] for f in found.families] if found else []
         watched += [r for family in self.families for r in family]
-        self.rates = [self.graph.lower(a, symbols) for a in motion.accelerations]
-        self.watched = [self.graph.lower(x, symbols) for x in watched]
+        rates, seen = ([graph.lower(x, symbols) for x in some] for some in (motion.accelerations, watched))
+        self.rates, self.watched = (along(graph, nodes, at, values) for nodes in (rates, seen))
         self.is_box, sides = box is not None, default_box(motion, box or {})
         self.low, self.high = (np.array([sides[x.name][k] for x in state]) for k in (0, 1))
 
@@ -143,7 +143,7 @@ class _Motions:
 
     def _words(self, path: Array) -> str:
         n, count = len(self.motion.q), len(self.forms)
-        energy, kinetic, *rest = self._at(self.watched, path)
+        energy, kinetic, *rest = (np.broadcast_to(x, len(path)) for x in self.watched(path))
         gain, most = float(np.max(energy - np.minimum.accumulate(energy))), float(np.max(np.abs(kinetic)))
         if gain > _GAIN * most > 0.0:
             return f"gains energy: V rises by {gain:.3g}"
@@ -163,7 +163,7 @@ class _Motions:
         def rate(_: float, y: Array) -> Array:
             nonlocal count
             count += 1
-            found = np.concatenate([y[n:], [float(a) for a in self._at(self.rates, y)]])
+            found = np.concatenate([y[n:], self.rates(y)])
             if count > _MOST_RATES or not np.all(np.isfinite(found)):
                 raise _StiffError
             return found
@@ -175,8 +175,3 @@ class _Motions:
         if not run.success:
             raise _StiffError
         return np.asarray(run.y.T)
-
-    def _at(self, nodes: Sequence[Node], states: Array) -> list[Array]:
-        """Nodes at states (..., 2 n)."""
-        given = self.values | {node: states[..., i] for i, node in enumerate(self.at)}
-        return [np.broadcast_to(x, states.shape[:-1]) for x in evaluated(self.graph, list(nodes), given)]

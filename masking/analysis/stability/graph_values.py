@@ -13,7 +13,20 @@ Rules = Mapping[str, Callable[..., Any]]
 
 
 def values_of(graph: Graph, nodes: Sequence[Node], known: Mapping[Node, Any], rules: Rules, kind: str) -> list[Any]:
-    """Values of nodes of a graph, from those of symbols, which are known.
+    """Values of nodes of a graph, from those of symbols, which are known; as `function_of` for the rest."""
+    return function_of(graph, nodes, known, rules, kind, variables=())(())
+
+
+def function_of(
+    graph: Graph,
+    nodes: Sequence[Node],
+    known: Mapping[Node, Any],
+    rules: Rules,
+    kind: str,
+    *,
+    variables: Sequence[Node],
+) -> Callable[[Sequence[Any]], list[Any]]:
+    """Function that gives the values of nodes of a graph for those of some variables; all else is computed once.
 
     Of the rules, by operation, `number` takes a float, and `square` the factor of a product with itself. The kind of
     the values is for messages.
@@ -21,18 +34,32 @@ def values_of(graph: Graph, nodes: Sequence[Node], known: Mapping[Node, Any], ru
     Raises:
         ModelError: an operation has no rule, or a symbol no value.
     """
-    found: dict[Node, Any] = {}
+    found, varying, steps = dict(known), set(variables), list[tuple[Node, Callable[..., Any], list[Node]]]()
     for node in needed(graph, nodes):
         name, *arguments = graph.operations[node]
-        if node in known:
-            found[node] = known[node]
-        elif name == "number":
+        if node in varying or node in found:
+            continue
+        if name == "number":
             found[node] = rules["number"](float(arguments[0]))
-        elif name not in rules:
+            continue
+        if name not in rules:
             what = f"the symbol {arguments[0]}" if name == "symbol" else f"the operation '{name}'"
             raise ModelError(f"{what} has no {kind}")
+        is_square = name == "mul" and arguments[0] == arguments[1]
+        rule, inner = (
+            rules["square" if is_square else str(name)],
+            [int(a) for a in arguments[: 1 if is_square else None]],
+        )
+        if varying.isdisjoint(inner):
+            found[node] = rule(*(found[a] for a in inner))
         else:
-            is_square = name == "mul" and arguments[0] == arguments[1]
-            inner = [found[int(a)] for a in arguments]
-            found[node] = rules["square"](inner[0]) if is_square else rules[str(name)](*inner)
-    return [found[node] for node in nodes]
+            varying.add(node)
+            steps.append((node, rule, inner))
+
+    def values(given: Sequence[Any]) -> list[Any]:
+        here = found | dict(zip(variables, given, strict=True))
+        for node, rule, inner in steps:
+            here[node] = rule(*[here[a] for a in inner])
+        return [here[node] for node in nodes]
+
+    return values

@@ -6,7 +6,7 @@ enclosure, such as `max` or `heaviside`, by exact arithmetic: the state and the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import sympy as sp
 
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.graph_values import values_of
+from masking.analysis.stability.graph_values import function_of, values_of
 from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.numerics.arrays import Array
@@ -91,9 +91,24 @@ class Growth:
 def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
     """Nodes of a graph at many states at once, in floating point."""
     with np.errstate(all="ignore"):
-        return values_of(graph, nodes, given, _RULES, "value in floating point")
+        return values_of(graph, nodes, given, _RULES, _KIND)
 
 
+def along(
+    graph: Graph, nodes: list[Node], variables: Sequence[Node], given: Mapping[Node, Any]
+) -> Callable[[Array], list[Any]]:
+    """Function of states (..., variables) that gives nodes of a graph at each, in floating point."""
+    with np.errstate(all="ignore"):
+        function = function_of(graph, nodes, given, _RULES, _KIND, variables=variables)
+
+    def at(states: Array) -> list[Any]:
+        with np.errstate(all="ignore"):
+            return function(np.moveaxis(states, -1, 0))
+
+    return at
+
+
+_KIND = "value in floating point"
 _SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
 _RULES: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _SAME_NAME} | {
     "number": float,
