@@ -70,7 +70,7 @@ class Module:
     `functions` are Python for numba, in a module of kernels to which functions of a model are linked by their
     addresses; `definitions` are LLVM code, by name, in all others.
     `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
-    work space, as `native` reads them; `parts` holds what functions were made of, for other printers.
+    work space, as `machine_code` reads them; `parts` holds what functions were made of, for other printers.
     """
 
     title: str
