@@ -6,5 +6,5 @@ Imports: numerics.
 
 `graph` holds expressions as shared elementary operations, `linear_systems` solves linear systems of them, `printers`
 and `llvm_text` write them as statements, `source` as functions and modules, `structs` describes what kernels take
-together, and `store` keeps modules on disk.
+together, and `module_store` keeps modules on disk.
 """
