@@ -86,10 +86,10 @@ def dated(self):
     sample = read(self)
     seen = time.monotonic()
     return sample
-deactivate = UdpPlant.deactivate
+deactivate, zero = UdpPlant.deactivate, None
 def at_zero(self):
     global zero
-    zero = time.monotonic()
+    zero = zero or time.monotonic()  # the first time: what has left a plant at zero may do so again
     deactivate(self)
 UdpPlant.read, UdpPlant.deactivate = dated, at_zero
 try:

@@ -492,6 +492,9 @@ def cut_short(folder: Path, seconds: float, number: int) -> Cut:
         if not session["fresh"].any():
             tries.append(f"no command within {passed:.2f} s")
             continue
+        if str((session.manifest["latch"] or {}).get("cause", "")).startswith("the server was held up"):
+            tries.append(session.manifest["latch"]["cause"])
+            continue
         if is_running:
             return Cut(status, out, err, passed, session, told, saved)
         tries.append(f"{err.strip()}; this machine let {canary.missed} of {canary.ticks} ms pass")
