@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from masking.compile.codegen.graph import Graph, Node
@@ -25,7 +25,7 @@ def function_of(
     kind: str,
     *,
     variables: Sequence[Node],
-) -> Callable[[Sequence[Any]], list[Any]]:
+) -> Callable[[Iterable[Any]], list[Any]]:
     """Function that gives the values of nodes of a graph for those of some variables; all else is computed once.
 
     Of the rules, by operation, `number` takes a float, and `square` the factor of a product with itself. The kind of
@@ -56,7 +56,7 @@ def function_of(
             varying.add(node)
             steps.append((node, rule, inner))
 
-    def values(given: Sequence[Any]) -> list[Any]:
+    def values(given: Iterable[Any]) -> list[Any]:
         here = found | dict(zip(variables, given, strict=True))
         for node, rule, inner in steps:
             here[node] = rule(*[here[a] for a in inner])
