@@ -45,11 +45,9 @@ def function_of(
         if name not in rules:
             what = f"the symbol {arguments[0]}" if name == "symbol" else f"the operation '{name}'"
             raise ModelError(f"{what} has no {kind}")
-        is_square = name == "mul" and arguments[0] == arguments[1]
-        rule, inner = (
-            rules["square" if is_square else str(name)],
-            [int(a) for a in arguments[: 1 if is_square else None]],
-        )
+        inner, rule = [int(a) for a in arguments], rules[str(name)]
+        if name == "mul" and inner[0] == inner[1]:
+            inner, rule = inner[:1], rules["square"]
         if varying.isdisjoint(inner):
             found[node] = rule(*(found[a] for a in inner))
         else:

@@ -1,4 +1,4 @@
-"""Declarations: what is written is what is read, and every mistake is told with its place and remedy."""
+"""Declarations: what is written is what is read, and every mistake is reported with its place and remedy."""
 
 import hashlib
 import itertools
