@@ -7,7 +7,8 @@ import inspect
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import FunctionType
+from functools import cache
+from types import CodeType, FunctionType
 from typing import Any
 
 from masking.compile.codegen.llvm_text import Expressions
@@ -33,7 +34,7 @@ class Closure:
     def of(cls, function: Callable[..., Any]) -> Closure:
         """Function that is plain, or that numba has decorated."""
         plain: Any = getattr(function, "py_func", function)
-        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(plain))).body
+        (tree,) = ast.parse(_source(plain.__code__)).body
         assert isinstance(tree, ast.FunctionDef)  # noqa: S101
         found = inspect.getclosurevars(plain)
         return cls(plain, tree, {**found.builtins, **found.globals, **found.nonlocals})
@@ -55,3 +56,9 @@ def part_of(module: Module, name: str) -> Expressions | Closure:
     if not isinstance(part, Made):
         return part
     return Closure.of(made_of(part, Named))
+
+
+@cache
+def _source(code: CodeType) -> str:
+    """Source of a function; those that a factory makes have the same code."""
+    return textwrap.dedent(inspect.getsource(code))

@@ -80,9 +80,8 @@ class Generated:
         described = self.meta["functions"][name]
         if "links" in self.meta or not self.text.startswith(";"):
             interface = getattr(self.module(), f"{name}_c")
-            return machine_code.compiled_by_numba(
-                interface, described["arguments"].values(), map(machine_code.symbol, self.links)
-            )
+            arguments = described["arguments"].values()
+            return machine_code.compiled_by_numba(interface, arguments, map(machine_code.symbol, self.links))
         if name not in self.kernels:
             symbol = machine_code.symbol(name)
             returns = bool(described["results"])
@@ -108,7 +107,7 @@ class Generated:
             arguments = self.meta["functions"][name]["arguments"].values()
             with machine_code.lightly_optimised():
                 interface = getattr(_imported(text_path, text.decode()), f"{name}_c")
-                found = bytes(machine_code.compiled_by_numba(interface, arguments, symbols).as_bitcode())
+                found = machine_code.template_bitcode(machine_code.compiled_by_numba(interface, arguments, symbols))
             trusted_files.keep(path, found)
         return found
 
@@ -141,11 +140,9 @@ class _Checked(importlib.abc.ExecutionLoader):
     text: str
 
     def get_source(self, fullname: str) -> str:
-        """Text."""
         return self.text
 
     def get_filename(self, fullname: str) -> str:
-        """Path of the text, for tracebacks."""
         return str(self.path)
 
 
