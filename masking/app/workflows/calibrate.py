@@ -41,69 +41,6 @@ class _Candidate:
     parameters: tuple[str, ...]
 
 
-def calibrate(
-    twin: Twin,
-    plant: Plant,
-    out: str | Path,
-    *,
-    model: str | Path | None = None,
-    seconds: float = 2.0 * PERIOD,
-    overwrite: bool = False,
-    lockstep: bool = False,
-    seed: int = 0,
-    say: Say | None = None,
-    progress: Progress | None = None,
-) -> Calibration:
-    """Calibrate a rig.
-
-    Args:
-        twin: what the plant file says of it, with the values to begin from.
-        plant: the rig.
-        out: folder of the records and of the result; records that are there are not made again.
-        model: a model to fit between that of the plant file, without effects in its elements, and all of it.
-        seconds: length of each record.
-        overwrite: whether an earlier result in that folder may be replaced; its records are kept.
-        lockstep: run as fast as both sides can, each waiting for the other.
-        seed: of the phases.
-        say: called with what is done.
-        progress: called with the part done, of recordings, fits and report together.
-
-    Raises:
-        RecordError: the folder cannot be written, or holds an earlier result.
-        ModelError: the plant file has no limits to stay within.
-        PlantError: the plant is lost, refuses, or has other channels.
-        MaskingError: a recording was interrupted.
-        RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
-    """
-    if seconds < PERIOD:
-        raise ModelError(
-            f"records of {seconds:g} s are shorter than the excitation's period; give at least {PERIOD:g} s"
-        )
-    check_folder(out, NUMBERS, overwrite=overwrite)
-    twin.validate()
-    folder, tell = Path(out), say or (lambda text: None)
-    candidates = tuple(_candidates(twin, model))
-    costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
-    costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
-    parts = iter(_parts(progress or (lambda part: None), costs))
-    made = calibration_excitation.make(
-        twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, seed=seed, say=tell, progress=next(parts)
-    )
-    stages = []
-    for candidate, part in zip(candidates, parts, strict=False):
-        names = independent(candidate.twin, made.fit, candidate.parameters)
-        tell(f"fitting {candidate.name}: {len(names)} parameters")
-        found = fit(candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part)
-        stages.append(Stage(candidate.name, found, candidate.parameters))
-    calibration = Calibration(twin, made, tuple(stages), folder)
-    fit_files.save(calibration.best.fit, folder)
-    calibration_page.save(calibration)
-    (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
-    if progress is not None:
-        progress(1.0)
-    return calibration
-
-
 @dataclass(frozen=True, kw_only=True)
 class RigCalibration:
     """How a rig at an address is calibrated.
@@ -140,17 +77,52 @@ def calibrate_at(plant: str, settings: RigCalibration) -> Calibration:
         settings: the fields of `RigCalibration`.
     """
     twin, key = Twin.load(plant), None if settings.key is None else Key.read(settings.key)
-    return calibrate(
-        twin,
-        adapters.connect(settings.at, key) if settings.at else SimulatedPlant(twin),
-        settings.out,
-        model=settings.model,
-        seconds=settings.seconds,
-        overwrite=settings.overwrite,
-        lockstep=settings.lockstep or not settings.at,
-        say=settings.say,
-        progress=settings.progress,
+    if settings.at:
+        return calibrate(twin, adapters.connect(settings.at, key), settings)
+    return calibrate(twin, SimulatedPlant(twin), replace(settings, lockstep=True))
+
+
+def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration:
+    """Calibrate a rig.
+
+    Args:
+        twin: what the plant file says of it, with the values to begin from.
+        plant: the rig.
+        settings: all but its address and its key.
+
+    Raises:
+        RecordError: the folder cannot be written, or holds an earlier result.
+        ModelError: the plant file has no limits to stay within.
+        PlantError: the plant is lost, refuses, or has other channels.
+        MaskingError: a recording was interrupted.
+        RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
+    """
+    seconds, lockstep, progress = settings.seconds, settings.lockstep, settings.progress or (lambda part: None)
+    if seconds < PERIOD:
+        message = f"records of {seconds:g} s are shorter than the excitation's period"
+        raise ModelError(f"{message}; give at least {PERIOD:g} s")
+    check_folder(settings.out, NUMBERS, overwrite=settings.overwrite)
+    twin.validate()
+    folder, tell = Path(settings.out), settings.say or (lambda text: None)
+    candidates = tuple(_candidates(twin, settings.model))
+    costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
+    costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
+    parts = iter(_parts(progress, costs))
+    made = calibration_excitation.make(
+        twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, say=tell, progress=next(parts)
     )
+    stages = []
+    for candidate, part in zip(candidates, parts, strict=False):
+        names = independent(candidate.twin, made.fit, candidate.parameters)
+        tell(f"fitting {candidate.name}: {len(names)} parameters")
+        found = fit(candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part)
+        stages.append(Stage(candidate.name, found, candidate.parameters))
+    calibration = Calibration(twin, made, tuple(stages), folder)
+    fit_files.save(calibration.best.fit, folder)
+    calibration_page.save(calibration)
+    (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
+    progress(1.0)
+    return calibration
 
 
 def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:

@@ -38,6 +38,7 @@ RATE: Final = 1000.0
 PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record
 STARTS: Final = 5  # of the search for a small crest factor
+SEED: Final = 0  # of the phases; records made with others are not mixed
 _REMEDY = "calibrate that plant, or give the plant file of the one that is there"
 _DIGITS = 9  # of a number that shows whether a twin is the same
 
@@ -46,7 +47,7 @@ Progress = Callable[[float], None]
 
 
 def make(
-    twin: Twin, plant: Plant, folder: Path, *, seconds: float, lockstep: bool, seed: int, say: Say, progress: Progress
+    twin: Twin, plant: Plant, folder: Path, *, seconds: float, lockstep: bool, say: Say, progress: Progress
 ) -> Records:
     """Make the records that are not in a folder yet, of some seconds each, and read them all.
 
@@ -63,16 +64,16 @@ def make(
     missed = {}
     for number, name in enumerate(NAMES):
         path = folder / name
-        settings = _settings(plant, limits, seconds=seconds, seed=seed, size=size, twin=twin)
+        settings = _settings(plant, limits, seconds=seconds, size=size, twin=twin)
         if (path / MANIFEST).exists():
             recording = Recording.load(path)
             _check(recording.manifest.get("calibration"), settings, path)
             say(f"{name}: recorded before")
         else:
             say(f"{name}: recording {seconds:g} s")
-            commands = size * limits * _waves(len(limits), number, seconds, seed)
+            commands = size * limits * _waves(len(limits), number, seconds)
             part = part_of(progress, number, len(NAMES))
-            _record(twin, plant, commands, rules, settings, lockstep=lockstep, progress=part).save(path, overwrite=True)
+            _record(twin, plant, commands, rules, settings, lockstep=lockstep, part=part).save(path, overwrite=True)
             recording = Recording.load(path)
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
         made.append(Data.of(recording, twin, str(path)))
@@ -84,11 +85,11 @@ def make(
     return Records(fit, unseen, size, limits, missed)
 
 
-def _settings(plant: Plant, limits: Array, *, seconds: float, seed: int, size: float, twin: Twin) -> dict[str, Any]:
+def _settings(plant: Plant, limits: Array, *, seconds: float, size: float, twin: Twin) -> dict[str, Any]:
     """Settings of a record, as JSON can hold them; of a simulated rig with a digest of its twin."""
     found = {
         "seconds": seconds,
-        "seed": seed,
+        "seed": SEED,
         "size": size,
         "limits": dict(zip(twin.actuators, map(float, limits), strict=True)),
         "sensors": list(twin.sensors),
@@ -112,15 +113,11 @@ def _check(before: Mapping[str, Any] | None, now: Mapping[str, Any], path: Path)
 
 
 def _difference(name: str, before: object, now: object) -> str:
-    if name == "twin":
-        return (
-            "of a rig, not of a twin"
-            if before is None
-            else "of a twin, not of a rig"
-            if now is None
-            else "of another twin"
-        )
-    return f"{name} {_shown(before)} instead of {_shown(now)}"
+    if name != "twin":
+        return f"{name} {_shown(before)} instead of {_shown(now)}"
+    if before is None:
+        return "of a rig, not of a twin"
+    return "of a twin, not of a rig" if now is None else "of another twin"
 
 
 def _shown(value: object) -> str:
@@ -129,13 +126,13 @@ def _shown(value: object) -> str:
     return ", ".join(value) if isinstance(value, list) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _waves(count: int, number: int, seconds: float, seed: int) -> Array:
+def _waves(count: int, number: int, seconds: float) -> Array:
     """Multisines with peak 1 (samples, count): lines in turn, which go round from record to record."""
     t = np.arange(round(seconds * RATE)) / RATE
     columns = []
     for i in range(count):
         lines = np.arange(1 + (i + number) % count, round(HIGHEST * PERIOD) + 1, count)
-        found = minimise_crest(Multisine.harmonic(lines, PERIOD), starts=STARTS, seed=seed + count * number + i)
+        found = minimise_crest(Multisine.harmonic(lines, PERIOD), starts=STARTS, seed=SEED + count * number + i)
         wave = found.sample(t)
         columns.append(wave / np.abs(wave).max())
     return np.array(columns).T
@@ -151,14 +148,7 @@ def _larger(twin: Twin, small: Data) -> float:
 
 
 def _record(
-    twin: Twin,
-    plant: Plant,
-    commands: Array,
-    limits: Rules,
-    settings: Mapping[str, Any],
-    *,
-    lockstep: bool,
-    progress: Progress,
+    twin: Twin, plant: Plant, commands: Array, rules: Rules, settings: dict[str, Any], *, lockstep: bool, part: Progress
 ) -> Recording:
     """Recording of a plant under commands (samples, actuators); missed readings are interpolated."""
     first: list[int] = []
@@ -169,25 +159,15 @@ def _record(
         command: Array = commands[min(tick - first[0], len(commands) - 1)]
         return command
 
-    wanted = Path(next(iter(twin.declaration.files), twin.declaration.name)).stem
-    ran = run_rig(
-        step,
-        plant,
-        Settings(RATE, lockstep=lockstep),
-        samples=len(commands),
-        limits=limits,
-        hooks=Hooks(
-            lambda found: check_channels(
-                found, twin.sensors, twin.actuators, f"the calibration is for {wanted}", _REMEDY
-            ),
-            on_tick=every(progress, len(commands)),
-        ),
+    whose = f"the calibration is for {Path(next(iter(twin.declaration.files), twin.declaration.name)).stem}"
+    hooks = Hooks(
+        lambda found: check_channels(found, twin.sensors, twin.actuators, whose, _REMEDY),
+        on_tick=every(part, len(commands)),
     )
+    ran = run_rig(step, plant, Settings(RATE, lockstep=lockstep), samples=len(commands), limits=rules, hooks=hooks)
     if ran.reason != FINISHED:
-        why = f" ({ran.trip})" if ran.trip else ""
-        raise MaskingError(
-            f"the recording was {ran.reason}{why} and is not kept; run the same again to go on from here"
-        )
+        why = f"{ran.reason} ({ran.trip})" if ran.trip else ran.reason
+        raise MaskingError(f"the recording was {why} and is not kept; run the same again to go on from here")
     index = ran.index - ran.index[0]
     every_one = np.arange(index[-1] + 1)
     at = np.searchsorted(index, every_one, side="right") - 1  # a command holds until the next

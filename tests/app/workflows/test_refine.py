@@ -38,7 +38,7 @@ def recorded(folder, experiment, seconds):
     """Write an experiment, and what is recorded of its imperfect rig, all that is wrong with it hidden."""
     (folder / "e.yaml").write_text(experiment)
     twin = Experiment.load(folder / "e.yaml").twin
-    settings = {"seconds": seconds, "lockstep": True, "seed": 1, "say": lambda text: None, "progress": lambda p: None}
+    settings = {"seconds": seconds, "lockstep": True, "say": lambda text: None, "progress": lambda p: None}
     calibration_excitation.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
     return folder
 
