@@ -31,11 +31,7 @@ def masking_error(measured: NDArray[np.float64], ideal: NDArray[np.float64]) -> 
 
 @final
 class ErrorSum:
-    """Masking error of one coordinate whose motion comes in chunks.
-
-    Attributes:
-        largest: error so far, in the unit of the motion.
-    """
+    """Masking error of one coordinate whose motion comes in chunks; `largest` is that so far, in the motion's unit."""
 
     def __init__(self) -> None:
         self._scale, self._error, self._size, self.largest = 0.0, 0.0, 0.0, 0.0

@@ -120,12 +120,9 @@ class Transform:
         s = self.rig.equations.symbols
         known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
         jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
-        return MappedCoordinates(
-            eta=[graph.lower(e, known) for e in self.expressions],
-            rate=[dot(graph, row, v) for row in jacobian],
-            jacobian=jacobian,
-            bias=[graph.lower(e, known) for e in self.bias],
-        )
+        eta = [graph.lower(e, known) for e in self.expressions]
+        moving = [dot(graph, row, v) for row in jacobian]
+        return MappedCoordinates(eta, moving, jacobian, [graph.lower(e, known) for e in self.bias])
 
 
 @dataclass(frozen=True)
@@ -255,11 +252,8 @@ class Cancellation:
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
         mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
         free = self.model.equations.force.xreplace(dict.fromkeys(s.u, sp.Integer(0)))
-        right = [
-            [graph.lower(f, known), *(graph.lower(e, known) for e in row)]
-            for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)
-        ]
-        solution, divisors = solve(graph, mass, right)
+        entries = [[f, *row] for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)]
+        solution, divisors = solve(graph, mass, [[graph.lower(e, known) for e in row] for row in entries])
         return [row[0] for row in solution], [row[1:] for row in solution], health(graph, divisors)
 
 
@@ -278,9 +272,8 @@ def decouple(
     else:
         square = [[dot(graph, a, b) for b in matrix] for a in matrix]
         part, divisors = solve(graph, square, right)
-        solution = [
-            [dot(graph, [row[i] for row in matrix], [z[k] for z in part]) for k in (0, 1)] for i in range(inputs)
-        ]
+        columns = [[row[i] for row in matrix] for i in range(inputs)]
+        solution = [[dot(graph, column, [z[k] for z in part]) for k in (0, 1)] for column in columns]
     return [x[0] for x in solution], [x[1] for x in solution], health(graph, divisors)
 
 

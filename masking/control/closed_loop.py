@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
@@ -154,15 +154,11 @@ class ClosedLoop:
             kernels.along(np.array([t], float), state, p, virtual, inputs)
             return np.concatenate([virtual[0, :k], inputs[0]])
 
-        names = self.plant.coordinates
-        return control.nlsys(
-            update,
-            output,
-            inputs=0,
-            states=[*names, *(f"{c}'" for c in names), *self.internal],
-            outputs=[*self.controller.virtual.coordinates, *self.plant.inputs],
-            name=f"{self.plant.name} as {self.controller.virtual.name}",
-        )
+        coordinates = self.plant.coordinates
+        virtual = self.controller.virtual
+        names: dict[str, Any] = {"states": [*coordinates, *(f"{c}'" for c in coordinates), *self.internal]}
+        names |= {"outputs": [*virtual.coordinates, *self.plant.inputs], "name": f"{self.plant.name} as {virtual.name}"}
+        return control.nlsys(update, output, inputs=0, **names)
 
     def _build(self) -> Module:
         check_actuation(self.controller.model, self.controller.transform)

@@ -212,10 +212,8 @@ class Homing:
             pull = graph.add(mul(mul(a, a), behind), mul(mul(number(2.0), a), slower))
             accelerations.append(graph.add(mul(way, bend), pull))
         is_before = graph.apply("lt", self.since, number(0.0))
-        return [
-            graph.apply("where", is_before, dot(graph, row, accelerations), w)
-            for row, w in zip(jacobian, wanted, strict=True)
-        ]
+        rows = zip(jacobian, wanted, strict=True)
+        return [graph.apply("where", is_before, dot(graph, row, accelerations), w) for row, w in rows]
 
 
 @dataclass(frozen=True)

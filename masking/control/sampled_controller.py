@@ -64,25 +64,18 @@ class SampledController:
     @property
     def sizes(self) -> Sizes:
         """Sizes that the compiled step is made for."""
-        model, instruments = self.controller.model, self.instruments
+        model, virtual = self.controller.model, self.controller.virtual
         is_balanced = self.controller.energy_balance is not None
-        virtual = self.controller.virtual
-        n, remembered, lags = len(model.coordinates), len(virtual.states), len(self.lags)
-        known, moved = virtual.kernels.meta, 2 * n + len(model.states) - 2 * len(virtual.coordinates)
+        n, k, remembered, lags = len(model.coordinates), len(virtual.coordinates), len(virtual.states), len(self.lags)
+        own = 2 * n + len(model.states)
+        resting = len(self.instruments.sensors) if self.rest else 0
+        happening = virtual.kernels.meta
+        targets = tuple((event, state + own - 2 * k) for event, state in happening["targets"])
         return Sizes(
-            n,
-            2 * n + len(model.states) + remembered + lags + is_balanced,
-            len(model.inputs),
-            len(instruments.actuators),
-            self.observer.order,
-            len(self.controller.virtual.coordinates) if is_balanced else 0,
-            len(instruments.sensors) if self.rest else 0,
-            remembered,
-            lags,
-            self._kept,
-            len(known["events"]),
-            tuple((event, state + moved) for event, state in known["targets"]),
-        )
+            n, own + remembered + lags + is_balanced, len(model.inputs), len(self.instruments.actuators),
+            self.observer.order, k if is_balanced else 0, resting, remembered, lags, self._kept,
+            len(happening["events"]), targets,
+        )  # fmt: skip
 
     @cached_property
     def lags(self) -> Array:

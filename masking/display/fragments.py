@@ -37,9 +37,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequen
     """Table of cells, escaped unless they are markup; `numbers` are columns set to the right; nothing without rows."""
     rows = [*rows]
     sides = ["right" if i in numbers else "left" for i in range(len(head))]
-    body = [
-        Markup().join(_CELL.format(side, RULE, cell) for side, cell in zip(sides, row, strict=True)) for row in rows
-    ]
+    body = [Markup().join(_CELL.format(side, RULE, x) for side, x in zip(sides, row, strict=True)) for row in rows]
     titles = Markup().join(_HEAD.format(side, text) for side, text in zip(sides, head, strict=True))
     return _TABLE.format(titles, Markup().join(Markup("<tr>{}</tr>").format(row) for row in body)) if rows else Markup()
 

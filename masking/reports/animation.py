@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -165,18 +165,16 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
         model = schema.ModelDeclaration.model_validate(declared)
         if not model.drawing or tuple(model.coordinates) != names:
             return system_drawing.generic(title, names, reach)
-        values = manifest["parameters"] if prefix == "virtual" else _rig_values(model, manifest)
+        if prefix == "virtual":
+            values = manifest["parameters"]
+        else:  # as the plant file has them
+            given = manifest["declarations"]["plant"].get("parameters", {})
+            known = {name: value for name, value in given.items() if name in model.parameters}
+            values = Units.of(model).parameter_values(known, dimensionless=False)
         values = {name: float(value) for name, value in values.items()}
     except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
         return system_drawing.generic(title, names, reach)
     return Drawing(title, recording.units.get(f"{prefix}.{names[0]}", ""), names, model.drawing, values)
-
-
-def _rig_values(model: schema.ModelDeclaration, manifest: Mapping[str, Any]) -> dict[str, float]:
-    """Parameters of the rig in SI units, as its plant file has them."""
-    given = manifest["declarations"]["plant"].get("parameters", {})
-    known = {name: value for name, value in given.items() if name in model.parameters}
-    return Units.of(model).parameter_values(known, dimensionless=False)
 
 
 def _packed(series: Array | Sequence[float], kind: type[np.generic]) -> str:

@@ -20,6 +20,7 @@ from masking.display.palette import COLOURS, GRID, INK, MUTED
 from masking.display.symbols import tex
 from masking.errors import RecordError
 from masking.reports.animation import PERIODS, Animation, Scene
+from masking.reports.text import capital
 
 FILMS: Final = (".gif", ".mp4")
 _WIDTH, _TRACE, _HEAD, _FOOT = 9.0, 1.35, 0.62, 0.5  # inches
@@ -87,13 +88,12 @@ def _sheet(shown: Animation) -> tuple[Figure, Callable[[float], None]]:
     places = [((0.2 + i * width) / _WIDTH, bottom, 0.98 * width / _WIDTH, above / total) for i in range(len(heights))]
     scenes = [figure.add_axes(place) for place in places]
     trace = figure.add_axes((0.75 / _WIDTH, _FOOT / total, (_WIDTH - 1.0) / _WIDTH, _TRACE / total))
-    for place, scene in zip(places, shown.scenes, strict=True):
-        title = scene.drawing.title
-        head = 1.0 - 0.12 / total
-        figure.text(
-            place[0], head, f"{title[:1].upper()}{title[1:]}", fontsize=SIZE + 1, color=INK, va="top", weight="bold"
-        )
-        figure.text(place[0], head - 0.22 / total, _words(scene), fontsize=SIZE - 1, color=MUTED, va="top")
+    head = 1.0 - 0.12 / total
+    for (x, *_), scene in zip(places, shown.scenes, strict=True):
+        words = f"{scene.what}{f'; motion magnified {scene.factor} times' if scene.factor != 1 else ''}"
+        words += "; dashed: by itself" if scene.prefix == "virtual" else ""
+        figure.text(x, head, capital(scene.drawing.title), fontsize=SIZE + 1, color=INK, va="top", weight="bold")
+        figure.text(x, head - 0.22 / total, words, fontsize=SIZE - 1, color=MUTED, va="top")
 
     def draw(t: float) -> None:
         for scene, axes in zip(shown.scenes, scenes, strict=True):
@@ -103,29 +103,18 @@ def _sheet(shown: Animation) -> tuple[Figure, Callable[[float], None]]:
     return figure, draw
 
 
-def _words(scene: Scene) -> str:
-    magnified = f"; motion magnified {scene.factor} times" if scene.factor != 1 else ""
-    return f"{scene.what}{magnified}{'; dashed: by itself' if scene.prefix == 'virtual' else ''}"
-
-
-def _at(shown: Animation, prefix: str, names: Sequence[str], t: float) -> Numbers | None:
-    """Coordinates at an instant, between samples on a straight line; None where they were not recorded."""
-    columns = shown.recording.columns
-    if any(f"{prefix}.{name}" not in columns for name in names):
-        return None
-    return [float(np.interp(t, shown.recording.t, columns[f"{prefix}.{name}"])) for name in names]
-
-
 def _draw_scene(axes: Axes, shown: Animation, scene: Scene, t: float) -> None:
     axes.clear()
     axes.set_axis_off()
     axes.set(xlim=scene.view[:2], ylim=scene.view[2:], aspect="equal")
     drawing, size = scene.drawing, scene.view[1] - scene.view[0]
     for prefix in (scene.prefix, "ideal") if scene.prefix == "virtual" else (scene.prefix,):
-        q = _at(shown, prefix, drawing.coordinates, t)
-        if q is None:
+        columns = shown.recording.columns
+        names = [f"{prefix}.{name}" for name in drawing.coordinates]
+        if not columns.keys() >= {*names}:  # the ideal motion was not recorded
             continue
-        rows = drawing.numbers(t, [scene.factor * x for x in q])
+        q = [scene.factor * float(np.interp(t, shown.recording.t, columns[name])) for name in names]
+        rows = drawing.numbers(t, q)
         for shape, numbers, colour in zip(drawing.shapes, rows, drawing.colours, strict=True):
             kind = shape.kinds[0]
             if prefix != "ideal":
@@ -146,9 +135,8 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
     common = units[0] if len(set(units)) == 1 else ""
     for name, unit, colour in zip(main.drawing.coordinates, units, COLOURS, strict=False):
         series = recording[f"{main.prefix}.{name}"]
-        axes.plot(
-            recording.t[rows], series[rows], color=colour, lw=1.3, label=with_unit(tex(name), "" if common else unit)
-        )
+        label = with_unit(tex(name), "" if common else unit)
+        axes.plot(recording.t[rows], series[rows], color=colour, lw=1.3, label=label)
         ideal = recording.columns.get(f"ideal.{name}")
         if ideal is not None:
             axes.plot(recording.t[rows], ideal[rows], color=INK, lw=0.8, ls=DASHED)
@@ -167,9 +155,8 @@ def _ground(axes: Axes, n: Numbers, colour: str, label: str, size: float) -> Non
     right = np.array([along[1], -along[0]])
     step = 0.021 * size
     feet = [start + place * along for place in np.arange(0.8 * step, length, step)]
-    axes.add_collection(
-        LineCollection([(a, a + step * (0.8 * right - 0.65 * along)) for a in feet], colors=GRID, lw=1.0)
-    )
+    hatching = [(a, a + step * (0.8 * right - 0.65 * along)) for a in feet]
+    axes.add_collection(LineCollection(hatching, colors=GRID, lw=1.0))
     axes.plot([n[0], n[2]], [n[1], n[3]], color=colour, lw=1.3)
 
 

@@ -14,7 +14,7 @@ from masking.inference.procedures.calibration_findings import HIGHEST, Calibrati
 from masking.model.declaration.quantities import percent, quantity
 from masking.reports import figure_parts as parts
 from masking.reports import style
-from masking.reports.panels import Band, Level, Line, Panel, Span, drawn, either_side, noise_density
+from masking.reports.panels import Band, Level, Line, Panel, Span, drawn, either_side
 from masking.reports.style import COLOURS, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure
 from masking.reports.text import short
 
@@ -51,9 +51,10 @@ def _unseen(found: Calibration) -> CaptionedFigure:
         ends = (max(0.0, end - _SHOWN), end)
         rows.append([Panel(lines, _reading(found, name), "time (s)", ends, (-reach, reach), note=errors)])
     span = f"the last {_SHOWN:g} s of {end:g} s" if end > _SHOWN else "all of it"
+    meanings = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
     caption = (
-        f"The record that was not fitted, {span}, and its simulation. "
-        f"{_meanings(found, names)} The error is (4.12) of the source document, over the whole record."
+        f"The record that was not fitted, {span}, and its simulation. {'; '.join(meanings)}{'.' * bool(meanings)} The "
+        "error is (4.12) of the source document, over the whole record."
     )
     words = CaptionedFigure("unseen", "Measured and simulated", caption)
     return drawn(words, rows, 1.25, keys=[Line([], [], MUTED, 2.6, "measured", opacity=0.6)])
@@ -67,7 +68,8 @@ def _residuals(found: Calibration) -> CaptionedFigure:
         noise, ends = record.noise[i], list[tuple[float, str, str]]()
         lines = list[Line]()
         for colour, (stage, left) in zip(COLOURS, found.residuals.items(), strict=False):
-            rms = _running_rms(left[:, i], count)
+            sums = np.concatenate([[0.0], np.cumsum(left[:, i] ** 2)])
+            rms = np.sqrt((sums[count:] - sums[:-count]) / count)
             t = np.linspace(0.5 * count, 0.5 * count + len(rms) - 1.0, len(rms)) / record.rate
             lines.append(Line(t, rms, colour))
             ends.append((float(np.sqrt((left[:, i] ** 2).mean())), stage, colour))
@@ -90,7 +92,7 @@ def _residuals(found: Calibration) -> CaptionedFigure:
 def _spectra(found: Calibration) -> CaptionedFigure:
     record, rows = found.records.unseen, list[list[Panel]]()
     for i, name in enumerate(found.twin.sensors[:_MOST_ROWS]):
-        level = noise_density(record.noise[i], record.rate)
+        level = parts.noise_density(record.noise[i], record.rate)
         f, whole = parts.spectral_density(record.readings[:, i], record.rate, 1, _BINS_PER_DECADE)
         lines = [Line(f, whole, MUTED, 1.0, opacity=0.75)]
         ends = [(float(whole[np.searchsorted(f, HIGHEST) - 1]), "measured", MUTED), (level, "white noise", INK)]
@@ -169,12 +171,6 @@ def _excitation(found: Calibration) -> CaptionedFigure:
     return drawn(CaptionedFigure("excitation", "Excitation", caption), rows, 1.15, widths=(4.4, 2.6))
 
 
-def _running_rms(values: style.Series, count: int) -> style.Series:
-    sums = np.concatenate([[0.0], np.cumsum(values**2)])
-    found: style.Series = np.sqrt((sums[count:] - sums[:-count]) / count)
-    return found
-
-
 def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
     """Name levels at the right of a logarithmic axis, each near its level, none on another."""
     figure = axes.figure
@@ -213,8 +209,3 @@ def _unit(found: Calibration, sensor: str) -> str:
 
 def _reading(found: Calibration, sensor: str) -> str:
     return style.with_unit(style.symbol(sensor), _unit(found, sensor))
-
-
-def _meanings(found: Calibration, names: Sequence[str]) -> str:
-    meanings = [f"{name}: {meaning}" for name in names if (meaning := found.twin.declaration.sensors[name].meaning)]
-    return f"{'; '.join(meanings)}." if meanings else ""

@@ -21,18 +21,7 @@ from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, fit_figures, force_map, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
-from masking.reports.panels import (
-    Level,
-    Line,
-    Panel,
-    Span,
-    bars,
-    drawn,
-    either_side,
-    noise_density,
-    plain_numbers,
-    spectrum,
-)  # fmt: skip
+from masking.reports.panels import Level, Line, Panel, Span, bars, drawn, either_side, plain_numbers, spectrum
 from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, CaptionedFigure
 from masking.reports.text import capital, capped, listed
 
@@ -59,10 +48,8 @@ def _comparison(found: Discovery) -> CaptionedFigure:
     """Validation record beside its simulation by the model as declared, and with the finding."""
     record, sensors = found.validation_record, found.twin.declaration.sensors
     units = tuple("" if sensors[name].unit == "1" else sensors[name].unit for name in found.twin.sensors)
-    before, after = (
-        Simulated(record, found.twin.sensors, units, record.readings - one.residuals)
-        for one in (found.before, found.unseen)
-    )
+    left = found.before.residuals, found.unseen.residuals
+    before, after = (Simulated(record, found.twin.sensors, units, record.readings - one) for one in left)
     has_finding = found.effects or found.law
     labels = "as declared", "with the finding" if has_finding else "with adjusted parameters"
     name = discovery_text.worst_sensor(found)
@@ -134,10 +121,8 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     label = "± 2 deviations" + " of the first" * (len(pairs) > 1)
     band = either_side(2.0 * by * latent.deviations[0], key=label)
     reach = 1.05 * by * max(2.0 * latent.deviations[0], *(float(np.abs(values).max()) for values, *_ in pairs))
-    cloud = [
-        Line(times * column[few], by * values[few], colour, 0.0, marker=".", size=1.6, opacity=CLOUD)
-        for values, colour, _ in pairs
-    ]
+    x = times * column[few]
+    cloud = [Line(x, by * v[few], colour, 0.0, marker=".", size=1.6, opacity=CLOUD) for v, colour, _ in pairs]
     course = [Line(t, by * values, colour, 0.7, key, bins=500) for values, colour, key in pairs]
     densities = spectrum([(values, colour, 1.2) for values, colour, _ in pairs], rate, None, "")
     f, first = parts.spectral_density(latent.before, rate)
@@ -196,7 +181,7 @@ def _residual(found: Discovery) -> CaptionedFigure:
         signals = [(h.residuals[:, i], colour, width) for h, colour, _, width in pairs]
         label = style.with_unit(style.symbol(name), y_unit)
         densities = spectrum(signals, record.rate, sigma[i], "" if unit == "1" else unit)
-        level = noise_density(sigma[i], record.rate)
+        level = parts.noise_density(sigma[i], record.rate)
         rows.append([
             Panel([*lines, *band], label, "time (s)", (0.0, t[-1]), (-reach, reach), ticks=4),
             replace(densities, finish=functools.partial(_with_room, level=level)),

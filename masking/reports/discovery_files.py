@@ -123,9 +123,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     facts.setdefault("next_experiment", None)
     facts["model"] = None if files.model is None else str(files.model)
     facts["plant"] = None if files.plant is None else str(files.plant)
-    facts["parameters"] = {
-        name: {"value": value, "std": std, "declared": declared} for name, value, std, declared in refitted(found)
-    }
+    facts["parameters"] = {n: {"value": x, "std": std, "declared": at} for n, x, std, at in refitted(found)}
     facts["adjusted"] = list(discovery_text.adjusted_parameters(found))
     facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     facts["page"] = str(files.page)
@@ -151,9 +149,7 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
         "source": "; ".join(filter(None, (twin.base.source, origin.source(found)))),
         "extends": registry.name_from(twin.base, folder),
     }
-    parameters: dict[str, Any] = {
-        name: model_files.parameter(value, std, STD_DIGITS) for name, value, std, _ in refitted(found)
-    }
+    parameters: dict[str, Any] = {n: model_files.parameter(x, std, STD_DIGITS) for n, x, std, _ in refitted(found)}
     known = _uncertain(found)
 
     def new(section: str) -> dict[str, Any]:
@@ -163,9 +159,8 @@ def model(found: Discovery, folder: Path, origin: Origin) -> dict[str, Any]:
     def written(section: str) -> dict[str, Any]:
         return {n: x.model_dump(mode="json", exclude_defaults=True) for n, x in new(section).items()}
 
-    parameters |= {
-        n: _written(x, *known.get(n, (0.0, ""))) | parameters.get(n, {}) for n, x in new("parameters").items()
-    }
+    fresh = {n: _written(x, *known.get(n, (0.0, ""))) for n, x in new("parameters").items()}
+    parameters |= {n: entry | parameters.get(n, {}) for n, entry in fresh.items()}
     states = written("states")
     sections = {
         "parameters": parameters,

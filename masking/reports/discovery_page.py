@@ -72,9 +72,8 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     sure = map(float, probabilities([rival.score(tempering) for rival in rivals]))
     for rival, probability in zip(rivals, sure, strict=True):
         first, *more = rival.names
-        causes = " and ".join(
-            [discovery_text.cause_label(found, *first), *(discovery_text.cause_name(found, *name) for name in more)]
-        )
+        others = [discovery_text.cause_name(found, *name) for name in more]
+        causes = " and ".join([discovery_text.cause_label(found, *first), *others])
         if causes in rows:  # a delay of the only actuator is that of all of them
             rows[causes] = (rows[causes][0] + probability, *rows[causes][1:])
             continue
@@ -92,15 +91,9 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
 
 def summary(found: Discovery, files: Files | None) -> str:
     """Finding and files in a few lines for the terminal."""
-    lines = [f"{discovery_text.sentence(found)}."]
-    if discovery_text.unexplained(found):
-        lines.append(f"{discovery_text.unexplained(found)}.")
-    further = (
-        discovery_text.probability_sentence(found),
-        *discovery_text.location(found),
-        discovery_text.intervals(found),
-    )
-    lines += [f"{sentence}." for sentence in further if sentence]
+    said = [discovery_text.sentence(found), discovery_text.unexplained(found)]
+    said += [discovery_text.probability_sentence(found), *discovery_text.location(found)]
+    lines = [f"{sentence}." for sentence in (*said, discovery_text.intervals(found)) if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
     for label, part in zip(what, discovery_figures.errors(found)["validation record"], strict=True):

@@ -89,10 +89,15 @@ def unit_remark(found: Discovery) -> str:
         remedy = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
     instead = "had its sign reversed" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
     others = [f"{_quoted(one)} {'with its sign reversed' if one.is_sign else f'in {one.unit}'}" for one in doubt.alike]
+    taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
+    needed = [
+        f"{cause_name(found, name, on) if on else name} {number(times, 4)} times as large"
+        for (name, on), times in doubt.otherwise
+    ]
     sentences = [
         f"{_quoted(doubt)} {looks} {instead}: {remedy}",
         f"This record does not tell that from {alternatives(others)}" if others else "",
-        needed_values(found, doubt),
+        f"{taken}, the record would need {listed(needed)} as declared" if needed else "",
         f"The model as declared leaves {before} of the readings, and {after} of them so, as the record is taken here",
     ]
     return ". ".join(filter(None, sentences))
@@ -108,16 +113,6 @@ def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
 def _quoted(doubt: UnitDoubt) -> str:
     """Names of the channels in another unit, in quotation marks."""
     return listed([f"'{name}'" for name in doubt.names])
-
-
-def needed_values(found: Discovery, doubt: UnitDoubt) -> str:
-    """Gains and parameters that a record would need in the declared unit; '' if none are far off."""
-    said = [
-        f"{cause_name(found, name, on) if on else name} {number(times, 4)} times as large"
-        for (name, on), times in doubt.otherwise
-    ]
-    taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
-    return f"{taken}, the record would need {listed(said)} as declared" if said else ""
 
 
 def withheld_causes(found: Discovery) -> str:
@@ -160,9 +155,8 @@ def law_form(found: Discovery, law: UnnamedLaw) -> str:
     if law.form is None:
         return f"{law.free.words}, in tables"
     shares = law.form.shares(law.free)
-    said = [
-        a.words(v, law.free.nouns) for (a, v, _), share in zip(law.form.terms, shares, strict=True) if share > LEAST
-    ]
+    terms = zip(law.form.terms, shares, strict=True)
+    said = [a.words(v, law.free.nouns) for (a, v, _), share in terms if share > LEAST]
     about = "" if law.is_formula else "in tables, about "
     values = cause_with_values(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""
     return f"{about}a force that {listed(said)}{f' ({values})' if values else ''}"
@@ -238,11 +232,9 @@ def unfollowed_readings(found: Discovery) -> str:
 def adjusted_parameters(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.dictionary}
-    prior, theta = found.problem.prior, found.explanation.hypothesis.theta
+    rig, prior, theta = found.rig, found.problem.prior.deviation, found.explanation.hypothesis.theta
     moves = {}
-    for name, value, std, start, wide in zip(
-        found.rig.names, theta, found.deviations, found.rig.start, prior.deviation, strict=False
-    ):
+    for name, value, std, start, wide in zip(rig.names, theta, found.deviations, rig.start, prior, strict=False):
         by = abs(float(value - start))
         if name not in off and by > MOVED * std and by > APART * abs(start):
             moves[name] = float(value), float(start), by <= MOVED * float(wide)
@@ -286,11 +278,8 @@ def deciding_experiment(found: Discovery) -> str:
         return f"no excitation that was tried can tell {one} from {other}"
     most = np.abs(found.record.commands).max(axis=0)
     peaks = dict(zip(found.twin.actuators, most, strict=True))
-    size = {
-        name: f"{name} up to {quantity(peak, latent_force.command_unit(found, name))}"
-        for name, peak in coming.peaks.items()
-    }
-    sentence = f"a {coming.excitation} of {listed(list(size.values()))}, {coming.pace}, would tell {one} from {other}"
+    sizes = [f"{n} up to {quantity(x, latent_force.command_unit(found, n))}" for n, x in coming.peaks.items()]
+    sentence = f"a {coming.excitation} of {listed(sizes)}, {coming.pace}, would tell {one} from {other}"
     times = max(peak / max(peaks[name], 1e-300) for name, peak in coming.peaks.items())
     declared = found.twin.declaration.limits.inputs
     if times < LARGER or all(name in declared for name in found.twin.actuators):
@@ -431,13 +420,10 @@ def location(found: Discovery) -> list[str]:
             sentences.append(f"{capital(much(latent.sensors[on]))} of the model error in {on} follows its reading")
     if found.verdict == "unknown":
         return sentences
-    coloured = {
-        name: last for name, (first, after) in seen.whiteness.items() for last in (after or first,) if not last.white
-    }
+    last = {name: after or first for name, (first, after) in seen.whiteness.items()}
+    coloured = [f"{name} is {white(one)}" for name, one in last.items() if not one.white]
     if coloured:
-        sentences.append(
-            f"On the validation record, the residual of {listed([f'{n} is {white(w)}' for n, w in coloured.items()])}"
-        )
+        sentences.append(f"On the validation record, the residual of {listed(coloured)}")
     return sentences
 
 

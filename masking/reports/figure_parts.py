@@ -26,6 +26,11 @@ def first_of(count: int, total: int, what: str = "") -> str:
     return f" The first {count} of {total}{what and f' {what}'} are shown." if total > count else ""
 
 
+def noise_density(deviation: float, rate: float) -> float:
+    """Amplitude density of white noise of a standard deviation, sampled at a rate in Hz."""
+    return float(deviation * np.sqrt(2.0 / rate))
+
+
 def spectral_density(values: Array, rate: float, segments: int = 8, bins: int = 24) -> tuple[Array, Array]:
     """Frequencies in Hz, evenly over their logarithm, and the root of the power spectral density there (bins,).
 

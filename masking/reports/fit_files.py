@@ -48,18 +48,15 @@ def plant(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
     for effect in twin.effects:
         key = effect.path.removeprefix("effects.")
         before = declared["effects"][key]
-        given = dict(before.get("parameters", {}))
-        fitted = {
-            parameter: model_files.rounded(fit.values[i])
-            for i, name in enumerate(fit.names)
-            for parameter in [name.removeprefix(f"{effect.label}_")]
-            if name == f"{effect.label}_{parameter}" and name not in twin.base.parameters
-        }
-        entry = {**before, "parameters": {**given, **fitted}, "enabled": effect.enabled}
+        prefix = f"{effect.label}_"
+        values = dict(before.get("parameters", {}))
+        for name, value in zip(fit.names, fit.values, strict=True):
+            if name.startswith(prefix) and name not in twin.base.parameters:
+                values[name.removeprefix(prefix)] = model_files.rounded(value)
+        entry = {**before, "parameters": values, "enabled": effect.enabled}
         if effect.at:
             entry["at"] = [effect.at]
-        alike = key in effects and {**effects[key], "at": None} == {**entry, "at": None}
-        if alike:
+        if key in effects and {**effects[key], "at": None} == {**entry, "at": None}:
             effects[key]["at"] = [*effects[key]["at"], effect.at]
         else:
             effects[effect.label if key in effects else key] = entry

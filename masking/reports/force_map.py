@@ -96,13 +96,8 @@ def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectIn
     if found.law is not None:
         return []
     offered = {(one.name, one.on) for one in discovery_text.reported(found)}
-    return [
-        instance
-        for instance in found.explanation.hypothesis.instances
-        if instance.where == latent.where
-        and instance.at in {latent.place, ""}
-        and (instance.effect, instance.at) in offered
-    ]
+    every = [x for x in found.explanation.hypothesis.instances if (x.effect, x.at) in offered]
+    return [x for x in every if x.where == latent.where and x.at in {latent.place, ""}]
 
 
 def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:

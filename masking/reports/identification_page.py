@@ -15,39 +15,32 @@ from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
 
-# Beginnings of the names of numbers on top of a page, of which the first that a measurement has is shown.
-_FIRST = {
-    "springs": ("stiffness", "half_gap", "width"),
-    "actuators": ("ratio", "residual"),
-    "friction": ("edge", "step", "largest_shift", "friction"),
-    "response": ("peak_", "even_", "odd_"),
-}
-_TITLES = {
-    "springs": "Spring curve",
-    "actuators": "Balance of two actuators",
-    "friction": "Friction",
-    "response": "Frequency response",
+# Title of a page, and beginnings of the names of numbers on top of it; the first number of each is shown.
+_PAGES = {
+    "springs": ("Spring curve", ("stiffness", "half_gap", "width")),
+    "actuators": ("Balance of two actuators", ("ratio", "residual")),
+    "friction": ("Friction", ("edge", "step", "largest_shift", "friction")),
+    "response": ("Frequency response", ("peak_", "even_", "odd_")),
 }
 
 
 def save(measured: Measurement[Any], folder: str | Path) -> None:
     """Write page, numbers and PNG files, named after the procedure; a `RecordError` where they cannot be."""
     name = measured.procedure
-    first = [next((row for row in measured.rows if row.key.startswith(key)), None) for key in _FIRST[name]]
+    title, keys = _PAGES[name]
+    first = [next((row for row in measured.rows if row.key.startswith(key)), None) for key in keys]
+    channels = [(what, channel.label) for what, channel in measured.channels.items()]
     html.save(
         Path(folder, f"{name}.html"),
         "procedure",
         procedure_figures.figures(measured),
         measured.as_dict(),
-        title=_TITLES[name],
+        title=title,
         result=measured,
         tiles=[_tile(row) for row in first if row is not None],
         remarks=measured.notes,
         origin_title="Records and columns",
-        origin=[
-            ("records", ", ".join(measured.records)),
-            *((what, channel.label) for what, channel in measured.channels.items()),
-        ],
+        origin=[("records", ", ".join(measured.records)), *channels],
     )
 
 

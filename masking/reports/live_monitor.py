@@ -177,6 +177,11 @@ class Monitor:
             colour = COLOURS[len(lines) % len(COLOURS)]
             lines.append({"place": place, "column": column, "label": markup(name), "unit": unit, "colour": colour})
         pair = facts.get("pair", []) if self._pair else []
+        labels = [prose(one.label, re.findall(r"\w+", one.label)) for one in self.bounds]
+        bounds = [
+            {"kind": one.kind, "label": label, "unit": one.unit, "bound": one.bound, "trip": one.trip}
+            for one, label in zip(self.bounds, labels, strict=True)
+        ]
         return {
             "name": facts.get("name", ""),
             "plant": facts.get("plant", ""),
@@ -186,16 +191,7 @@ class Monitor:
             "bins": BINS,
             "panels": [{"title": _TITLES[prefix], "lines": lines} for prefix, lines in panels.items()],
             "pair": [markup(name) for name in pair],
-            "bounds": [
-                {
-                    "kind": one.kind,
-                    "label": prose(one.label, re.findall(r"\w+", one.label)),
-                    "unit": one.unit,
-                    "bound": one.bound,
-                    "trip": one.trip,
-                }
-                for one in self.bounds
-            ],
+            "bounds": bounds,
             "edges": _EDGES.tolist(),
             "attended": bool(facts.get("attended")),
         }

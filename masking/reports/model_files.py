@@ -25,18 +25,14 @@ def parameter(value: float, std: float, digits: int = DIGITS) -> dict[str, float
 
 
 def plant(
-    twin: Twin,
-    folder: Path,
-    heading: Mapping[str, str],
-    fitted: Collection[str],
-    effects: Mapping[str, Mapping[str, Any]],
+    twin: Twin, folder: Path, head: Mapping[str, str], fitted: Collection[str], effects: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Content of a plant file in a folder with a found model; `heading` is its name, its model and its source, if any.
+    """Content of a plant file in a folder with a found model; `head` is its name, its model and its source, if any.
 
     `fitted` are parameters that are the model's or the effects' now, and that the plant no longer sets.
     """
     declared: dict[str, Any] = twin.declaration.canonical()
-    made = {n: v for n, v in declared.items() if n not in {"effects", "own_effects"}} | dict(heading)
+    made = {n: v for n, v in declared.items() if n not in {"effects", "own_effects"}} | dict(head)
     left = {n: v for n, v in made.pop("parameters", {}).items() if n not in fitted}
     own = [
         registry.name_from(one, folder)

@@ -97,11 +97,8 @@ def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
     def moves(name: str) -> Array:
         return motion.displacement[:, names.index(name)]
 
-    alike = [
-        one.name
-        for one in latent.places
-        if one is not best and best.explained and one.explained > EQUAL * best.explained
-    ]
+    others = [one for one in latent.places if one is not best] if best.explained else []
+    alike = [one.name for one in others if one.explained > EQUAL * best.explained]
     if not alike:
         return
     with np.errstate(all="ignore"):

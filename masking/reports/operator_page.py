@@ -154,11 +154,10 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with the page, or with data."""
         path = self._path()
-        found = None if path is None else self.server.page.get(*path)
-        if found is None:
+        if path is None or (found := self.server.page.get(*path)) is None:
             self._refuse(404)
-            return
-        self._answer(200, *found)
+        else:
+            self._answer(200, *found)
 
     def do_POST(self) -> None:
         """Do what a button says."""

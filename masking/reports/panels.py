@@ -25,13 +25,14 @@ from numpy.typing import NDArray
 from masking.compile.numerics.arrays import Array
 from masking.display.thinning import BINS, thin
 from masking.reports import style
-from masking.reports.figure_parts import spectral_density
+from masking.reports.figure_parts import noise_density, spectral_density
 from masking.reports.style import BAND, DASHED, INK, LIMIT, MUTED, RIGHT, SIZE, WIDTH, CaptionedFigure
 
 Range = tuple[float, float]
 Values = NDArray[Any] | Sequence[float]
 
 _ROUND: Final = [1, 2, 2.5, 5, 10]  # steps of an axis
+_MOST_LABELS: Final = 6  # of a logarithmic axis
 _LETTERS, _BETWEEN = 130, 6  # of the keys that fit into a line of a legend, and the room of one's line
 _KEY_LINE: Final = 0.2  # inches, of a further line of a legend
 _TITLES: Final = 0.22  # inches above axes, for a line of words
@@ -182,7 +183,11 @@ class Panel:
             axes.yaxis.set_major_locator(MaxNLocator(self.ticks, steps=_ROUND))
         for part in self.parts:
             part.draw(axes)
-        logarithmic(axes, self.log)
+        for name in self.log:
+            axes.set(**{f"{name}scale": "log"})
+            axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
+            axis.set_major_locator(LogLocator(numticks=_MOST_LABELS))
+            axis.set_minor_formatter(NullFormatter())
         axes.set(xlabel=self.x, ylabel=self.y)
         if self.xlim is not None:
             axes.set_xlim(*self.xlim)
@@ -205,19 +210,10 @@ def drawn(
     left: float = style.LEFT,
     right: float = RIGHT,
 ) -> CaptionedFigure:
-    """Figure of rows of panels with a legend of all their keys.
+    """Figure of rows of panels with a heading, the finding, and a legend of all keys of the panels, after `keys`.
 
-    Panels above each other that have one range of x have one axis of it.
-
-    Args:
-        words: name, title and caption.
-        rows: of panels.
-        heights: of the rows in inches, or of each.
-        widths: of the columns relative to each other; all the same by default.
-        heading: the finding, written on top.
-        keys: entries of the legend before those of the panels.
-        left: inches beside the axes, for labels.
-        right: inches beside the axes, for words.
+    Panels above each other that have one range of x have one axis of it. Heights, of all rows or of each, and the room
+    beside the axes, `left` for labels and `right` for words, are in inches, widths of columns relative to each other.
     """
     every = [panel for row in rows for panel in row]
     parts: dict[str, Part] = {}
@@ -306,20 +302,6 @@ def spectrum(
     levels = [] if noise is None else [Level(noise_density(noise, rate), key=key)]
     ends = float(f[0]), float(f[-1])
     return Panel([*lines, *levels], f"{unit or '1'}/√Hz", "frequency (Hz)", ends, log="xy")
-
-
-def noise_density(deviation: float, rate: float) -> float:
-    """Amplitude density of white noise of a standard deviation, sampled at a rate in Hz."""
-    return float(deviation * np.sqrt(2.0 / rate))
-
-
-def logarithmic(axes: Axes, which: str, count: int = 6) -> None:
-    """Make axes, 'x', 'y' or both, logarithmic, with a number of labels at most."""
-    for name in which:
-        axes.set(**{f"{name}scale": "log"})
-        axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
-        axis.set_major_locator(LogLocator(numticks=count))
-        axis.set_minor_formatter(NullFormatter())
 
 
 def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:

@@ -52,12 +52,8 @@ def portrayed(place: LocatedForce) -> str:
         return "it is no larger than its uncertainty"
     if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
         return "it hardly changes"
-    each = {
-        "the displacement": parts.displacement,
-        "the rate": parts.rate,
-        "displacement and rate together": parts.both,
-    }
-    most_first = sorted(each.items(), key=lambda pair: -pair[1])
+    of = {"the displacement": parts.displacement, "the rate": parts.rate, "displacement and rate together": parts.both}
+    most_first = sorted(of.items(), key=lambda pair: -pair[1])
     follows = [(much(part), what) for what, part in most_first if part > NOTABLE]
     sentences = []
     if follows:
@@ -65,9 +61,8 @@ def portrayed(place: LocatedForce) -> str:
         said = listed([f"{first} of its energy follows {what}", *(f"{part} {what}" for part, what in others)])
         sentences.append(said if parts.odd is None else f"{said}, {symmetry(parts.odd, what)}")
     if parts.neither > NOTABLE:
-        sentences.append(
-            f"{much(parts.neither)} follows neither displacement nor rate: time, memory or another place matters"
-        )
+        rest = much(parts.neither)
+        sentences.append(f"{rest} follows neither displacement nor rate: time, memory or another place matters")
     sentences.extend(regions(place))
     if abs(place.decomposition.taken) > TAKEN:
         way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
@@ -108,28 +103,22 @@ def symmetry(odd: float, of: str) -> str:
 def regions(place: LocatedForce) -> list[str]:
     """Parts of travel, speed and record in which a force has much more of its energy than there is time."""
     sentences, of = [], place.decomposition.regions
+
+    def larger(kind: str) -> dict[str, float]:
+        return {name: part for name, (part, spent) in of[kind].items() if part > MUCH * spent}
+
     ends = [of["displacement"][name] for name in ("low", "high")]
     (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
     if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
         sentences.append("most of it is at the ends of the travel")
     else:
-        sentences.extend(
-            f"{much(part)} of it is where the displacement is {name if name != 'middle' else 'in the middle'}"
-            for name, (part, spent) in of["displacement"].items()
-            if part > max(MUCH * spent, MOST)
-        )
+        most = {n: part for n, part in larger("displacement").items() if part > MOST}
+        where = {name: "in the middle" if name == "middle" else name for name in most}
+        sentences += [f"{much(part)} of it is where the displacement is {where[n]}" for n, part in most.items()]
     if parts is not None and parts.rate < MOST:  # what follows the rate is larger where that is
-        sentences.extend(
-            f"{much(part)} of it is where the motion is {name}"
-            for name, (part, spent) in of["speed"].items()
-            if part > MUCH * spent
-        )
-    sentences.extend(
-        f"{much(part)} of it is in the {name} third of the record"
-        for name, (part, spent) in of["record"].items()
-        if part > MUCH * spent
-    )
-    return sentences
+        sentences += [f"{much(part)} of it is where the motion is {name}" for name, part in larger("speed").items()]
+    thirds = larger("record").items()
+    return sentences + [f"{much(part)} of it is in the {name} third of the record" for name, part in thirds]
 
 
 def white(one: Whiteness) -> str:

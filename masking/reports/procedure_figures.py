@@ -139,14 +139,9 @@ def _shift(shift: EquilibriumShift, measured: Measurement[Friction]) -> Panel:
         Line(by * grid, times * line, INK, 1.2, is_dashed=True),
         Line(by * shift.travel, times * shift.shift, UP, 0.0, marker="o", size=5),
     ]
-    return Panel(
-        shown,
-        style.with_unit("shift of equilibrium", y_unit),
-        style.with_unit("travel to either side", x_unit),
-        (0.0, by * grid[-1]),
-        (times * lowest, 1.05 * times * highest),
-        ticks=5,
-    )
+    label, across = style.with_unit("shift of equilibrium", y_unit), style.with_unit("travel to either side", x_unit)
+    ends, reach = (0.0, by * grid[-1]), (times * lowest, 1.05 * times * highest)
+    return Panel(shown, label, across, ends, reach, ticks=5)
 
 
 def _place(place: LocatedFriction, measured: Measurement[Friction]) -> Panel:
@@ -174,13 +169,9 @@ def _place(place: LocatedFriction, measured: Measurement[Friction]) -> Panel:
             Span(by * (place.edge - half), by * (place.edge + half), COLOURS[1], opacity=0.35),
             Level(by * place.edge, COLOURS[1], 1.4, axis="x", is_dashed=False),
         ]
-    return Panel(
-        shown,
-        style.with_unit(f"half the gap in {style.symbol(f.name)}", f_unit),
-        style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit),
-        ticks=5,
-        finish=edge,
-    )
+    label = style.with_unit(f"half the gap in {style.symbol(f.name)}", f_unit)
+    across = style.with_unit(f"displacement at {style.symbol(x.name)}", x_unit)
+    return Panel(shown, label, across, ticks=5, finish=edge)
 
 
 def _response(measured: Measurement[Response]) -> list[CaptionedFigure]:
@@ -264,9 +255,4 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     return drawn(words, rows, 1.9, heading=sentence)
 
 
-_FIGURES: Final[dict[str, Any]] = {
-    "springs": _springs,
-    "actuators": _actuators,
-    "friction": _friction,
-    "response": _response,
-}
+_FIGURES: dict[str, Any] = {"springs": _springs, "actuators": _actuators, "friction": _friction, "response": _response}

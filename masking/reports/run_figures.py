@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -17,8 +16,9 @@ from masking.model.declaration.quantities import percent
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, Part, Range, bars, drawn, either_side
-from masking.reports.run_study import SUM_WINDOW_PERIODS, BudgetRow, InputUse, Study
+from masking.reports.run_study import SUM_WINDOW_PERIODS, InputUse, Study
 from masking.reports.style import COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure, Series
+from masking.reports.text import capital
 
 _ENVELOPE_PERIODS = 60  # from this many periods on single ones cannot be distinguished apart
 _ZOOM_PERIODS = 6
@@ -42,11 +42,8 @@ def _displacements(study: Study) -> CaptionedFigure:
     if not names:
         return style.absent("displacements", title, "the record holds no coordinates")
     is_alike = len({study.unit(f"{study.prefix}.{name}") for name in names}) == 1
-    reach = symmetric([series for name in names for series in _series(study, name)])
-    rows = [
-        [_motion(study, name, colour, reach if is_alike else None)]
-        for name, colour in zip(names, COLOURS, strict=False)
-    ]
+    reach = symmetric([series for name in names for series in _series(study, name)]) if is_alike else None
+    rows = [[_motion(study, name, colour, reach)] for name, colour in zip(names, COLOURS, strict=False)]
     heights = [1.15] * len(names)
     if study.tau[-1] - study.tau[0] > 2.5 * _ZOOM_PERIODS * study.period:  # False for a NaN
         span = _ZOOM_PERIODS * study.period
@@ -74,8 +71,7 @@ def _zoom(part: Study, names: Sequence[str], which: str) -> Panel:
 def _others(study: Study) -> CaptionedFigure:
     names, title = study.others[:_MOST_ROWS], "Other coordinates"
     if len(study.others) == 1 and study.meaning(study.others[0]):
-        words = study.meaning(study.others[0])
-        title = words[0].upper() + words[1:]
+        title = capital(study.meaning(study.others[0]))
     if not names:
         return style.absent("others", title, "every coordinate is among the displacements")
     rows = [[_motion(study, name, COLOURS[2])] for name in names]
@@ -91,7 +87,7 @@ def _passive(study: Study) -> CaptionedFigure:
         label = style.with_unit(style.symbol(name), study.unit(f"rig.{name}"))
         rows.append([_over_record(study, trace(study, series, COLOURS[3]), label, symmetric([series]))])
     words = str((study.recording.manifest.get("passive") or {}).get("words") or "")
-    caption = f"What no virtual coordinate stands for, as the rig moved it. {words[:1].upper()}{words[1:]}."
+    caption = f"What no virtual coordinate stands for, as the rig moved it. {capital(words)}."
     height = 1.5 if len(names) == 1 else 1.15
     return drawn(CaptionedFigure("passive", "Passive coordinates", caption), rows, height)
 
@@ -171,11 +167,9 @@ def _masking_error(study: Study) -> CaptionedFigure:
         return style.absent("masking_error", title, "the record holds no ideal motion to compare with")
     if not any(np.any(error) for error in errors.values()):
         return style.absent("masking_error", title, "virtual and ideal are equal in every digit recorded")
-    peaks = [
-        (running_peak(study.tau, error, study.period) if math.isfinite(study.period) else error, colour,
-         style.symbol(name))
-        for (name, error), colour in zip(errors.items(), COLOURS, strict=False)
-    ]  # fmt: skip
+    if math.isfinite(study.period):
+        errors = {n: running_peak(study.tau, error, study.period) for n, error in errors.items()}
+    peaks = [(error, c, style.symbol(n)) for (n, error), c in zip(errors.items(), COLOURS, strict=False)]
     label = style.with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}"))
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
     return drawn(CaptionedFigure("masking_error", title, caption), [[_peaks(study, peaks, label)]], 2.2)
@@ -192,28 +186,26 @@ def _budget(study: Study) -> CaptionedFigure:
         f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
         "without one cause: to the left, correcting it helps."
     )
-    start = Level(min(whole, most), width=1.1, axis="x")
-    finish = functools.partial(_draw_budget, rows=rows, whole=whole, most=most)
-    panel = Panel([start], "", "masking error χ, rms of the coordinates", (0.0, most), finish=finish, note=" ")
+    start = min(whole, most)
+
+    def finish(axes: Axes) -> None:
+        for place, row in enumerate(rows):
+            colour = COLOURS[0] if row.rms <= whole else COLOURS[1]
+            axes.barh(place, min(row.rms, most) - start, left=start, height=0.56, color=colour, zorder=3)
+            if row.rms > most:  # an arrow head: the bar goes on
+                axes.plot(most, place, ">", color=colour, ms=10, mew=0, clip_on=False, zorder=3)
+            is_worse = row.rms > _WORSE * whole
+            axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
+                          va="center", fontsize=SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
+        axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"),
+                      "offset points", ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
+        axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
+        bars(axes, [row.title for row in rows])
+
+    as_it_is, label = Level(start, width=1.1, axis="x"), "masking error χ, rms of the coordinates"
+    panel = Panel([as_it_is], "", label, (0.0, most), finish=finish, note=" ")
     words = CaptionedFigure("budget", title, caption)
     return drawn(words, [[panel]], _BAR * (len(rows) + 0.7), left=_WORDS, right=_VALUES)
-
-
-def _draw_budget(axes: Axes, rows: Sequence[BudgetRow], whole: float, most: float) -> None:
-    """Draw a bar for each row, from the masking error of the run to its own."""
-    start = min(whole, most)
-    for place, row in enumerate(rows):
-        colour = COLOURS[0] if row.rms <= whole else COLOURS[1]
-        axes.barh(place, min(row.rms, most) - start, left=start, height=0.56, color=colour, zorder=3)
-        if row.rms > most:  # an arrow head: the bar goes on
-            axes.plot(most, place, ">", color=colour, ms=10, mew=0, clip_on=False, zorder=3)
-        is_worse = row.rms > _WORSE * whole
-        axes.annotate(_two_digits(row.rms), (1.0, place), (14, 0), ("axes fraction", "data"), "offset points",
-                      va="center", fontsize=SIZE - 0.5, color=COLOURS[1] if is_worse else INK)  # fmt: skip
-    axes.annotate(f"as it is: {_two_digits(whole)}", (start, 1.0), (0, 4), ("data", "axes fraction"), "offset points",
-                  ha="center", fontsize=SIZE - 1, color=MUTED)  # fmt: skip
-    axes.axhline(len(rows) - 1.5, color=MUTED, lw=0.8)
-    bars(axes, [row.title for row in rows])
 
 
 def _two_digits(value: float) -> str:

@@ -15,6 +15,7 @@ from masking.lab.records.recording import Recording
 from masking.reports.run_study import Study
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
+_OfRun = Mapping[str, Callable[[Study], Measured]]
 _FIFTH, _NEAR, _REST = 0.2, 0.1, 1e-3  # of the record, of the larger amplitude, of the largest displacement
 WORDS: Final = ("verdict", "end")  # measures that are words
 _LAST: Final = 0.5  # part of the record, at its end, whose maxima and crossings are taken
@@ -62,7 +63,7 @@ def _section(run: Study, names: str) -> Array:
     return np.asarray(x[at] + part * (x[at + 1] - x[at]))
 
 
-_WITH_TWO: Final[Mapping[str, Callable[[Study], Measured]]] = {
+_WITH_TWO: Final[_OfRun] = {
     "alpha": lambda run: run.anti_phase.alpha if run.anti_phase else math.nan,
     "eps": lambda run: run.anti_phase.eps if run.anti_phase else math.nan,
     "tau_s": lambda run: run.verdict.time if run.verdict else math.nan,
@@ -71,16 +72,12 @@ _WITH_TWO: Final[Mapping[str, Callable[[Study], Measured]]] = {
     "end": _end,
 }
 _OF_MANY: Final[Mapping[str, Callable[[Array, Array], list[str]]]] = {"end": _ends}
-_ONLY_WITH_A_RIG: Final[Mapping[str, Callable[[Study], Measured]]] = {
+_ONLY_WITH_A_RIG: Final[_OfRun] = {
     "chi": lambda run: max(run.chi.values(), default=math.nan),
     "peak": lambda run: max(_peaks(run).values(), default=math.nan),
     "used": _used,
 }
-_MEASURES: Final[Mapping[str, Callable[[Study], Measured]]] = {
-    **_WITH_TWO,
-    **_ONLY_WITH_A_RIG,
-    "period": lambda run: run.period,
-}
+_MEASURES: Final[_OfRun] = {**_WITH_TWO, **_ONLY_WITH_A_RIG, "period": lambda run: run.period}
 _OF_ONE: Final[Mapping[str, Callable[[Study, str], Measured]]] = {
     "chi": lambda run, name: run.chi[name],
     "peak": lambda run, name: _peaks(run)[name],

@@ -210,8 +210,19 @@ class Study:
     @cached_property
     def no_phase(self) -> str:
         """Why there is no phase difference, "" if there is."""
-        all_ = self.recording.array(self.prefix) if self.coordinates else np.zeros((1, 1))
-        return why_no_phase(self.recording.manifest, self.motions, all_, self.periods)
+        motions = self.motions
+        if not self.recording.manifest.get("oscillators"):
+            return "the record does not say which coordinates are oscillators"
+        if len(motions) < 2:
+            return "there is only one oscillator"
+        scale = float(np.abs(self.recording.array(self.prefix)).max())
+        for name, motion in motions.items():
+            if np.ptp(motion) <= _AT_REST * scale:
+                return f"{name} does not move"
+        for name, value in zip(motions, self.periods, strict=True):
+            if not math.isfinite(value):
+                return f"the record holds fewer than three periods of {name}"
+        return ""
 
     @cached_property
     def chi(self) -> dict[str, float]:
@@ -335,7 +346,7 @@ class Study:
 
     def meaning(self, coordinate: str) -> str:
         """Declared meaning of a coordinate, "" where there is none."""
-        return str(_entry(self.recording.manifest, "columns", f"{self.prefix}.{coordinate}").get("meaning") or "")
+        return str(nested(self.recording.manifest, "columns", f"{self.prefix}.{coordinate}").get("meaning") or "")
 
     @property
     def passive(self) -> tuple[str, ...]:
@@ -367,9 +378,9 @@ def parameters(recording: Recording) -> tuple[Parameter, ...]:
     Those that stand for points of its inputs are none of them.
     """
     manifest = recording.manifest
-    declared = _entry(manifest, "declarations", "virtual", "parameters")
-    names = dict.fromkeys([*declared, *_entry(manifest, "parameters")])
-    of_inputs = internals(_entry(manifest, "declarations", "experiment", "inputs"))
+    declared = nested(manifest, "declarations", "virtual", "parameters")
+    names = dict.fromkeys([*declared, *nested(manifest, "parameters")])
+    of_inputs = internals(nested(manifest, "declarations", "experiment", "inputs"))
     return tuple(_parameter(manifest, name, declared.get(name)) for name in names if name not in of_inputs)
 
 
@@ -380,28 +391,12 @@ def ends(tau: Array, mean_period: float) -> tuple[NDArray[np.bool_], NDArray[np.
     return tau <= tau[0] + few, tau >= tau[-1] - max(few, _END * length)
 
 
-def why_no_phase(manifest: Mapping[str, Any], motions: Mapping[str, Array], all_: Array, periods: list[float]) -> str:
-    """Reason why there is no phase difference; "" where it can."""
-    if not manifest.get("oscillators"):
-        return "the record does not say which coordinates are oscillators"
-    if len(motions) < 2:
-        return "there is only one oscillator"
-    scale = float(np.abs(all_).max())
-    for name, motion in motions.items():
-        if np.ptp(motion) <= _AT_REST * scale:
-            return f"{name} does not move"
-    for name, value in zip(motions, periods, strict=True):
-        if not math.isfinite(value):
-            return f"the record holds fewer than three periods of {name}"
-    return ""
-
-
 def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
     series = shown[f"input.{name}"]
-    declared = _entry(recording.manifest, "limits", name)
+    declared = nested(recording.manifest, "limits", name)
     limit = abs(float(declared["max"])) if declared.get("max") is not None else None
     peak = float(np.abs(series).max())
-    column = _entry(recording.manifest, "columns", f"input.{name}")
+    column = nested(recording.manifest, "columns", f"input.{name}")
     unit = str(declared.get("unit") or column.get("unit") or "")
     demanded, power = shown.columns.get(f"demanded.{name}"), shown.columns.get(f"power.{name}")
     squares, saturated, throttled = 0.0, 0, 0
@@ -414,7 +409,7 @@ def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
             at_limit = np.abs(applied) >= (limit or 0.0) * (1.0 - _ROUNDING)
             saturated += int(np.count_nonzero(cut & at_limit))
             throttled += int(np.count_nonzero(cut & ~at_limit))
-    most = _entry(recording.manifest, "declarations", "plant", "limits", "power").get("value")
+    most = nested(recording.manifest, "declarations", "plant", "limits", "power").get("value")
     return InputUse(
         name,
         series,
@@ -433,33 +428,29 @@ def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
 
 
 def _budget(recording: Recording) -> Budget | None:
-    content = _entry(recording.manifest, "budget")
+    content = nested(recording.manifest, "budget")
     if not content:
         return None
-    entries = (content, *content["rows"], content["without_all"])
-    whole, *rows, without_all = (
-        BudgetRow(
-            str(entry.get("cause", "")),
-            {name: float(value) for name, value in entry["chi"].items()},
-            float(entry["rms"]),
-            str(entry.get("remedy", "")),
-            str(entry.get("note", "")),
-        )
-        for entry in entries
-    )
+
+    def row(entry: Mapping[str, Any]) -> BudgetRow:
+        cause, remedy, note = (str(entry.get(key, "")) for key in ("cause", "remedy", "note"))
+        chi = {name: float(value) for name, value in entry["chi"].items()}
+        return BudgetRow(cause, chi, float(entry["rms"]), remedy, note)
+
+    whole, *rows, without_all = map(row, (content, *content["rows"], content["without_all"]))
     return Budget(str(content["sentence"]), whole, tuple(rows), without_all)
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON
-    fields: Mapping[str, Any] = entry if isinstance(entry, Mapping) else {"value": entry}
-    unit, declared = str(fields.get("unit") or "1"), _value(fields.get("value"))
-    change = _value(_entry(manifest, "declarations", "experiment", "parameters").get(name))
-    ran = _value(_entry(manifest, "parameters").get(name))
+    given: Mapping[str, Any] = entry if isinstance(entry, Mapping) else {"value": entry}
+    unit, declared = str(given.get("unit") or "1"), _value(given.get("value"))
+    change = _value(nested(manifest, "declarations", "experiment", "parameters").get(name))
+    ran = _value(nested(manifest, "parameters").get(name))
     value, scaled = declared if change is None else change, None
     if isinstance(ran, float):
         if unit == "1":
             value = ran
-        elif _entry(manifest, "declarations", "virtual", "scales"):
+        elif nested(manifest, "declarations", "virtual", "scales"):
             scaled = ran
         else:
             try:
@@ -471,9 +462,7 @@ def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:
         changed = not math.isclose(value, declared, rel_tol=_ROUNDING)  # type: ignore[arg-type]  # a float, see above
     elif changed:
         changed = change is not None  # else the value is what the declared expression gave
-    return Parameter(
-        name, value, "" if unit == "1" else unit, declared, scaled, changed, str(fields.get("meaning", ""))
-    )
+    return Parameter(name, value, "" if unit == "1" else unit, declared, scaled, changed, str(given.get("meaning", "")))
 
 
 def _value(value: Any) -> float | str | None:  # noqa: ANN401  # a JSON value
@@ -484,7 +473,7 @@ def _value(value: Any) -> float | str | None:  # noqa: ANN401  # a JSON value
         return str(value)
 
 
-def _entry(manifest: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
+def nested(manifest: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
     """Mapping at a path of the manifest, empty where there is none."""
     node: Any = manifest
     for key in path:

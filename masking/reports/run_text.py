@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from masking.model.declaration.quantities import number, percent
-from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, parameters
-from masking.reports.text import short
+from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, nested, parameters
+from masking.reports.text import capital, short
 
 _SUMMARY_LINES, _WIDTH = 14, 100
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
@@ -123,8 +123,7 @@ def observer(facts: Study) -> str:
 def external(facts: Study) -> str:
     """Response to a push: a disturbance observer takes it for an error of its model, unless it is felt."""
     manifest = facts.recording.manifest
-    declared = ((manifest.get("declarations") or {}).get("experiment") or {}).get("controller") or {}
-    if declared.get("external") == "felt":
+    if nested(manifest, "declarations", "experiment", "controller").get("external") == "felt":
         sources = manifest.get("inputs") or {}
         felt = [name for name, source in sources.items() if {"sensor", "push"} & source.keys()]
         return f"pushes felt through {', '.join(felt)}"
@@ -136,7 +135,7 @@ def _rig(name: str) -> str:
     """Plant's name with an article, where it does not bring its own."""
     first = name.lower().partition(" ")[0]
     name = name if first in _OWNED or first.endswith(("'s", "\u2019s")) else f"the {name}"
-    return name[0].upper() + name[1:]
+    return capital(name)
 
 
 def headline(facts: Study) -> list[str]:
@@ -191,8 +190,7 @@ def ended(manifest: Mapping[str, Any]) -> str:
 
 def regulation(manifest: Mapping[str, Any]) -> str:
     """Quantities that the controller held besides the wanted dynamics; nothing where it held none."""
-    declared = (manifest.get("declarations") or {}).get("experiment") or {}
-    wanted = (declared.get("controller") or {}).get("regulate") or {}
+    wanted = nested(manifest, "declarations", "experiment", "controller", "regulate")
     parts = [f"an energy of {number(wanted['energy'])}"] if wanted.get("energy") is not None else []
     parts += [f"{wanted['phase']}-phase motion"] if wanted.get("phase") else []
     return f"regulated to {' and '.join(parts)}" if parts else ""
@@ -233,10 +231,7 @@ def _state(phase: float, steady: float) -> str:
 def summary(facts: Study) -> str:
     """Study in at most fourteen lines of plain text."""
     manifest = facts.recording.manifest
-    rows: list[tuple[str, str]] = []
-    changed = [change(p) for p in parameters(facts.recording) if p.is_changed]
-    if changed:
-        rows.append(("changed", ", ".join(changed)))
+    rows = [("changed", ", ".join(change(p) for p in parameters(facts.recording) if p.is_changed))]
     if facts.chi:
         against = ", against the system without regulation" if regulation(manifest) else ""
         rows.append(("error", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
@@ -249,14 +244,9 @@ def summary(facts: Study) -> str:
         rows.append(("peak sum", f"{sum_name(facts)} from {number(start)} to {number(end)}"))
     elif len(facts.oscillators) > 1:
         rows.append(("phase", f"not given: {facts.no_phase}"))
-    if facts.inputs:
-        rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
-    if facts.passive:
-        rows.append(("passive", passive(manifest)))
-    if observer(facts):
-        rows.append(("observer", observer(facts)))
-    if external(facts):
-        rows.append(("external", external(facts)))
+    rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
+    rows.append(("passive", passive(manifest) if facts.passive else ""))
+    rows += [("observer", observer(facts)), ("external", external(facts))]
     if manifest.get("rig"):
         rows += [("rig", ticks(manifest)), *loop_times(manifest)]
     energy = manifest.get("energy") or {}
@@ -267,7 +257,7 @@ def summary(facts: Study) -> str:
         rows.append(("time", "  ".join(timing(manifest))))
     first, *more = headline(facts)
     said = [first, *warnings(facts), *more]
-    lines = said + [f"  {name:<11}{short(text, _WIDTH)}" for name, text in rows]
+    lines = said + [f"  {name:<11}{short(text, _WIDTH)}" for name, text in rows if text]
     return "\n".join(lines[:_SUMMARY_LINES])
 
 

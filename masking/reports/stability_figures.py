@@ -62,10 +62,8 @@ def _shapes(found: Stability) -> CaptionedFigure:
         f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
     )
-    keys = [
-        Span(0.0, 0.0, colour, f"{part} part", opacity=1.0)
-        for colour, part in zip(COLOURS, ("real", "imaginary"), strict=False)
-    ]
+    parts = zip(COLOURS, ("real", "imaginary"), strict=False)
+    keys = [Span(0.0, 0.0, colour, f"{part} part", opacity=1.0) for colour, part in parts]
     rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
     return drawn(CaptionedFigure("modes", "Modes", caption), rows, 1.3, keys=keys)
 
@@ -98,9 +96,8 @@ def sweep_figure(
         at = (marked, float(np.interp(marked, values, series)))
         lines = [Line(values, series, colour, 1.6), Line([at[0]], [at[1]], INK, 0.0, marker="o", size=6)]
         reach = (0.0, 1.08 * float(np.nanmax(series)))
-        rows.append(
-            [Panel(lines, label, style.symbol(name), ends, reach, ticks=4, finish=functools.partial(_marked, at=at))]
-        )
+        finish = functools.partial(_marked, at=at)
+        rows.append([Panel(lines, label, style.symbol(name), ends, reach, ticks=4, finish=finish)])
     return drawn(CaptionedFigure(*words), rows, 1.9)
 
 
@@ -117,12 +114,8 @@ def basins_figure(found: Basins, words: tuple[str, str, str]) -> CaptionedFigure
         axes.pcolormesh(*cells, cmap=colours, vmin=-0.5, vmax=len(LABELS) - 0.5)
         axes.grid(visible=False)
 
-    shares = found.shares()
-    keys = [
-        Span(0.0, 0.0, colour, f"{label} {share(shares[label])}", opacity=1.0)
-        for label, colour in END_COLOURS.items()
-        if shares[label] > 0.0
-    ]
+    shares = {label: f"{label} {share(part)}" for label, part in found.shares().items() if part > 0.0}
+    keys = [Span(0.0, 0.0, END_COLOURS[label], words, opacity=1.0) for label, words in shares.items()]
     first, second = (f"initial {style.symbol(name)}" for name in found.names)
     return drawn(CaptionedFigure(*words), [[Panel([], second, first, ticks=8, finish=finish)]], 4.6, keys=keys)
 

@@ -39,10 +39,7 @@ def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]
     grid = [one["name"] for one in facts["over"] if one["grid"] is not None and len(one["grid"]) > 1]
     factors = {one["name"] for one in facts["over"] if one["factor"]}
     units = {one["name"]: one.get("unit", "") for one in facts["over"]}
-    labels = {
-        name: f"{_label(name)} / declared" if name in factors else style.with_unit(_label(name), units[name])
-        for name in grid
-    }
+    labels = {n: f"{_label(n)} / declared" if n in factors else style.with_unit(_label(n), units[n]) for n in grid}
     found = []
     for name in facts["measures"]:
         column = columns[name]
@@ -113,17 +110,15 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     at, column = np.asarray(columns[over], dtype=float), columns[name]
     values = np.unique(at)
     finish = functools.partial(_geometric, x=values)
-    words = CaptionedFigure(
-        f"curve_{_file(name)}", f"{capital(name)} over {over}", f"{capital(_words(name))}, over {over}"
-    )
+    title = f"{capital(name)} over {over}"
+    words = CaptionedFigure(f"curve_{_file(name)}", title, f"{capital(_words(name))}, over {over}")
     if not isinstance(column, np.ndarray):
         texts = [str(text) for text in column]
         kinds = [kind for kind in _KINDS if kind in texts and kind]
         shown = functools.partial(_shares, at=at, values=values, words=texts)
         panel = Panel([], "share of the runs", labels[over], None, (0.0, 1.0), ticks=5, finish=shown)
-        return drawn(
-            replace(words, caption=f"{words.caption}: the share of the runs."), [[panel]], 3.2, keys=_keys(kinds)
-        )
+        words = replace(words, caption=f"{words.caption}: the share of the runs.")
+        return drawn(words, [[panel]], 3.2, keys=_keys(kinds))
     with np.errstate(all="ignore"):
         groups = [column[at == value] for value in values]
         groups = [group[np.isfinite(group)] for group in groups]
@@ -154,9 +149,8 @@ def _range(values: Array) -> tuple[float, float]:
 def _shares(axes: Axes, at: Array, values: Array, words: list[str]) -> None:
     """Draw the share of each word among the runs at each value."""
     kinds = [kind for kind in _KINDS if kind in words and kind]
-    shares = [
-        [np.mean([w == kind for w, a in zip(words, at, strict=True) if a == v]) for v in values] for kind in kinds
-    ]
+    runs = [[w for w, a in zip(words, at, strict=True) if a == value] for value in values]
+    shares = [[of_value.count(kind) / len(of_value) for of_value in runs] for kind in kinds]
     cells = edges(values)
     steps = [[*of_kind, of_kind[-1]] for of_kind in shares]
     axes.stackplot(cells, steps, colors=[_KINDS[kind] for kind in kinds], step="post")

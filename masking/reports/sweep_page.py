@@ -21,22 +21,15 @@ _NAMED: Final = 4  # of what varies, that the sentence names
 def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
     """Number of runs and their outcome in a sentence."""
     done, failed = len(columns["run"]), sum(bool(text) for text in columns["error"])
-    said = (
-        f"{facts['name']}: {done} of {facts['rows']} runs" if done < facts["rows"] else f"{facts['name']}: {done} runs"
-    )
+    of_all = f" of {facts['rows']}" if done < facts["rows"] else ""
+    said = f"{facts['name']}: {done}{of_all} runs"
     over = [one["name"] for one in facts["over"]]
     said += f" over {listed(over) if len(over) <= _NAMED else f'{len(over)} quantities'}" if over else ""
-    said += f", {failed} failed ({_cause(columns)})" if failed else ""
+    if failed:  # with the commonest reason, up to the place where it differs
+        causes = [str(text).partition(",")[0].partition(" at t =")[0] for text in columns["error"] if text]
+        said += f", {failed} failed ({Counter(causes).most_common(1)[0][0]})"
     found = [words for name in facts["measures"] if (words := _words(name, columns[name]))]
     return f"{said}; {'; '.join(found)}." if found else f"{said}."
-
-
-def _cause(columns: Columns) -> str:
-    """Commonest reason of failures, up to the place where it differs."""
-    cause, _ = Counter(
-        str(text).partition(",")[0].partition(" at t =")[0] for text in columns["error"] if text
-    ).most_common(1)[0]
-    return cause
 
 
 def counts(column: Sequence[Any]) -> dict[str, int]:

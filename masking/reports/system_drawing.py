@@ -21,12 +21,7 @@ _VISIBLE, _WANTED = 0.04, 0.1  # of the extent: a smaller motion is magnified, t
 _MAGNIFIED: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _SAME = {"+", "-", "*", "/", "<", "<=", ">", ">="}
 # In JavaScript, what is not `Math.` and the name of the function.
-_CODE: Final = {
-    "**": "Math.pow({0},{1})",
-    "negative": "(-{0})",
-    "where": "({0}?{1}:{2})",
-    "heaviside": "(({0}>0)+({0}>=0))/2",
-}
+_CODE = {"**": "Math.pow({0},{1})", "negative": "(-{0})", "where": "({0}?{1}:{2})", "heaviside": "(({0}>0)+({0}>=0))/2"}
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,6 @@ def signed(part: float) -> str:
     return f"{'-' if part < 0.0 else '+'}{number(100.0 * abs(part), 2)} %"
 
 
-def capped(part: float, most: float = 10.0) -> str:
-    """Part in percent; one above the most is only said to be more."""
-    return f"> {100.0 * most:.0f} %" if part > most else percent(part, 3)
+def capped(part: float) -> str:
+    """Part in percent; one above ten times the whole is only said to be more."""
+    return "> 1000 %" if part > 10.0 else percent(part, 3)

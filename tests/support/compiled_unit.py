@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 
 from masking.control.exports.c_unit import CUnit
+from masking.control.exports.unit_kernels import COUNTERS
 
 GCC = shutil.which("gcc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wdouble-promotion")
@@ -26,7 +27,7 @@ class CompiledUnit:
         subprocess.run([GCC, *STRICT, *flags, "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
         self.library = ctypes.CDLL(str(library))
         size = sum(max(1, math.prod(shape)) for shape in unit.memory.values())
-        self.state = ctypes.create_string_buffer(size * self.dtype().itemsize + 8 * unit.counters)
+        self.state = ctypes.create_string_buffer(size * self.dtype().itemsize + 8 * COUNTERS)
 
     def memory(self, name):
         """Return an array of its state, flat, as it is there."""

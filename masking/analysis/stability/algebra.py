@@ -66,11 +66,7 @@ def coefficients(
 
 
 def _are_distinct(
-    own: Sequence[sp.Symbol],
-    back: dict[sp.Symbol, sp.Expr],
-    numerator: sp.Expr,
-    moving: set[sp.Symbol],
-    given: Hypotheses,
+    own: Sequence[sp.Symbol], back: dict[sp.Symbol, sp.Expr], total: sp.Expr, moving: set[sp.Symbol], given: Hypotheses
 ) -> bool:
     """Whether sines and cosines of multiples of one variable are independent: no products, no equal multiples."""
     waves = [g for g in own if g in back]
@@ -79,7 +75,7 @@ def _are_distinct(
     rates = [sp.diff(angle, variable) for angle in angles]
     if others or any(normal(angle - rate * variable) != 0 for angle, rate in zip(angles, rates, strict=True)):
         return False
-    if not numerator.is_polynomial(*waves) or sp.Poly(numerator, *waves).total_degree() > 1:
+    if not total.is_polynomial(*waves) or sp.Poly(total, *waves).total_degree() > 1:
         return False
     pairs = [(a, b) for i, a in enumerate(rates) for b in rates[:i]]
     return all(given.is_nonzero(normal(a**2 - b**2)) for a, b in pairs) and all(given.is_nonzero(a) for a in rates)
@@ -162,11 +158,9 @@ def solve_constants(
         if product.is_Mul and len(product.args) > 1:
             rest = [e for e in found.left if e != product]
             return tuple(
-                Solution(
-                    {k: normal(x.subs(option.values)) for k, x in found.values.items()} | option.values, option.left
-                )
+                Solution({k: normal(x.subs(one.values)) for k, x in found.values.items()} | one.values, one.left)
                 for factor in product.args
-                for option in solve_constants([factor, *rest], unknowns, given, angles)
+                for one in solve_constants([factor, *rest], unknowns, given, angles)
             )
     for unknown in angles:
         for function, values in ((sp.sin, (sp.Integer(0), sp.pi)), (sp.cos, (sp.pi / 2, -sp.pi / 2))):
@@ -197,7 +191,7 @@ def _solved(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol], given: 
         pending = [e for e in pending if e not in fixed]
         if not pending:
             return Solution(values)
-        found = next((s for e in pending if (s := _linear(e, unknowns, given)) is not None), None)
+        found = next((s for e in pending if (s := solved_for(e, unknowns, given)) is not None), None)
         if found is not None:
             unknown, value = found
             values = {u: normal(v.subs(unknown, value)) for u, v in values.items()} | {unknown: value}
@@ -234,8 +228,10 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
     _, factors = sp.factor_list(numerator)
     product = sp.Mul(*(f for factor, _ in factors if given.sign(f := factor.xreplace(back)) is None))
     for what in back.values():
-        if what.func == sp.cos:
-            product = _without_square(product, what, sp.sin(what.args[0]))
+        parts = sp.Mul.make_args(product)
+        if what.func == sp.cos and what - 1 in parts and what + 1 in parts:  # (C - 1)(C + 1) = -S^2
+            sine = sp.sin(what.args[0])
+            product = sp.Mul(*(f for f in parts if f not in {what - 1, what + 1, sine}), sine)
     return product
 
 
@@ -247,24 +243,11 @@ def without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
     return sp.Integer(0)
 
 
-def _without_square(product: sp.Expr, cosine: sp.Expr, sine: sp.Expr) -> sp.Expr:
-    """S for (C - 1)(C + 1) = -S^2."""
-    factors = list(sp.Mul.make_args(product))
-    if cosine - 1 in factors and cosine + 1 in factors:
-        rest = [f for f in factors if f not in {cosine - 1, cosine + 1, sine}]
-        return sp.Mul(*rest, sine)
-    return product
-
-
-def _linear(expression: sp.Expr, unknowns: Sequence[sp.Symbol], given: Hypotheses) -> tuple[sp.Symbol, sp.Expr] | None:
-    """Unknown that an equation gives, and its value; None where there is none."""
-    for unknown in unknowns:
-        if not expression.has(unknown) or not expression.is_polynomial(unknown):
-            continue
-        by = sp.Poly(expression, unknown)
-        if by.degree() != 1:
-            continue
-        slope, rest = by.all_coeffs()
-        if given.sign(slope) in {1, -1}:
-            return unknown, normal(-rest / slope)
+def solved_for(equation: sp.Expr, unknowns: Sequence[sp.Symbol], given: Hypotheses) -> tuple[sp.Symbol, sp.Expr] | None:
+    """Unknown that an equation gives, in which it is linear, and its value; None where there is none."""
+    for unknown in filter(equation.has, unknowns):
+        if equation.is_polynomial(unknown) and sp.Poly(equation, unknown).degree() == 1:
+            slope, rest = sp.Poly(equation, unknown).all_coeffs()
+            if given.sign(slope) in {1, -1}:
+                return unknown, normal(-rest / slope)
     return None

@@ -79,13 +79,10 @@ def basins(
 
 
 def end_of(a: Array, b: Array, near: float, rest: float | Array) -> NDArray[np.int64]:
-    """Index into `LABELS` of the last part of two oscillations, or those of several runs (runs,).
+    """Index into `LABELS` of the last part of two oscillations (m,) of one unit, or those of several runs (runs,).
 
-    Args:
-        a: one oscillation (m,), or of several runs (runs, m), any unit.
-        b: the other, same unit.
-        near: as `basins` has it.
-        rest: size below which both are at rest, or of each run (runs,), same unit.
+    Oscillations of several runs are (runs, m). `near` is as `basins` has it, `rest` the size below which both are at
+    rest, or of each run (runs,).
     """
     with np.errstate(invalid="ignore"):  # what is infinite is lost
         a, b = (x - np.mean(x, axis=-1, keepdims=True) for x in (a, b))

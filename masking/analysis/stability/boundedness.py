@@ -140,9 +140,8 @@ def _unbounded(potential: sp.Expr, motion: Motion) -> tuple[str, list[list[sp.Ex
     if found is None:
         return f"the quadratic part of the potential, {remainder}, is not seen to be positive", []
     every = [form for form, _ in forms] + [square.form for square in found]
-    if _rank_is_full(every, lines, given):
-        return "", []
-    return "", [list(x) for x in _directions(every, lines).nullspace(simplify=normal)]
+    level = [] if _rank_is_full(every, lines, given) else _directions(every, lines).nullspace(simplify=normal)
+    return "", [list(x) for x in level]
 
 
 def _is_lone(potential: sp.Expr, motion: Motion) -> bool:
@@ -199,13 +198,9 @@ def _directions(forms: Sequence[sp.Expr], lines: Sequence[sp.Symbol]) -> sp.Matr
 
 def _is_bounded(term: sp.Expr, coordinates: Sequence[sp.Symbol]) -> bool:
     """Whether a term is a product of parameters, sines and cosines."""
-    for factor in sp.Mul.make_args(term):
-        base, power = factor.as_base_exp()
-        if not base.free_symbols & {*coordinates}:
-            continue
-        if base.func not in {sp.sin, sp.cos, sp.tanh, sp.atan} or not (power.is_integer and power > 0):
-            return False
-    return True
+    powers = [factor.as_base_exp() for factor in sp.Mul.make_args(term)]
+    moving = [(base, power) for base, power in powers if base.free_symbols & {*coordinates}]
+    return all(f.func in {sp.sin, sp.cos, sp.tanh, sp.atan} and n.is_integer and n > 0 for f, n in moving)
 
 
 def _power(dependent: sp.Expr) -> tuple[sp.Expr, sp.Expr]:

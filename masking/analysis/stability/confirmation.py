@@ -39,15 +39,9 @@ def has_root(
     given: Mapping[Node, Interval],
     box: Interval,
 ) -> bool:
-    """Whether Krawczyk's operator maps a box around another into its inside.
+    """Whether Krawczyk's operator maps a box around another (n,), which holds a root, into its inside.
 
-    Args:
-        graph: the expressions.
-        forces: which vanish at the root (n,).
-        slopes: their derivatives, row by row (n^2,).
-        at: the coordinates (n,).
-        given: the parameters.
-        box: that holds the root (n,).
+    The forces (n,) vanish at the root; slopes (n^2,) are their derivatives by the coordinates `at` (n,), row by row.
     """
     n, middle = len(at), box.middle
     size = float(np.max(np.abs([box.low, box.high]), initial=0.0))

@@ -59,13 +59,10 @@ def contradiction_on_a_box(motion: Motion, box: Box) -> str:
 
 
 def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, *, is_bounded: bool) -> str:
-    """Sentence that contradicts a proof; '' where nothing does.
+    """Sentence that contradicts a proof that energy does not grow; '' where nothing does.
 
-    Args:
-        motion: whose energy does not grow.
-        forms: linear in the velocities, 0 where V' is.
-        found: the largest invariant set on which they are; None where it was not looked for.
-        is_bounded: whether every motion is bounded.
+    V' is 0 where the forms, linear in the velocities, are; `found` is the largest invariant set there, None where it
+    was not looked for.
     """
     found = found if found is not None and found.is_found else None
     try:
@@ -77,7 +74,9 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
     slack = _NEUTRAL * float(np.max(np.abs(values), initial=0.0))
     if motion.is_linear and found is not None:
         relations = [r for family in found.families for r in family.relations]
-        slopes = _slopes(motion, relations)
+        rows = [[float(motion.given.at_values(sp.diff(r, x))) for x in (*motion.q, *motion.v)] for r in relations]
+        slopes = np.array(rows).reshape(len(relations), 2 * len(motion.q))
+        slopes /= np.maximum(np.max(np.abs(slopes), axis=1, keepdims=True, initial=0.0), 1e-300)
         for value, vector in zip(values, vectors.T, strict=True):
             stays = value.real >= -slack and (is_bounded or value.real <= slack)
             if stays and np.max(np.abs(slopes @ vector), initial=0.0) > _OUTSIDE * np.max(np.abs(vector)):
@@ -87,24 +86,15 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
                 )
     neutral = [vectors[:, i] for i in range(len(values)) if abs(values[i].real) <= slack < values[i].imag]
     try:
-        return _Motions(motion, forms, found).contradiction(neutral)
+        return _Motions(motion, forms, found, None).contradiction(neutral)
     except ModelError:  # a function that cannot be evaluated
         return ""
-
-
-def _slopes(motion: Motion, relations: Sequence[sp.Expr]) -> Array:
-    """Coefficients of linear relations (m, 2 n), the largest of each 1."""
-    rows = [[float(motion.given.at_values(sp.diff(r, x))) for x in (*motion.q, *motion.v)] for r in relations]
-    found = np.array(rows).reshape(len(relations), 2 * len(motion.q))
-    return np.asarray(found / np.maximum(np.max(np.abs(found), axis=1, keepdims=True, initial=0.0), 1e-300))
 
 
 class _Motions:
     """Simulated motions of a model, its energy along them, and what is 0 on the invariant set."""
 
-    def __init__(
-        self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, box: Box | None = None
-    ) -> None:
+    def __init__(self, motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, box: Box | None) -> None:
         self.motion, self.forms, self.found, graph = motion, forms, found, Graph()
         state = (*motion.q, *motion.v)
         symbols, values = motion.on(graph, state)

@@ -12,7 +12,7 @@ from typing import Any
 
 import sympy as sp
 
-from masking.analysis.stability.algebra import normal, radical
+from masking.analysis.stability.algebra import normal, radical, solved_for
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
 from masking.analysis.stability.crosscheck import contradiction, contradiction_on_a_box, misjudged
 from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
@@ -78,8 +78,10 @@ class Certificate:
         lines = [f"{self.status}: {self.conclusion}"]
         if self.hypotheses:
             lines.append(f"  for {', '.join(self.hypotheses)}")
-        if self.dissipation is not None:
-            lines.append(f"  V' = {self.dissipation.rate}: {_words(self.dissipation)}")
+        if (lost := self.dissipation) is not None:
+            where = "" if lost.box is None else f" on {_box(lost.box)}"
+            sign = "V' <= 0, " if lost.status == "proved" and lost.rate != 0 else ""
+            lines.append(f"  V' = {lost.rate}: {sign}{lost.method}{where} ({lost.status})")
         if self.boundedness is not None:
             lines.append(f"  {self.boundedness.text}")
         lines += [f"  {step}" for step in (self.invariant.steps if self.invariant else ())]
@@ -97,16 +99,14 @@ class Certificate:
             "conclusion": self.conclusion,
             "hypotheses": self.hypotheses,
             "energy": None if self.energy is None else str(self.energy),
-            "dissipation": d
-            and {
+            "dissipation": d and {
                 **vars(d),
                 "rate": str(d.rate),
                 "forms": [str(form) for form in d.forms],
                 "squares": [{"coefficient": str(s.coefficient), "form": str(s.form)} for s in d.squares],
             },
             "boundedness": self.boundedness,
-            "invariant_set": i
-            and {
+            "invariant_set": i and {
                 "is_found": i.is_found,
                 "families": [[str(r) for r in family.relations] for family in i.families],
                 "equilibria": i.equilibria,
@@ -131,9 +131,8 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
         return Certificate(model.name, "open", f"not shown: {error}")
     if lost.status == "refuted":
         where = ", ".join(f"{n} = {x:g}" for n, x in (lost.counterexample or {}).items())
-        text = (
-            f"the energy can grow: V' >= {lost.growth:.3g} > 0 at {where}, at the declared values; it certifies nothing"
-        )
+        growth = f"V' >= {lost.growth:.3g} > 0 at {where}"
+        text = f"the energy can grow: {growth}, at the declared values; it certifies nothing"
         hypotheses = (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
         return Certificate(model.name, "refuted", text, motion.energy, hypotheses, lost, basins=basins(model, None))
     if lost.status != "proved":
@@ -151,14 +150,19 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certificate:
     """Certificate where the energy does not grow."""
     found, others, reasons, status = None, None, tuple[str, ...](), lost.status
-    if lost.box is not None or not lost.forms:
-        text, further = _without_set(lost, bounded)
+    if lost.box is not None:
+        text = f"the energy does not grow while the motion stays in the box {_box(lost.box)}"
+        reasons = ("That motion stays there is not shown, so that nothing follows for its end.",)
+    elif not lost.forms:  # V' is no sum of squares of velocities, so that there is no elimination
+        stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"
+        text = f"the energy never grows; {stays}"
     else:
         found = invariant_set(motion, lost.forms)
         others, reasons = _others(motion, found, is_lone=bounded.is_lone)
         text, further = _conclusion(bounded, found, others)
+        reasons = (*reasons, *further)
         status = "proved" if found.is_found else "open"  # LaSalle's theorem by itself is no result
-    name, given, reasons = motion.model.name, motion.given.texts, (*reasons, *further)
+    name, given = motion.model.name, motion.given.texts
     return Certificate(name, status, text, motion.energy, given, lost, bounded, found, others, reasons)
 
 
@@ -187,24 +191,8 @@ def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
     )
 
 
-def _words(lost: Dissipation) -> str:
-    where = "" if lost.box is None else f" on {_box(lost.box)}"
-    sign = "" if lost.status != "proved" or lost.rate == 0 else "V' <= 0, "
-    return f"{sign}{lost.method}{where} ({lost.status})"
-
-
 def _box(box: dict[str, tuple[float, float]]) -> str:
     return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
-
-
-def _without_set(lost: Dissipation, bounded: Boundedness) -> tuple[str, tuple[str, ...]]:
-    """Conclusion where V' is no sum of squares of velocities, so that there is no elimination."""
-    if lost.box is not None:
-        return f"the energy does not grow while the motion stays in the box {_box(lost.box)}", (
-            "That motion stays there is not shown, so that nothing follows for its end.",
-        )
-    stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"
-    return f"the energy never grows; {stays}", ()
 
 
 def _conclusion(  # noqa: PLR0911  # one way each
@@ -220,9 +208,8 @@ def _conclusion(  # noqa: PLR0911  # one way each
         )
     sets = _union(found.families)
     if not sets and others == ():
-        return "no motion is bounded: there is no equilibrium to converge to", (
-            "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty.",
-        )
+        why = "A motion that is bounded would converge to the largest invariant set on which V' = 0, which is empty."
+        return "no motion is bounded: there is no equilibrium to converge to", (why,)
     if not found.equilibria or others == ():
         return f"{who} converges to {sets}", ()
     if others is None:
@@ -233,9 +220,8 @@ def _conclusion(  # noqa: PLR0911  # one way each
     if not sets:
         stay = [point for point in others if not point.is_unstable]
         almost = f"almost {who} converges to {stay[0].place}" if len(stay) == 1 else ""
-        return f"{who} converges to one of {len(others)} equilibria", (f"The others are {_THIN}: {almost}.",) * bool(
-            almost
-        )
+        thin = (f"The others are {_THIN}: {almost}.",) if almost else ()
+        return f"{who} converges to one of {len(others)} equilibria", thin
     text = f"{who} converges to {sets}, or to one of {len(others)} equilibria outside of it"
     if all(point.is_unstable for point in others):
         return text, (f"These are {_THIN}: almost every motion converges to the set.",)
@@ -353,11 +339,8 @@ def _solved(factor: sp.Expr, unknown: list[sp.Symbol], motion: Motion) -> list[t
         return [(q, sp.Integer(0)), (q, sp.pi)]
     if q in motion.circles and factor == sp.cos(q):
         return [(q, sp.pi / 2), (q, -sp.pi / 2)]
-    if factor.is_polynomial(q) and sp.Poly(factor, q).degree() == 1:
-        slope, rest = sp.Poly(factor, q).all_coeffs()
-        if motion.given.sign(slope) in {1, -1}:
-            return [(q, normal(-rest / slope))]
-    return None
+    found = solved_for(factor, mine, motion.given)
+    return None if found is None else [found]
 
 
 def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> bool:
@@ -372,12 +355,9 @@ def _is_in(family: Family, point: dict[sp.Symbol, sp.Expr], motion: Motion) -> b
 
 def _is_near(family: Family, position: dict[str, float]) -> bool:
     """Whether an enclosed equilibrium, which no angle modulo one turn brings nearer, is in a family."""
-    size = max(map(abs, position.values()), default=0.0) or 1.0
-    for relation in family.relations:
-        value = relation.subs({s: position.get(s.name, 0) for s in relation.free_symbols})
-        if abs(float(value)) > _CLOSE * max(1.0, size):
-            return False
-    return True
+    slack = _CLOSE * max([1.0, *map(abs, position.values())])
+    values = (r.subs({s: position.get(s.name, 0) for s in r.free_symbols}) for r in family.relations)
+    return not any(abs(float(value)) > slack for value in values)
 
 
 def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
@@ -393,7 +373,10 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
     curvature, n = sp.hessian(motion.energy or sp.Integer(0), (*motion.q, *motion.v)), len(motion.q)
     curvature = curvature.subs(at).applyfunc(normal)
     falls = any(given.declared_sign(curvature[i, i]) == -1 for i in range(n)) and curvature[:n, n:].is_zero_matrix
-    is_unstable = signs in ([-1, 1], [1, -1]) or (falls and _is_damped(motion, at))
+    is_unstable = signs in ([-1, 1], [1, -1])
+    if falls and not is_unstable:  # it is if V' is negative definite in the velocities, to second order
+        lost = -sp.hessian(motion.energy_rate, motion.v).subs(at).applyfunc(normal)
+        is_unstable = is_positive_definite(lost, given)
     if is_unstable:
         words = "unstable, it has an eigenvalue with positive real part (proved)"
     elif is_positive_definite(curvature, given):
@@ -402,9 +385,3 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
         verdict = stability_of(motion.model, values)[1]
         words = "its stability is not shown" if verdict == UNDECIDED else f"{verdict} (by its eigenvalues)"
     return RestPoint({str(q): str(point[q]) for q in motion.q}, values, words, is_unstable)
-
-
-def _is_damped(motion: Motion, at: dict[sp.Symbol, sp.Expr]) -> bool:
-    """Whether V' is negative definite in the velocities at an equilibrium, to second order."""
-    lost = -sp.hessian(motion.energy_rate, motion.v).subs(at).applyfunc(normal)
-    return is_positive_definite(lost, motion.given)

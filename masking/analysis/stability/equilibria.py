@@ -163,10 +163,9 @@ class _Rest:
         """
         lines = [i for i, is_angle in enumerate(self.angles) if not is_angle]
         names = [self.q[i] for i in lines]
-        expanded = [sp.expand(self.force[i]) for i in lines]
         slopes, rest = np.zeros((len(lines), len(lines))), []
-        for row, expression in enumerate(expanded):
-            left = expression
+        for row, i in enumerate(lines):
+            expression = left = sp.expand(self.force[i])
             for column, q in enumerate(names):
                 by = expression.as_independent(*self.q, as_Add=True)[1].coeff(q, 1)
                 by = sum((t for t in sp.Add.make_args(by) if not t.free_symbols & {*self.q}), sp.Integer(0))
@@ -177,8 +176,7 @@ class _Rest:
             return {}
         given = self.values | dict.fromkeys(self.at, Interval.of(-np.inf, np.inf))
         try:
-            nodes = [self.graph.lower(r, self.symbols) for r in rest]
-            ranges = enclose(self.graph, nodes, given)
+            ranges = enclose(self.graph, [self.graph.lower(r, self.symbols) for r in rest], given)
         except ModelError:
             return {}
         # With R near A^-1 and E = I - R A: q = -R g + E q, so that |q| <= |R| |g| + |E| max |R g|/(1 - |E|).
@@ -253,8 +251,7 @@ class _Rest:
         return left
 
     def _around(self, box: Interval, roots: list[tuple[Array, Array]]) -> None:
-        middle, reach = box.middle, box.width
-        larger = Interval(middle - reach - 1e-300, middle + reach + 1e-300)
+        larger = Interval(box.middle - box.width - 1e-300, box.middle + box.width + 1e-300)
         if any(np.all((box.low[0] >= low) & (box.high[0] <= high)) for low, high in roots):
             return
         image, is_regular = self._krawczyk(larger)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -155,19 +155,13 @@ def without_kinks(expression: sp.Expr) -> sp.Expr:
     def larger(u: sp.Expr, w: sp.Expr, sign: int) -> sp.Expr:
         return w + (u - w) * step(sign * (u - w))
 
-    plain = expression.replace(sp.Max, lambda *x: _folded(x, lambda u, w: larger(u, w, 1)))
-    plain = plain.replace(sp.Min, lambda *x: _folded(x, lambda u, w: larger(u, w, -1)))
+    plain = expression.replace(sp.Max, lambda *x: functools.reduce(lambda u, w: larger(u, w, 1), x))
+    plain = plain.replace(sp.Min, lambda *x: functools.reduce(lambda u, w: larger(u, w, -1), x))
     plain = plain.replace(sp.Abs, lambda u: u * (2 * step(u) - 1)).replace(sp.sign, lambda u: 2 * step(u) - 1)
     plain = sp.expand(plain.replace(sp.Heaviside, lambda u, *_: step(u)))
     for h in steps.values():
         plain = sp.expand(plain.replace(lambda x, h=h: x.is_Pow and x.base == h and x.exp.is_Integer, lambda x: x.base))
     return expression if plain.free_symbols & {*steps.values()} else plain
-
-
-def _folded(terms: Sequence[sp.Expr], larger: Callable[[sp.Expr, sp.Expr], sp.Expr]) -> sp.Expr:
-    """Largest, or least, of terms, two at a time."""
-    first, *others = terms
-    return functools.reduce(larger, others, first)
 
 
 def check_continuous(forces: Iterable[sp.Expr]) -> None:

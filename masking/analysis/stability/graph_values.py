@@ -18,13 +18,7 @@ def values_of(graph: Graph, nodes: Sequence[Node], known: Mapping[Node, Any], ru
 
 
 def function_of(
-    graph: Graph,
-    nodes: Sequence[Node],
-    known: Mapping[Node, Any],
-    rules: Rules,
-    kind: str,
-    *,
-    variables: Sequence[Node],
+    graph: Graph, nodes: Sequence[Node], held: Mapping[Node, Any], rules: Rules, kind: str, *, variables: Sequence[Node]
 ) -> Callable[[Iterable[Any]], list[Any]]:
     """Function that gives the values of nodes of a graph for those of some variables; all else is computed once.
 
@@ -34,7 +28,7 @@ def function_of(
     Raises:
         ModelError: an operation has no rule, or a symbol no value.
     """
-    found, varying, steps = dict(known), set(variables), list[tuple[Node, Callable[..., Any], list[Node]]]()
+    found, varying, steps = dict(held), set(variables), list[tuple[Node, Callable[..., Any], list[Node]]]()
     for node in needed(graph, nodes):
         name, *arguments = graph.operations[node]
         if node in varying or node in found:

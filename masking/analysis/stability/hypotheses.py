@@ -119,15 +119,12 @@ class Hypotheses:
         """Add a hypothesis."""
         self.extra.append(text)
 
-    def sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
-        """Sign of an expression for all coordinates and velocities: 1, -1, or 0 where it is 0 whatever they are.
-
-        None if it is unknown or changes. If not strictly, 1 stands for >= 0 and -1 for <= 0.
-        """
-        return self._sign(expression, strictly, lambda factor: self._sign_of_factor(factor, strictly))
+    def sign(self, expression: sp.Expr) -> int | None:
+        """Sign for all coordinates and velocities: 1, -1, 0 for what is always 0; None if it is unknown or changes."""
+        return self._sign(expression, True, lambda factor: self._sign_of_factor(factor, True))
 
     def declared_sign(self, expression: sp.Expr, *, strictly: bool = True) -> int | None:
-        """Sign of an expression, of its factors at declared values where need be, which is then supposed."""
+        """Sign, of factors at declared values where need be, which is then supposed; not strictly, 1 is >= 0."""
         return self._sign(expression, strictly, lambda factor: self._sign_at_values(factor, strictly))
 
     def is_nonzero(self, expression: sp.Expr) -> bool:
@@ -167,10 +164,8 @@ class Hypotheses:
 
     def _sign_of_factor(self, factor: sp.Expr, strictly: bool) -> int | None:
         # 1 - cos^2 = sin^2: m (cos^2 - 2) is negative in either form, M - m cos^2 + m in one alone.
-        in_sines = sp.expand(
-            factor.replace(_is_even_cosine, lambda x: (1 - sp.sin(x.base.args[0]) ** 2) ** (x.exp / 2))
-        )
-        for form in (factor, in_sines):
+        in_sines = factor.replace(_is_even_cosine, lambda x: (1 - sp.sin(x.base.args[0]) ** 2) ** (x.exp / 2))
+        for form in (factor, sp.expand(in_sines)):
             if form.is_positive or form.is_negative:
                 return 1 if form.is_positive else -1
             if not strictly and (form.is_nonnegative or form.is_nonpositive):

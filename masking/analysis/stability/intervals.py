@@ -50,7 +50,7 @@ class Interval:
         value = float(sp.N(number, 30))
         if number.is_Rational and Fraction(value) == Fraction(int(number.p), int(number.q)):
             return cls.of(value)
-        return _outward(cls.of(value), ulps=2)
+        return _outward(value, value, ulps=2)
 
     @classmethod
     def stacked(cls, columns: Sequence[Interval], rows: int) -> Interval:
@@ -89,26 +89,18 @@ class Interval:
         return _outward(stacked.min(axis=0), stacked.max(axis=0))
 
     def __truediv__(self, other: Interval) -> Interval:
-        return self * inverse(other)
+        bad = other.contains_zero()  # then 1/other may be any real number
+        with np.errstate(divide="ignore", over="ignore"):
+            found = _outward(1.0 / other.high, 1.0 / other.low)
+        return self * Interval(np.where(bad, -np.inf, found.low), np.where(bad, np.inf, found.high))
+
+    def __abs__(self) -> Interval:
+        a, b = np.abs(self.low), np.abs(self.high)
+        return Interval(np.where(self.contains_zero(), 0.0, np.minimum(a, b)), np.maximum(a, b))
 
     def contains_zero(self) -> NDArray[np.bool_]:
         """Where 0 lies inside."""
         return np.asarray((self.low <= 0.0) & (self.high >= 0.0))
-
-
-def inverse(x: Interval) -> Interval:
-    """1/x; all real numbers where x contains 0."""
-    bad = x.contains_zero()
-    with np.errstate(divide="ignore", over="ignore"):
-        found = _outward(1.0 / x.high, 1.0 / x.low)
-    return Interval(np.where(bad, -np.inf, found.low), np.where(bad, np.inf, found.high))
-
-
-def square(x: Interval) -> Interval:
-    """X^2, which is never negative."""
-    a, b = np.abs(x.low), np.abs(x.high)
-    found = _outward(np.where(x.contains_zero(), 0.0, np.minimum(a, b) ** 2), np.maximum(a, b) ** 2)
-    return Interval(np.maximum(found.low, 0.0), found.high)
 
 
 def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval]) -> list[Interval]:
@@ -120,10 +112,9 @@ def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval])
     return values_of(graph, nodes, given, _RULES, "enclosure by intervals")
 
 
-def _outward(low: Array | Interval, high: Array | None = None, ulps: int = 1) -> Interval:
+def _outward(low: Array | float, high: Array | float, ulps: int = 1) -> Interval:
     """Intervals that are wider by units in the last place at both ends."""
-    a, b = (low.low, low.high) if isinstance(low, Interval) else (low, low if high is None else high)
-    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    a, b = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     for _ in range(ulps):
         a, b = np.nextafter(a, -np.inf), np.nextafter(b, np.inf)
     return Interval(a, b)
@@ -150,21 +141,14 @@ def _sine(x: Interval, shift: float = 0.0) -> Interval:
         return np.asarray(wide | (np.floor(end) >= np.ceil(start)))
 
     found = _outward(np.minimum(a, b), np.maximum(a, b), ulps=_ULPS)
-    return Interval(
-        np.maximum(np.where(crest(-np.pi / 2), -1.0, found.low), -1.0),
-        np.minimum(np.where(crest(np.pi / 2), 1.0, found.high), 1.0),
-    )
+    least, most = np.where(crest(-np.pi / 2), -1.0, found.low), np.where(crest(np.pi / 2), 1.0, found.high)
+    return Interval(np.maximum(least, -1.0), np.minimum(most, 1.0))
 
 
-def _cosh(x: Interval) -> Interval:
-    a = np.where(x.contains_zero(), 0.0, np.minimum(np.abs(x.low), np.abs(x.high)))
-    with np.errstate(over="ignore"):
-        return _outward(np.cosh(a), np.cosh(np.maximum(np.abs(x.low), np.abs(x.high))), ulps=_ULPS)
-
-
-def _absolute(x: Interval) -> Interval:
-    a, b = np.abs(x.low), np.abs(x.high)
-    return Interval(np.where(x.contains_zero(), 0.0, np.minimum(a, b)), np.maximum(a, b))
+def _square(x: Interval) -> Interval:
+    size = abs(x)
+    found = _outward(size.low**2, size.high**2)
+    return Interval(np.maximum(found.low, 0.0), found.high)
 
 
 def _root(x: Interval) -> Interval:
@@ -187,8 +171,8 @@ def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
 
 
 _RULES: dict[str, Callable[..., Interval]] = {
-    "number": lambda x: Interval.of(x) if x.is_integer() else _outward(Interval.of(x), ulps=_ULPS),
-    "square": square,
+    "number": lambda x: Interval.of(x) if x.is_integer() else _outward(x, x, ulps=_ULPS),
+    "square": _square,
     "neg": lambda x: -x,
     "add": lambda x, y: x + y,
     "sub": lambda x, y: x - y,
@@ -203,9 +187,9 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "tan": lambda x: _sine(x) / _sine(x, np.pi / 2),
     "atan": _growing(np.arctan),
     "sinh": _growing(np.sinh),
-    "cosh": _cosh,
+    "cosh": lambda x: _growing(np.cosh)(abs(x)),
     "tanh": _growing(np.tanh),
-    "abs": _absolute,
+    "abs": abs,
     "sign": lambda x: Interval(np.sign(x.low), np.sign(x.high)),
     "lt": lambda x, y: Interval(1.0 * (x.high < y.low), 1.0 * (x.low < y.high)),
     "le": lambda x, y: Interval(1.0 * (x.high <= y.low), 1.0 * (x.low <= y.high)),

@@ -15,7 +15,7 @@ Source: LaSalle (1960), Some extensions of Liapunov's second method; Rijlaarsdam
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import sympy as sp
@@ -59,15 +59,10 @@ def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
     names = ", ".join(f"{form} = 0" for form in forms)
     start = f"V' = 0 only where {names}."
     if any(sp.diff(form, v).free_symbols & {*motion.q, *motion.v} for form in forms for v in motion.v):
-        return InvariantSet(
-            False, steps=(start, "These are no linear forms with constant coefficients: not eliminated.")
-        )
-    if motion.is_linear:
-        return _unobservable(motion, forms, start)
-    return _Elimination(motion, tuple(forms)).run(start)
-
-
-def _unobservable(motion: Motion, forms: Sequence[sp.Expr], start: str) -> InvariantSet:
+        end = "These are no linear forms with constant coefficients: not eliminated."
+        return InvariantSet(False, steps=(start, end))
+    if not motion.is_linear:
+        return _Elimination(motion, tuple(forms)).run(start)
     relations = unobserved(motion, forms)
     family = Family(relations)
     if len(relations) == 2 * len(motion.q):
@@ -178,13 +173,9 @@ class _Elimination:
             return InvariantSet(False, steps=tuple(self.steps))
         if further is not None:
             forms, words = further
-            further_on = _Elimination(
-                self.motion, forms, self.steps, known=self.known, is_of_bounded=self.is_of_bounded
-            )
-            return further_on.run(words)
-        return InvariantSet(
-            True, tuple(dict.fromkeys(self.families)), True, self.known, self.is_of_bounded, tuple(self.steps)
-        )
+            return replace(self, forms=forms).run(words)
+        families, steps = tuple(dict.fromkeys(self.families)), tuple(self.steps)
+        return InvariantSet(True, families, True, self.known, self.is_of_bounded, steps)
 
     def _eliminate(self) -> _Further | None:
         """Find the families, or further forms that are 0, and why."""
@@ -235,10 +226,7 @@ class _Elimination:
         """Relation after the first rule, applied as often as it can be, and the constants that are not known."""
         constants = list(self.constants)
         for _ in range(_MOST_RULES):
-            if _is_affine(relation, moving):
-                break
-            found = self._constant_derivative(relation, moving, constants)
-            if found is None:
+            if _is_affine(relation, moving) or not (found := self._constant_derivative(relation, moving, constants)):
                 break
             relation, constants = found
         return normal(relation.subs(self._known_constants())), constants
@@ -305,8 +293,7 @@ class _Elimination:
         found = sp.solve(list(parts.values()), weights, dict=True) if parts else []
         if not found:
             return None
-        solution = {w: found[0].get(w, sp.Integer(0)) for w in weights}
-        solution = {w: x.subs(dict.fromkeys(weights, 0)) for w, x in solution.items()}
+        solution = {w: found[0].get(w, sp.Integer(0)).subs(dict.fromkeys(weights, 0)) for w in weights}
         if not all(self.given.is_nonzero(sp.fraction(sp.together(x))[1]) for x in solution.values()):
             return None
         constant = normal(constant.subs(solution))
@@ -321,7 +308,8 @@ class _Elimination:
         if not solutions:
             raise _OpenError(f"{constant} = 0 cannot be")
         (solved,) = solutions
-        unbounded = any(total.has(r) and not _only_in_waves(total, r) for r in pair if r in self.motion.circles)
+        plain = total.replace(lambda x: x.func in {sp.sin, sp.cos}, lambda _: sp.Integer(1))
+        unbounded = bool(plain.free_symbols & {*pair} & {*self.motion.circles})
         if constant == 0 and unbounded:
             return None
         self.is_of_bounded = True
@@ -348,9 +336,8 @@ class _Elimination:
         second = accelerations[velocity[r2]] - slope * accelerations[velocity[r1]]
         known = self._known_constants()
         equations = [normal(x.subs(on_it).subs(known)) for x in (second, *left)]
-        unknown = [
-            c for c in dict.fromkeys([*tied.free_symbols & {self.bound}, *constants, *self.constants]) if c not in known
-        ]
+        every = dict.fromkeys([*tied.free_symbols & {self.bound}, *constants, *self.constants])
+        unknown = [c for c in every if c not in known]
         self.steps.append(f"Where {r2} = {tied}, its second derivative gives 0 = {equations[0]}.")
         self._vanishing(equations, r1, unknown, {r2: tied})
 
@@ -362,11 +349,9 @@ class _Elimination:
         conditions = [c for equation in equations for c in coefficients(equation, (r,), self.given).values()]
         if conditions:
             shown = {radical(c, self.given): c for c in reversed(conditions)}
-            words = (
-                f"{shown[sp.Integer(1)]} = 0"
-                if sp.Integer(1) in shown
-                else ", ".join(f"{c} = 0" for c in sorted(shown, key=sp.count_ops))
-            )
+            words = ", ".join(f"{c} = 0" for c in sorted(shown, key=sp.count_ops))
+            if (one := sp.Integer(1)) in shown:
+                words = f"{shown[one]} = 0"
             self.steps.append(f"Either {r} is constant, which is an equilibrium, or this holds for every {r}: {words}.")
         solutions = solve_constants(conditions, unknown, self.given, self.turning)
         if not solutions:
@@ -407,21 +392,14 @@ class _Elimination:
             fixed = self._tied(q, self.constants) | tied
             if position in fixed:
                 value = normal(fixed[position].subs(tied).subs(values))
-                speed = self._tied(v, zeros).get(v[i])
-                rate = (
-                    sum((sp.diff(value, q[j]) * v[j] for j in self.moving), sp.Integer(0)) if speed is None else speed
-                )
-                relations += [position - value, v[i] - rate]
+                rate = sum((sp.diff(value, q[j]) * v[j] for j in self.moving), sp.Integer(0))
+                relations += [position - value, v[i] - self._tied(v, zeros).get(v[i], rate)]
         ordered = sorted(relations, key=lambda x: (bool(x.free_symbols & {*v}), str(x)))
         self.families.append(Family(tuple(ordered)))
 
 
 def _is_affine(expression: sp.Expr, variables: Sequence[sp.Symbol]) -> bool:
     return bool(expression.is_polynomial(*variables) and sp.Poly(expression, *variables).total_degree() == 1)
-
-
-def _only_in_waves(expression: sp.Expr, r: sp.Symbol) -> bool:
-    return r not in expression.replace(lambda x: x.func in {sp.sin, sp.cos}, lambda x: sp.Integer(1)).free_symbols
 
 
 def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Symbol, motion: Motion) -> list[sp.Expr]:
@@ -435,9 +413,8 @@ def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Sym
         if relation.has(k):
             return [sp.expand(-relation.subs(r2, 0) / by)]
         return [k - normal(sp.diff(relation, r1) / by) * r1]
-    product = TR9(relation)
     found: list[sp.Expr] = []
-    for factor in sp.Mul.make_args(sp.factor_terms(product)):
+    for factor in sp.Mul.make_args(sp.factor_terms(TR9(relation))):
         if not factor.free_symbols & {r1, r2}:
             if not motion.given.is_nonzero(factor):
                 raise _OpenError(f"{relation} = 0 may hold because {factor} = 0")
@@ -451,7 +428,5 @@ def _linear_relations(relation: sp.Expr, r1: sp.Symbol, r2: sp.Symbol, k: sp.Sym
         if not turns.is_Integer:
             raise _OpenError(f"{relation} = 0 gives no finite number of relations modulo one turn")
         offset = sp.Integer(0) if factor.func == sp.sin else sp.pi / 2
-        for m in range(int(turns)):
-            tied = sp.expand((offset - inner.subs(r2, 0)) / by) + m * step
-            found.append(tied)
+        found += [sp.expand((offset - inner.subs(r2, 0)) / by) + m * step for m in range(int(turns))]
     return found

@@ -34,8 +34,7 @@ class Exponent:
 
     value: float  # mean of log |w| per unit of time, after the transient
     error: float  # standard error of the mean, from batches of the record
-    times: Array  # end of each interval (m,), after the transient, unit of the model's time
-    growth: Array  # log |w| gained in each interval (m,)
+    growth: Array  # log |w| gained in each interval (m,), after the transient
     spread: float  # log |y| gained in the second half of the record, by the motion itself
 
     @property
@@ -51,12 +50,6 @@ class Exponent:
     def is_chaotic(self) -> bool:
         """Whether nearby motions part exponentially: further than regular ones do, and surely, yet go nowhere."""
         return self._late > _GROWTH and self.value > _SURE * self.error and self.is_bounded
-
-    @property
-    def running(self) -> Array:
-        """Estimate after each interval (m,)."""
-        lengths = np.diff(self.times, prepend=2.0 * self.times[0] - self.times[1])
-        return np.asarray(np.cumsum(self.growth) / np.cumsum(lengths))
 
     def as_dict(self) -> dict[str, Any]:
         """Exponent as JSON can hold it."""
@@ -117,7 +110,6 @@ def largest_exponent(
     kept = growth[before:]
     rates = np.array([float(np.mean(part)) for part in np.array_split(kept, _BATCHES)]) / step
     error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
-    times: Array = step * np.arange(before + 1.0, before + count + 1.0)
     quarter = np.array_split(np.maximum(sizes[before:], 1e-300), 4)
     spread = math.log(float(np.max(quarter[3])) / float(np.max(quarter[1])))
-    return Exponent(float(np.mean(kept)) / step, error, times, kept, spread)
+    return Exponent(float(np.mean(kept)) / step, error, kept, spread)

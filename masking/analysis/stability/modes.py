@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 else:
     control = lazy.load("control")
 
-
 _STEP = 1e-3  # of the size of a state, for differences of order 6: their error is near 1e-12 of it
 _STENCIL = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))
 _ROUNDING = 1e-14  # of the size of a matrix, what its entries and its decomposition err by
@@ -60,10 +59,6 @@ class Mode(Result):
         """Damping ratio -Re lambda/|lambda|; negative for a mode that grows."""
         size = abs(self.eigenvalue)
         return -self.eigenvalue.real / size if size > 0.0 else 0.0
-
-    def phase(self, first: str, second: str) -> float:
-        """Phase of one coordinate minus that of another, in (-pi, pi]."""
-        return float(np.angle(self.shape[first] / self.shape[second]))
 
 
 @dataclass(frozen=True)
@@ -166,11 +161,9 @@ def loop_matrix(loop: Driven, state: Array, lengths: Array) -> Array:
 
 
 def modes(matrix: Array, coordinates: Sequence[str]) -> Modes:
-    """Modes of y' = matrix y.
+    """Modes of y' = matrix y (m, m), of coordinates, velocities and internal states, such as `state_matrix` gives.
 
-    Args:
-        matrix: (m, m), states being coordinates, velocities, internal states, such as `state_matrix` gives.
-        coordinates: names of the first states, whose amplitudes are the shape.
+    `coordinates` are the names of the first states, whose amplitudes are the shape.
     """
     values, vectors = np.linalg.eig(np.asarray(matrix, dtype=float))
     order = np.lexsort((-values.imag, np.round(-values.real, 12)))
@@ -238,15 +231,10 @@ def sweep(model: Model, parameter: str, values: Array, measure: Callable[[Model]
 
 
 def frequency_response(model: Model, frequencies: Array, at: Mapping[str, float] | None = None) -> Complex:
-    """Response of outputs to inputs near an equilibrium, through python-control.
+    """Complex amplitudes (outputs, inputs, m) at frequencies (m,) near an equilibrium, through python-control.
 
-    Args:
-        model: with inputs; its outputs, or its coordinates where it declares none.
-        frequencies: rad/s, or rad per unit of time (m,).
-        at: the equilibrium; 0 where not given.
-
-    Returns:
-        complex amplitudes (outputs, inputs, m).
+    Frequencies are in rad/s, or in rad per unit of time; outputs are the coordinates where the model declares none; the
+    equilibrium is 0 where `at` does not give it.
 
     Raises:
         ModelError: the model has no inputs, or a frequency is negative or no number.

@@ -62,7 +62,7 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
     def size(x: Array) -> float:
         return max(float(np.max(np.abs(x[:-1]))), 1e-12)
 
-    def system(x: Array) -> tuple[Array, Array]:
+    def gap(x: Array) -> tuple[Array, Array]:
         y, time, rate = x[:-1], float(x[-1]), np.empty(made.size)
         if not 0.2 * period < time < 5.0 * period:
             raise RootError(f"the period became {time:g}")
@@ -74,9 +74,7 @@ def orbit(model: Model, state: Array, period: float, tolerance: float = 1e-12) -
 
     try:
         # Directions in which the orbit goes on to be one, such as along itself, are left as they are.
-        x, _ = root(
-            system, np.append(state, period), error=lambda x: _ERROR * size(x), singular=1e-7, rounds=_MOST_STEPS
-        )
+        x, _ = root(gap, np.append(state, period), error=lambda x: _ERROR * size(x), singular=1e-7, rounds=_MOST_STEPS)
     except RootError as error:
         raise IntegrationError(
             f"no periodic orbit of {model.name} is found near the period {period:g} (an equilibrium is none): give a "

@@ -163,10 +163,8 @@ class Cancellation:
 
     def _groups(self, members: Sequence[Oscillator]) -> list[Group]:
         """Signs with which poles cancel, of oscillators that have one stiffness."""
-        if len(members) > _MOST_OSCILLATORS:
-            raise ModelError(
-                f"there are {len(members)} oscillators that are not linear, at most {_MOST_OSCILLATORS} are"
-            )
+        if (count := len(members)) > _MOST_OSCILLATORS:
+            raise ModelError(f"there are {count} oscillators that are not linear, at most {_MOST_OSCILLATORS} are")
         found, mixed = list[Group](), list[Group]()
         for signs in itertools.product((0, 1, -1), repeat=len(members)):
             used = [(s, x) for s, x in zip(signs, members, strict=True) if s]
@@ -232,18 +230,11 @@ def _is_part(part: Group, whole: Group) -> bool:
 
 def _is_union(signs: Group, groups: Sequence[Group]) -> bool:
     """Whether signs are those of groups, one after the other, so that their poles cancel within groups alone."""
-    if not any(signs):
-        return True
-    for group in groups:
-        if _is_part(group, signs) and _is_union(
-            tuple(0 if g else s for g, s in zip(group, signs, strict=True)), groups
-        ):
-            return True
-    return False
+    parts = (group for group in groups if _is_part(group, signs))
+    rests = (tuple(0 if g else s for g, s in zip(part, signs, strict=True)) for part in parts)
+    return not any(signs) or any(_is_union(rest, groups) for rest in rests)
 
 
 def _together(group: Group, members: Sequence[Oscillator]) -> dict[sp.Symbol, sp.Expr]:
-    (sign, first), *others = ((s, x) for s, x in zip(group, members, strict=True) if s)
-    return {
-        x.place: x.centre + sign * s * normal(first.size / x.size) * (first.place - first.centre) for s, x in others
-    }
+    (sign, first), *rest = ((s, x) for s, x in zip(group, members, strict=True) if s)
+    return {x.place: x.centre + sign * s * normal(first.size / x.size) * (first.place - first.centre) for s, x in rest}

@@ -15,17 +15,11 @@ _SAMPLES_PER_RADIAN = 20.0
 def settling_time(
     model: Model, *, eps: float = 1e-4, longest: float = 2e4, fastest: float = 2.0, tolerance: float = 1e-11
 ) -> float:
-    """Tau_s from the declared initial state: the first time after which |a + b| stays below eps.
+    """Tau_s from the declared initial state: the first time after which |a + b| stays below eps, of two oscillators.
 
-    Args:
-        model: with two oscillators a and b.
-        eps: in the unit of the oscillators, SI or in the model's scales.
-        longest: the longest time that is simulated, in units of the model's time.
-        fastest: the largest frequency of the motion, in rad per unit of time, which sets the sampling.
-        tolerance: local relative error of integration.
-
-    Returns:
-        in units of the model's time; NaN where |a + b| was not below eps over the last half of that time.
+    Times are in units of the model's time; NaN where |a + b| was not below eps, which is in SI units or in the model's
+    scales, over the last half of the `longest` time that is simulated. `fastest`, the largest frequency of the motion
+    in rad per unit of time, sets the sampling.
 
     Raises:
         ModelError: there are not two oscillators, or `longest` is not positive.
@@ -36,9 +30,8 @@ def settling_time(
         raise ModelError(f"the longest time is {longest:g}; it must be positive")
     length = min(longest, 100.0)
     while True:
-        run = model.simulate(
-            np.linspace(0.0, length, round(length * fastest * _SAMPLES_PER_RADIAN) + 1), tolerance=tolerance
-        )
+        times = np.linspace(0.0, length, round(length * fastest * _SAMPLES_PER_RADIAN) + 1)
+        run = model.simulate(times, tolerance=tolerance)
         found = synchronisation_time(run.times, run[first] + run[second], eps)
         if found <= 0.5 * length:  # it has stayed below for as long again
             return found

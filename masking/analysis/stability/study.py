@@ -70,7 +70,14 @@ class Stability:
                 "is_complete": self.rest.is_complete,
                 "is_global": self.rest.is_global,
                 "box": self.rest.box,
-                "points": [_point(point, found) for point, found in self.points],
+                "points": [{
+                    "position": point.position,
+                    "radius": point.radius,
+                    "verdict": point.verdict,
+                    "is_proved_unstable": point.is_unstable,
+                    "eigenvalues": found.eigenvalues,
+                    "modes": found.modes,
+                } for point, found in self.points],
             },
             "reason": self.reason,
             "upsilon": self.upsilon if self.upsilon is None or math.isfinite(self.upsilon) else None,
@@ -106,14 +113,10 @@ def study(model: Model, box: Box | None = None) -> Stability:
 
 
 def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, virtual: Complex) -> LoopModes:
-    """Eigenvalues of a closed loop per unit of virtual time.
+    """Eigenvalues of a `ClosedLoop` per unit of virtual time, which is `time_scale` in s.
 
-    Args:
-        loop: a `ClosedLoop`.
-        state: of the rig (2 n + k,), SI units, which its transform maps to the virtual equilibrium.
-        lengths: a size of each state (2 n + k,).
-        time_scale: seconds per unit of virtual time.
-        virtual: eigenvalues of the virtual system there.
+    The state of the rig (2 n + k,), in SI units as the lengths, a size of each, is that which the loop's transform maps
+    to the virtual equilibrium; `virtual` are the eigenvalues of the virtual system there.
     """
     values = np.linalg.eigvals(loop_matrix(loop, state, lengths)).astype(np.complex128) * time_scale
     values = values[np.lexsort((-values.imag, np.round(-values.real, 9)))]
@@ -156,14 +159,3 @@ def _upsilon(model: Model, rest: Equilibria | None) -> float | None:
         return upsilon(model)
     except ModelError:
         return None
-
-
-def _point(point: Equilibrium, found: Modes) -> dict[str, Any]:
-    return {
-        "position": point.position,
-        "radius": point.radius,
-        "verdict": point.verdict,
-        "is_proved_unstable": point.is_unstable,
-        "eigenvalues": found.eigenvalues,
-        "modes": found.modes,
-    }

@@ -43,9 +43,8 @@ def anti_phase(model: Model) -> Array:
 def in_phase(model: Model) -> Array:
     """Form that vanishes in phase: the difference of two oscillators (1, n)."""
     first, second = (model.coordinates.index(c) for c in pair_of(model))
-    rows = np.zeros((1, len(model.coordinates)))
-    rows[0, first], rows[0, second] = 1.0, -1.0
-    return rows
+    rows = np.eye(len(model.coordinates))
+    return rows[[first]] - rows[[second]]
 
 
 def transverse(

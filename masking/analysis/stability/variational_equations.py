@@ -90,14 +90,10 @@ class Variational:
     def along(
         self, span: tuple[float, float], state: Array, w: Array, *, u: Array | None = None, tolerance: float = 1e-12
     ) -> tuple[Array, Array]:
-        """State at the end of a time, and the directions as the motion has turned and stretched them.
+        """State y (size,) at the end of a time, and the directions as the motion has turned and stretched them.
 
-        Args:
-            span: first and last time, in s or in units of the time scale.
-            state: y at the beginning (size,), in SI units or in the model's scales.
-            w: W at the beginning (size, columns).
-            u: constant inputs (k,); zero where not given.
-            tolerance: local relative error of a step.
+        Those at its beginning are `state` and `w` (size, columns), in SI units or in the model's scales, as the first
+        and the last time, `span`; inputs u (k,) are constant, `tolerance` is the local relative error of a step.
 
         Raises:
             IntegrationError: the integrator could not go on.

@@ -88,13 +88,7 @@ class Synchronisation:
 
 
 def synchronisation(
-    t: Series,
-    a: Series,
-    b: Series,
-    *,
-    eps: float = 0.05,
-    fraction: float = 0.2,
-    names: tuple[str, str] = ("a", "b"),
+    t: Series, a: Series, b: Series, *, eps: float = 0.05, fraction: float = 0.2, names: tuple[str, str] = ("a", "b")
 ) -> Synchronisation:
     """Say in which way two oscillators are synchronised at the end of a record.
 
@@ -144,7 +138,7 @@ def synchronisation(
         found = _lock(t, phases, tail, ratio)
         if found is not None:
             ends = (late[0].series, late[1].series)
-            return _described(t[tail], ends, found, nothing, _Record(t, signals, tail, eps))
+            return _described(ends, found, nothing, _Record(t, signals, tail, eps))
     if is_quiet:
         return death
     beat = _beat(t, signals)
@@ -153,7 +147,7 @@ def synchronisation(
     return replace(nothing, kind=kind, steady=steady, beat=beat)
 
 
-def _checked(t: Series, a: Series, b: Series) -> tuple[Series, Series, Series]:
+def _checked(t: Series, a: Series, b: Series) -> tuple[Series, ...]:
     """Series on an even grid."""
     t, a, b = (np.asarray(x, dtype=float) for x in (t, a, b))
     if t.ndim != 1 or a.shape != t.shape or b.shape != t.shape or len(t) < 16:
@@ -163,8 +157,7 @@ def _checked(t: Series, a: Series, b: Series) -> tuple[Series, Series, Series]:
         )
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(a)) and np.all(np.isfinite(b)) and np.all(np.diff(t) > 0)):
         raise RecordError("times must increase and all values be finite; leave out the rows that are not")
-    t, a, b = on_even_grid(t, a, b)
-    return t, a, b
+    return on_even_grid(t, a, b)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,13 +225,8 @@ def _line(t: Series, phase: Series) -> tuple[float, float]:
     return slope, float(np.std(phase - slope * centred))
 
 
-def _described(
-    t: Series, ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisation, record: _Record
-) -> Synchronisation:
-    """Verdict of a lock: its phase, alpha, eps and the time from which on it holds.
-
-    `t` and the motions `ends` are those of the end of the record.
-    """
+def _described(ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisation, record: _Record) -> Synchronisation:
+    """Verdict of a lock: phase, alpha, eps and the time from which on it holds; `ends` are motions at the end."""
     (n, m), tail, (signal_a, signal_b) = lock.ratio, record.tail, record.signals
     phase = float(np.angle(np.mean(np.exp(1j * lock.difference[tail]))))
     first, second = nothing.periods
@@ -251,7 +239,7 @@ def _described(
     kind: Kind = "in-phase" if abs(phase) <= _NEAR else "anti-phase" if abs(phase) >= math.pi - _NEAR else "locked"
     whole = first if np.std(ends[0]) >= np.std(ends[1]) else second
     turn = {"in-phase": 0.0, "anti-phase": math.pi, "locked": phase}[kind]
-    alpha, g = proportion(t, *ends, turn / (2 * math.pi) * whole, whole)
+    alpha, g = proportion(record.t[tail], *ends, turn / (2 * math.pi) * whole, whole)
     # The envelope of g, which needs no sample beyond the end and averages over noise.
     line = np.exp(-2j * np.pi * record.t / whole)
     envelope = np.abs(_averaged((signal_a - alpha * signal_b * np.exp(1j * turn)) * line, record.t, whole))

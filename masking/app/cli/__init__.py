@@ -19,6 +19,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from masking.app.cli import parser
 
     return parser.main(arguments)
-
-
-__all__ = ["main"]

@@ -84,18 +84,6 @@ def words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-def _named(read: Callable[[str], Any]) -> Callable[[str], tuple[str, Any]]:
-    """Reader of NAME=VALUE."""
-
-    def named(text: str) -> tuple[str, Any]:
-        name, _, rest = text.partition("=")
-        if not rest:
-            raise ValueError(text)
-        return name.strip(), read(rest.strip())
-
-    return named
-
-
 def _reader(option: str, wrong: str, example: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
     """Reader that says what is wrong, and how it is written instead."""
 
@@ -121,7 +109,15 @@ def bounds(text: str) -> tuple[float, float]:
 
 
 def _repeated(metavar: str, option: str, wrong: str, example: str, read: Callable[[str], Any]) -> dict[str, Any]:
-    return {"metavar": metavar, "type": _reader(option, wrong, example, _named(read)), "action": "append"}
+    """How NAME=VALUE is written, any number of times."""
+
+    def named(text: str) -> tuple[str, Any]:
+        name, _, rest = text.partition("=")
+        if not rest:
+            raise ValueError(text)
+        return name.strip(), read(rest.strip())
+
+    return {"metavar": metavar, "type": _reader(option, wrong, example, named), "action": "append"}
 
 
 # How arguments are written whose type does not say it, by their parameters.

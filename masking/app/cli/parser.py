@@ -33,7 +33,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status: int = call.verb.act(call)
         sys.stdout.flush()
     except MaskingError as error:
-        _report(error, as_json=any(text.partition("=")[0] == "--json" for text in given))
+        problems = error.problems if isinstance(error, DeclarationError) else ()
+        if any(text.partition("=")[0] == "--json" for text in given):
+            print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
+        print(error if problems else f"masking: {error}", file=sys.stderr)
         return error.exit_status
     except KeyboardInterrupt:
         print(call.verb.interrupted.format(out=call.out) if call else NOTHING_SAVED, file=sys.stderr)
@@ -56,13 +59,6 @@ def _renamed(argument: str) -> str:
     option = argument.partition("=")[0]
     name = RENAMED.get(option.removeprefix("--").replace("-", "_"), "") if option.startswith("--") else ""
     return f"{option} is called --{name.replace('_', '-')} now" if name else ""
-
-
-def _report(error: MaskingError, *, as_json: bool) -> None:
-    problems = error.problems if isinstance(error, DeclarationError) else ()
-    if as_json:
-        print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
-    print(error if problems else f"masking: {error}", file=sys.stderr)
 
 
 def _parser() -> VerbParser:

@@ -20,10 +20,7 @@ _FORM = "{desc} {percentage:3.0f}% {bar}"
 
 
 class Bar:
-    """A bar with a word for what is done; called with the part done.
-
-    Where standard error cannot be written, such as to a full disk, nothing is shown, and what it shows goes on.
-    """
+    """A bar with a word for what is done, called with the part done; no bar where standard error cannot be written."""
 
     def __init__(self, text: str) -> None:
         import tqdm
@@ -36,10 +33,7 @@ class Bar:
         self._bar.update(part - self._bar.n)
 
     def tell(self, text: str, part: float) -> None:
-        """Show what is done, and the part done; it never goes back.
-
-        Where standard error is no terminal it is a line, every `APART` seconds at most.
-        """
+        """Show what is done, and the part done, which never goes back; without a terminal, every `APART` s at most."""
         self._most = max(self._most, part)
         if self._bar.disable:
             now = time.monotonic()

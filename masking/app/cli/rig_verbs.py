@@ -44,13 +44,9 @@ def _check(call: Call) -> int:
     content: dict[str, Any] = {"address": chosen.address, "rules": [dataclasses.asdict(verdict) for verdict in found]}
     text = "\n".join([*map(str, found), f"{chosen.address} {'does not conform' if broken else 'conforms'}"])
     if twin is not None and not broken:
+        plant, rate = make_plant(), chosen.rate
         tested = self_test(
-            twin,
-            make_plant(),
-            size=chosen.pulse,
-            rate=chosen.rate,
-            lockstep=chosen.lockstep,
-            acknowledge=chosen.acknowledge,
+            twin, plant, size=chosen.pulse, rate=rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
         )
         content, text = content | {"self_test": tested.as_dict()}, f"{text}\nself-test:\n{tested}"
         broken = len(tested.findings)
@@ -146,10 +142,7 @@ def _run(call: Call) -> int:
     metavars={"plant": "ADDRESS"},
 )
 def _batch(call: Call) -> int:
-    """Make the runs of a plan unattended; started again, go on with it.
-
-    Exit status 1 if one did not end as planned.
-    """
+    """Make the runs of a plan unattended; started again, go on with it. Exit status 1 if one did not end as planned."""
     found = call.do()
     call.answer(found.as_dict(), f"{found}\npage: {call.out / 'batch.html'}")
     return int(found.done < len(found.runs))
@@ -192,10 +185,5 @@ def _calibrate(call: Call) -> int:
     return call.answered()
 
 
-VERBS = (
-    Verb(
-        "rig",
-        "Run on a plant that runs by itself, or serve a twin that stands in for one.",
-        verbs=(_check, _serve, _run, _batch, _stop, _calibrate),
-    ),
-)
+_TEXT = "Run on a plant that runs by itself, or serve a twin that stands in for one."
+VERBS = (Verb("rig", _TEXT, verbs=(_check, _serve, _run, _batch, _stop, _calibrate)),)

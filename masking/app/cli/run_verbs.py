@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -26,7 +27,9 @@ def _run(call: Call) -> int:
     made = Experiment.load(written["name_or_path"], plant=written.get("plant"), changes=changes)
     out = call.out
     check_folder(out, *RUN, overwrite=written.get("overwrite", False))
-    before = _created(out)
+    before = None  # when the recording was made that is there
+    with contextlib.suppress(OSError, ValueError, KeyError):
+        before = str(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["created"])
     if not made.is_compiled:
         say_compiling()
     raise_interrupts()
@@ -47,14 +50,6 @@ def _run(call: Call) -> int:
     }
     replaced = f" (replaces the run of {before})" if before else ""
     return call.answer(content, f"{page.summary}\nreport: {page.path}{replaced}")
-
-
-def _created(folder: Path) -> str | None:
-    """When the recording in a folder was made; None if there is none."""
-    try:
-        return str(json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["created"])
-    except (OSError, ValueError, KeyError):
-        return None
 
 
 @verb("app.workflows.run:report")

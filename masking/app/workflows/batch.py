@@ -39,19 +39,12 @@ _ENDS: Final = 20.0  # s at most until a run that is asked to stop has
 
 @dataclass(frozen=True)
 class Batch:
-    """Outcome of a batch.
+    """Outcome of a batch."""
 
-    Args:
-        folder: of its results.
-        name: of the plan.
-        runs: all of them, in order.
-        why: it ended before its runs did; empty where all were made.
-    """
-
-    folder: Path
-    name: str
-    runs: tuple[Progress, ...]
-    why: str
+    folder: Path  # of its results
+    name: str  # of the plan
+    runs: tuple[Progress, ...]  # all of them, in order
+    why: str  # it ended before its runs did; empty where all were made
 
     @property
     def done(self) -> int:
@@ -153,7 +146,7 @@ class _Worker:
                 self._end(one, self._left(self._place(one)))
         for number, one in enumerate(self.found):
             while not one.is_done and one.counted <= self.declared.retries:
-                if why := self._over() or self._stopped():
+                if why := self._over():
                     for other in self.found[number:]:
                         other.left_out = "" if other.is_done or other.counted > self.declared.retries else why
                     return why
@@ -170,14 +163,10 @@ class _Worker:
                 return f"the budget of {name}, {most:g}{unit}, is used up"
         if self.waited > self.declared.patience:
             return f"the plant was not reached for {self.waited:.0f} s: {self.last}"
-        return ""
-
-    def _stopped(self) -> str:
-        """Stop by a person, after which only a person may arm the rig again; empty where nobody stopped it."""
         cause = self.outcome.get("cause", "")
-        if cause not in batch_plan.PEOPLE:
-            return ""
-        return f"the run was stopped by a person ({cause}); look at the rig, then start the same again"
+        if cause in batch_plan.PEOPLE:  # only a person may arm the rig again
+            return f"the run was stopped by a person ({cause}); look at the rig, then start the same again"
+        return ""
 
     def _place(self, one: Progress) -> Path:
         return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"

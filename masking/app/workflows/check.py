@@ -19,21 +19,13 @@ from masking.model.modelling.model import load_model
 
 @dataclass(frozen=True)
 class Checked(Result):
-    """A file that was looked at, and all that is wrong with it.
+    """A file that was looked at, and all that is wrong with it."""
 
-    Args:
-        file: as it was named.
-        kind: one of `catalogue.KINDS`, or "file" if it is not known.
-        problems: all that is wrong.
-        feasibility: what a sound experiment asks of its rig; None for all else, and if it is not known.
-        unknown: why it is not known whether the experiment fits.
-    """
-
-    file: str
-    kind: str
-    problems: tuple[Problem, ...]
-    feasibility: Feasibility | None = None
-    unknown: str = ""
+    file: str  # as it was named
+    kind: str  # one of `catalogue.KINDS`, or "file" if it is not known
+    problems: tuple[Problem, ...]  # all that is wrong
+    feasibility: Feasibility | None = None  # what a sound experiment asks of its rig; None for all else, or unknown
+    unknown: str = ""  # why it is not known whether the experiment fits
 
     def __str__(self) -> str:
         lines = [*map(str, self.problems)] or [f"{self.file}: a sound {self.kind}"]

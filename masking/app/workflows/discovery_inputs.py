@@ -144,6 +144,3 @@ def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:
         }
     moving = base.coordinates or base.states
     return {name: Sensor(measures=Expression(name), unit=c.unit, meaning=c.meaning) for name, c in moving.items()}
-
-
-__all__ = ["Inputs", "parameters", "read", "rig", "with_effects"]

@@ -129,9 +129,8 @@ def _check_inputs(experiment: Experiment) -> None:
         if source.expression is None and not experiment.has_observer:
             path = f"inputs.{name}"
             message = f"an exported control law of the states takes expressions, not a {source.kinds[0]}"
-            remedy = (
-                f"write {name} as an expression, such as '0.1*sin(1.2*t)'; or give the controller rate and observer"
-            )
+            such = "as an expression, such as '0.1*sin(1.2*t)'"
+            remedy = f"write {name} {such}; or give the controller rate and observer"
             raise DeclarationError(Problem(experiment.declaration.key_place(path), path, message, remedy))
 
 

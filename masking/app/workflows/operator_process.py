@@ -65,7 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", type=int, metavar="PORT")
     parser.add_argument("--stream", metavar="HOST:PORT")
     chosen = parser.parse_args(arguments)
-    _step_back()
+    # The loop goes first, and this process outlives what ends a terminal.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(10)
     try:
         with contextlib.ExitStack() as way_out:
             reader, switch = RingReader(chosen.ring), Switch(chosen.switch)
@@ -82,15 +87,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({"error": str(error)}), flush=True)
         return 2
     return 0
-
-
-def _step_back() -> None:
-    """Let the loop go first, and outlive what ends a terminal."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "SIGHUP"):
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        os.nice(10)
 
 
 def _attend(reader: RingReader, switch: Switch, page: OperatorPage | None, datagrams: Datagrams | None) -> None:

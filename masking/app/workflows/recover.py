@@ -32,38 +32,23 @@ TICKS: Final = "ticks"
 
 @dataclass(frozen=True)
 class Recovered:
-    """Recording of a run that was killed.
+    """Recording of a run that was killed."""
 
-    Args:
-        folder: of the recordings.
-        rows: ticks that are there, the homing included.
-        homing: how many of them are in the homing.
-        seconds: from the first to the last.
-        missing: rows before the end of the stream that are not there.
-        end: why the stream ends.
-        damages: what in it was changed or is missing, a sentence each.
-        recording: that of the run since the release; None where there is none.
-        why: why there is none, or no other column than those of the loop; empty otherwise.
-    """
-
-    folder: Path
-    rows: int
-    homing: int
-    seconds: float
-    missing: int
-    end: str
-    damages: tuple[str, ...]
-    recording: Recording | None
-    why: str
+    folder: Path  # of the recordings
+    rows: int  # ticks that are there, the homing included
+    homing: int  # how many of them are in the homing
+    seconds: float  # from the first to the last
+    missing: int  # rows before the end of the stream that are not there
+    end: str  # why the stream ends
+    damages: tuple[str, ...]  # what in it was changed or is missing, a sentence each
+    recording: Recording | None  # that of the run since the release; None where there is none
+    why: str  # why there is none, or no other column than those of the loop; empty otherwise
 
     def __str__(self) -> str:
-        parts = [
-            f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.folder / TICKS}"
-        ]
-        parts.append(f"{self.missing} ticks are missing" if self.missing else "no tick is missing")
-        parts += [self.end, *self.damages]
-        parts.append(self.why or f"the run since the release, {len(self.recording or ())} samples: {self.folder}")
-        return "\n".join(parts)
+        ticks = f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.folder / TICKS}"
+        missing = f"{self.missing} ticks are missing" if self.missing else "no tick is missing"
+        run = self.why or f"the run since the release, {len(self.recording or ())} samples: {self.folder}"
+        return "\n".join([ticks, missing, self.end, *self.damages, run])
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON can hold it."""
@@ -159,9 +144,7 @@ def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mappi
     return Recording(columns, {"name": "the ticks of a run", **kept, "rate": rate, "recovered": dict(lost)})
 
 
-def _run(
-    found: Stream, table: Array, column: Mapping[str, Array], lost: Mapping[str, Any]
-) -> tuple[Recording | None, str]:
+def _run(found: Stream, table: Array, column: dict[str, Array], lost: dict[str, Any]) -> tuple[Recording | None, str]:
     """Recording since the release; or None, and why."""
     if not (column["index"] >= 0).any():
         return None, "the run ended in the homing, before the release"

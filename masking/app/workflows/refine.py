@@ -67,22 +67,15 @@ class Run:
 
 @dataclass(frozen=True)
 class Refinement:
-    """An experiment before and after its controller's model got what it lacked.
+    """An experiment before and after its controller's model got what it lacked."""
 
-    Args:
-        before, after: the run with the model as it was, and with what was found.
-        discovery: what was found.
-        experiment: with the extended model in its controller.
-        folder: where all is saved, and there the `files` of the discovery; None where nothing is.
-    """
-
-    before: Run
-    after: Run
-    discovery: Discovery
-    experiment: Experiment
-    origin: discovery_files.Origin
-    folder: Path | None
-    files: Files | None
+    before: Run  # with the model as it was
+    after: Run  # with what was found
+    discovery: Discovery  # what was found
+    experiment: Experiment  # with the extended model in its controller
+    origin: discovery_files.Origin  # of the discovery
+    folder: Path | None  # where all is saved; None where nothing is
+    files: Files | None  # those of the discovery in that folder
 
     @property
     def sentence(self) -> str:
@@ -92,10 +85,10 @@ class Refinement:
         sentence = f"With {listed([*causes, 'adjusted parameters'])} in the controller's model, "
         if self.after.recording is None:
             return f"{sentence}the run could not go on: {self.after.trouble}"
-        after = _chi(self.after.worst)
+        after = f"{self.after.worst:.2g}"
         if self.before.recording is None:
             return f"{sentence}chi is at most {after}; without, the run could not go on: {self.before.trouble}."
-        sentence += f"masking error chi went from {_chi(self.before.worst)} to {after} in the worst coordinate"
+        sentence += f"masking error chi went from {self.before.worst:.2g} to {after} in the worst coordinate"
         if self.after.worst <= WORTH * self.before.worst:
             return f"{sentence}."
         if self.experiment.observer_settings.kind == "differences":
@@ -133,7 +126,7 @@ class Refinement:
         names = [*(self.after.chi or self.before.chi or {})]
         rows = [("masking error chi", *names)]
         for what, run in (("before", self.before), ("after", self.after)):
-            rows.append((what, *(_chi(run.chi[name]) if run.chi else "-" for name in names)))
+            rows.append((what, *(f"{run.chi[name]:.2g}" if run.chi else "-" for name in names)))
         lines = [discovery_page.summary(self.discovery, self.files), self.sentence, *self.uncompensated]
         lines += aligned(rows)
         if self.folder is not None:
@@ -184,15 +177,11 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         message, remedy = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, remedy))
     given = discovery_inputs.read(twin, settings.record, settings)
-    named = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
+    own = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
     say("running with the model as it is", 0.0)
     before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
     found = discover(
-        twin,
-        given.record,
-        given.validation,
-        named,
-        tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
+        twin, given.record, given.validation, own, tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part)
     )
     # What sticks is stiffer than the samples of a controller.
     law = found.law and replace(found.law, explanation=_creeping(found.law.explanation))
@@ -279,10 +268,3 @@ def _experiment(result: Refinement, folder: Path) -> dict[str, Any]:
         made["controller"]["model"] = result.files.model.relative_to(folder).as_posix()
     source = filter(None, (made.get("source"), result.origin.source(result.discovery).replace("discover", "refine", 1)))
     return {"name": made.pop("name"), "source": "; ".join(source), **made}
-
-
-def _chi(chi: float) -> str:
-    return f"{chi:.2g}"
-
-
-__all__ = ["Refinement", "Run", "assumed", "refine", "refined"]

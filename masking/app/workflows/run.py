@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from masking.app.workflows.output_folders import RUN, beside, check_folder
@@ -11,6 +11,7 @@ from masking.lab.records import stream
 from masking.lab.records.recording import TABLE, Recording
 from masking.lab.runs import error_budget, long_run
 from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.offline import Progress
 from masking.reports import animation, html, run_report
 
 
@@ -22,7 +23,7 @@ def run(
     out: str | Path | None = None,
     overwrite: bool = False,
     budget: bool | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Recording:
     """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
 
@@ -47,10 +48,7 @@ def run(
 
 
 def record(
-    experiment: Experiment,
-    out: str | Path | None,
-    budget: bool | None = None,
-    progress: Callable[[float], None] | None = None,
+    experiment: Experiment, out: str | Path | None, budget: bool | None = None, progress: Progress | None = None
 ) -> Recording:
     """Recording of a run; one that is long goes into its folder while it runs, in which it replaces an earlier one.
 

@@ -24,10 +24,7 @@ _ENTRY = re.compile(r"^ {8}(\w+(?:, \w+)*): (.*(?:\n {12,}.*)*)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a verb, with the text of the docstring.
-
-    `kind` and `default` are as `inspect.Parameter` has them.
-    """
+    """A parameter of a verb and its text in a docstring; `kind` and `default` are as `inspect.Parameter` has them."""
 
     name: str
     kind: Any
@@ -100,10 +97,7 @@ def show(verb: Callable[..., Any], fields: Mapping[str, Parameter], lines: str) 
     """Let the signature and the docstring of a verb have fields in place of its last parameter, `settings`."""
     signature = inspect.signature(verb)
     *first, _ = signature.parameters.values()
-    shown = [
-        inspect.Parameter(field.name, field.kind, default=field.default, annotation=field.type)
-        for field in fields.values()
-    ]
+    shown = [inspect.Parameter(p.name, p.kind, default=p.default, annotation=p.type) for p in fields.values()]
     verb.__signature__ = signature.replace(parameters=[*first, *shown])  # type: ignore[attr-defined]  # for inspect
     before, _, after = (verb.__doc__ or "").partition(_SETTINGS)
     verb.__doc__ = f"{before}{lines}{after[after.find(chr(10)) + 1 :]}"

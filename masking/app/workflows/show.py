@@ -9,7 +9,7 @@ from typing import Any
 
 import sympy as sp
 
-from masking.lab.runs import batch_plan
+from masking.lab.runs import batch_plan, experiment_card
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry, schema
 from masking.model.effects import EFFECTS, Effect, EffectParameter, own
@@ -81,10 +81,8 @@ def model(subject: Model) -> Description:
         in_scales = f"{scaled[name]:.6g}" if name in scaled else ""
         rows.append((name, f"{values[name] / factor:.6g}", "" if p.unit == "1" else p.unit, in_scales, p.meaning))
     lines += _table("parameters" + (" (value, unit, in the scales)" if scaled else ""), rows)
-    scales = subject.units.scale_values(subject.overrides)
-    lines += _table(
-        "scales", [(n, f"{scales[n]:.6g}", subject.units.conversions[s.unit].si) for n, s in d.scales.items()]
-    )
+    scales, sizes = subject.units.scale_values(subject.overrides), subject.units.conversions
+    lines += _table("scales", [(n, f"{scales[n]:.6g}", sizes[s.unit].si) for n, s in d.scales.items()])
     content = {
         **d.canonical(),
         "accelerations": {name: {"text": str(x), "latex": sp.latex(x)} for name, x in equations.items()},
@@ -104,7 +102,9 @@ def effect(subject: Effect) -> Description:
     rows = []
     for name, p in subject.parameters.items():
         taken = "" if p.value is None else f"{p.value:g} where none is given"
-        rows.append((name, p.unit, _range(p), taken or _tried(subject, name), p.meaning))
+        tried = ", ".join(f"{part:g}" for part in p.tried)
+        role = "a factor" if name in subject.factors else f"tried: {tried}" if tried else ""  # of an own effect
+        rows.append((name, p.unit, _range(p), taken or role, p.meaning))
     lines += _table("parameters (unit of the place, usual range)", rows)
     lines += [f"usual causes: {subject.cause}"] if subject.cause else []
     lines += [f"what helps: {subject.remedy}"] if subject.remedy else []
@@ -134,12 +134,6 @@ def _range(parameter: EffectParameter) -> str:
     return f"from {low:g}" if low is not None else f"to {high:g}" if high is not None else ""
 
 
-def _tried(subject: Effect, name: str) -> str:
-    """Role of a parameter of an own effect in a discovery."""
-    tried = ", ".join(f"{part:g}" for part in subject.parameters[name].tried)
-    return "a factor" if name in subject.factors else f"tried: {tried}" if tried else ""
-
-
 def plant(declaration: schema.PlantDeclaration) -> Description:
     """Describe a plant: its model, sensors and limits."""
     d = declaration
@@ -161,14 +155,8 @@ def experiment(subject: Experiment) -> Description:
     d, controller = subject.declaration, subject.law
     rig, virtual, transform = controller.model, controller.virtual, controller.transform
     e, written = rig.equations, virtual.equations.written
-    rate = "in continuous time" if d.controller.rate is None else f"at {d.controller.rate:g} Hz"
-    unit_time = f"{subject.time_scale:.6g} s per unit of virtual time"
-    lines = _head(d)
-    lines += [
-        f"{subject.assembly.plant.name} as {virtual.name}, {rate}, {d.duration:g} units of virtual time",
-        unit_time,
-        "",
-    ]
+    lines = [*_head(d), experiment_card.in_words(subject.assembly)]
+    lines += [f"{subject.time_scale:.6g} s per unit of virtual time", ""]
     known = virtual.equations.definitions  # inputs that are no expressions are polynomials, piece by piece
     series = {known[name]: sp.Symbol(f"{name}(t)") for name, source in d.inputs.items() if source.expression is None}
     wanted = [written(a).subs(series) for a in virtual.equations.accelerations]

@@ -35,23 +35,14 @@ Tell = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Sweep:
-    """The rows of a sweep.
+    """The rows of a sweep."""
 
-    Args:
-        folder: of the results; `rows` in it is one parquet data set.
-        name: of the experiment.
-        columns: of the rows that are done, in order: number, parameters, measures, error.
-        rows: number of all runs of the sweep.
-        sentence: what happened.
-        facts: what varies, and what was measured.
-    """
-
-    folder: Path
-    name: str
-    columns: Columns
-    rows: int
-    sentence: str
-    facts: Mapping[str, Any]
+    folder: Path  # of the results; `rows` in it is one parquet data set
+    name: str  # of the experiment
+    columns: Columns  # of the rows that are done, in order: number, parameters, measures, error
+    rows: int  # number of all runs of the sweep
+    sentence: str  # what happened
+    facts: Mapping[str, Any]  # what varies, and what was measured
 
     def __getitem__(self, name: str) -> Any:  # noqa: ANN401  # an array, or a list of texts or arrays
         """Column."""
@@ -176,10 +167,10 @@ def load_sweep(folder: str | Path) -> Sweep:
     """Load the rows of a sweep that are done.
 
     Args:
-        folder: of its results.
+        folder: of the sweep.
 
     Raises:
-        RecordError: it holds no sweep, or no rows yet.
+        RecordError: the folder holds no sweep, or no rows.
     """
     path = Path(folder)
     facts = _read(path)

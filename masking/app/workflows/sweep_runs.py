@@ -120,17 +120,15 @@ class Plan:
         at = rows % self.chain
         return rows // self.chain * (self.chain // 2) + np.minimum(at, self.chain - 1 - at)
 
-    def _settings(self, row: int) -> list[tuple[Place, float, bool]]:
+    def _row(self, row: int) -> dict[str, Measured]:
         point = self.design.points[self._points(np.array([row], dtype=np.int64))[0]]
-        found = [
+        settings = [
             (where, float(x), axis.is_factor)
             for axis, places, x in zip(self.design.axes, self.places, point, strict=True)
             for where in places
         ]
-        return [*found, (Place((SEED,), None), float(self.seed(row)), False)] if self.has_seeds else found
-
-    def _row(self, row: int) -> dict[str, Measured]:
-        return self._measured(lambda: varied_experiment.varied(self.experiment, self._settings(row)).run())
+        settings += [(Place((SEED,), None), float(self.seed(row)), False)] if self.has_seeds else []
+        return self._measured(lambda: varied_experiment.varied(self.experiment, settings).run())
 
     def _measured(self, run: Callable[[], Recording]) -> dict[str, Measured]:
         """Measures of a run, and why it has none."""
@@ -138,7 +136,8 @@ class Plan:
             recording = run()
             found = run_measures.measure(recording, [one for one in self.measures if isinstance(one, str)])
             own = {one.__name__: float(one(recording)) for one in self.measures if not isinstance(one, str)}
-            kept = self._kept(recording)
+            names = ["t", *(f"virtual.{n}" for n in recording.coordinates)] if self.trajectories else []
+            kept = {name: recording[name] for name in names}
         except MaskingError as error:
             return self._failed(str(error))
         except Exception as error:  # of a function of one's own: a run that fails must not end the others
@@ -150,11 +149,6 @@ class Plan:
         found = {_name(one): run_measures.empty(one) if isinstance(one, str) else np.nan for one in self.measures}
         kept = dict.fromkeys(["t", *(f"virtual.{n}" for n in self.experiment.virtual.coordinates)], np.empty(0))
         return {**found, **(kept if self.trajectories else {}), ERROR: why}
-
-    def _kept(self, recording: Recording) -> dict[str, Measured]:
-        if not self.trajectories:
-            return {}
-        return {"t": recording.t, **{f"virtual.{n}": recording[f"virtual.{n}"] for n in recording.coordinates}}
 
     @cached_property
     def _times(self) -> Array:

@@ -64,11 +64,18 @@ def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int) -> Ite
 
     With one worker, this process makes them. Raises a `MaskingError` where another has ended.
     """
-    if workers == 1:
-        yield from _one_after_the_other(plan, missing)
+    if workers > 1:
+        with _processes(plan, workers) as submit:
+            yield from _together(plan, missing, submit, _AHEAD * workers)
         return
-    with _processes(plan, workers) as submit:
-        yield from _together(plan, missing, submit, _AHEAD * workers)
+    sizes = _Sizes(plan.chain)
+    for first, last in missing:
+        at = first
+        while at < last:
+            one = made(plan, at, min(last, at + sizes.rows))
+            sizes.learn(one[1] - at, one[3])
+            yield one
+            at = one[1]
 
 
 class _Sizes:
@@ -81,17 +88,6 @@ class _Sizes:
         """Take note of a chunk."""
         wanted = min(_MOST, int(_SECONDS / max(seconds / rows, 1e-9)), 4 * self.rows)
         self.rows = max(1, wanted // self.chain) * self.chain
-
-
-def _one_after_the_other(plan: Plan, missing: Sequence[tuple[int, int]]) -> Iterator[Made]:
-    sizes = _Sizes(plan.chain)
-    for first, last in missing:
-        at = first
-        while at < last:
-            one = made(plan, at, min(last, at + sizes.rows))
-            sizes.learn(one[1] - at, one[3])
-            yield one
-            at = one[1]
 
 
 def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ahead: int) -> Iterator[Made]:

@@ -7,6 +7,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
 from types import ModuleType
 from typing import Any
 
@@ -24,10 +25,8 @@ BINARY: dict[type[ast.operator], tuple[int, str, Callable[[Any, Any], Any]]] = {
     ast.FloorDiv: (PRODUCT, "/", operator.floordiv),
     ast.Mod: (PRODUCT, "%", operator.mod),
 }
-SIGNS: dict[type[ast.unaryop], tuple[str, Callable[[Any], Any]]] = {
-    ast.USub: ("-", operator.neg),
-    ast.Not: ("!", operator.not_),
-}
+SIGNS: dict[type[ast.unaryop], tuple[str, Callable[[Any], Any]]]
+SIGNS = {ast.USub: ("-", operator.neg), ast.Not: ("!", operator.not_)}
 COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
     ast.Lt: ("<", operator.lt),
     ast.LtE: ("<=", operator.le),
@@ -100,10 +99,9 @@ class CExpressions:
 
     def value(self, node: ast.expr) -> Value:
         """Expression; raises a `TypeError` if it has no form in C."""
-        rule = self._table.get(type(node))
-        if rule is None:
+        if type(node) not in self._table:
             raise self.refusal(node, "no such expression")
-        return rule(node)
+        return self._table[type(node)](node)
 
     def target(self, node: ast.expr) -> Value:
         """Target of an assignment; the argument that it is part of counts as written."""
@@ -215,10 +213,7 @@ class CExpressions:
             return self._mathematics(node, node.func.attr, given)
         known = self.value(node.func).known
         if known in {min, max}:
-            result = given[0]
-            for one in given[1:]:
-                result = self._extreme(node, known, result, one)
-            return result
+            return reduce(partial(self._extreme, node, known), given)
         if known is abs:
             return Value(REAL, f"fabs{self.suffix}({given[0].text})")
         if is_struct(known):

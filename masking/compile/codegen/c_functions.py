@@ -87,20 +87,15 @@ class CFunctions:
         text = "\n".join(lines)
         arguments, unused = [], []
         for argument, kind in part.types.items():
-            written = argument in targets
-            const = "" if written or kind == "float" else "const "
+            const = "" if argument in targets or kind == "float" else "const "
             arguments.append(f"{const}{self.real} {'' if kind == 'float' else '*'}{argument}")
             if not re.search(rf"\b{argument}\b", text):
                 unused.append(f"(void){argument};")
         returned = self.real if part.returns is not None else "void"
         body = [f"    {line}" for line in (*unused, *lines)]
         head = f"static {returned} {name}({', '.join(arguments)})"
-        return Function(
-            name,
-            (REAL,) if part.returns is not None else (),
-            tuple(argument in targets for argument in part.types),
-            "\n".join([head, "{", *body, "}"]),
-        )
+        written = tuple(argument in targets for argument in part.types)
+        return Function(name, (REAL,) if part.returns is not None else (), written, "\n".join([head, "{", *body, "}"]))
 
 
 def _taken(values: list[Value], kind: Any) -> Value:  # noqa: ANN401

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,10 +43,8 @@ class Translation:
         self.arguments = {value.text: value for argument in named.values() for value in argument.flat}
         self.inner = CExpressions(closure, named, real, call)
         self.values, self.written = self.inner.values, self.inner.written
-        self.counts: dict[str, int] = {}
-        for node in ast.walk(closure.tree):
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                self.counts[node.id] = self.counts.get(node.id, 0) + 1
+        names = (node for node in ast.walk(closure.tree) if isinstance(node, ast.Name))
+        self.counts = Counter(node.id for node in names if isinstance(node.ctx, ast.Store))
 
     def translate(self, name: str) -> Function:
         """Function under a name in C."""
@@ -152,9 +151,8 @@ class Translation:
             self.lines.insert(0, _Line(f"    {self._c_type(given.kind)} {name} = 0;"))
             self._write(f"{name} = {given.text};", depth)
         else:
-            self._write(
-                f"{self._c_type(given.kind)} {name} = {given.text};", depth, name if self.counts[name] == 1 else ""
-            )
+            declares = name if self.counts[name] == 1 else ""
+            self._write(f"{self._c_type(given.kind)} {name} = {given.text};", depth, declares)
 
     def _is_seen_outside(self, name: str) -> bool:
         """Whether a name is used outside of the innermost block that first gives it a value."""

@@ -102,7 +102,6 @@ class _Code:
         self._count, self._open, self._block = 0, list[tuple[str, int]](), "entry"
 
     def add(self, *lines: str) -> None:
-        """Add lines."""
         self.lines += lines
 
     def get(self, line: str) -> str:
@@ -140,7 +139,6 @@ class _Code:
         return self.get(f"getelementptr {VECTOR}, ptr {vectors}, i64 {i}")
 
     def load(self, address: str) -> str:
-        """Vector at an address."""
         return self.get(f"load {VECTOR}, ptr {address}, align {ALIGNED}")
 
     def repeated(self, value: str) -> str:

@@ -131,9 +131,8 @@ class Kernels:
         solve = getattr(self, f"solve_{method or self.meta['method']}")
         lags = self.meta.get("lags", 0)
         if lags and times[-1] < times[0]:
-            raise IntegrationError(
-                "what depends on the past by a delay is integrated forwards only: let times increase"
-            )
+            message = "what depends on the past by a delay is integrated forwards only: let times increase"
+            raise IntegrationError(message)
         jumps = Jumps(self, times, state, parameters) if self.meta.get("events") else None
         y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
         out = np.empty((len(times), len(state) + lags))

@@ -11,7 +11,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial, partialmethod
+from functools import partial, partialmethod, reduce
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
@@ -40,7 +40,6 @@ class Graph:
     operations: list[tuple[str | float | int, ...]] = field(default_factory=list)
     varying: list[bool] = field(default_factory=list)
     _index: dict[tuple[str | float | int, ...], Node] = field(default_factory=dict)
-    _varying_symbols: set[str] = field(default_factory=set)
 
     def symbol(self, name: str, *, varying: bool) -> Node:
         """Node of a symbol; `name` is the text that stands for it in printed code."""
@@ -75,10 +74,7 @@ class Graph:
 
     def total(self, terms: Sequence[Node]) -> Node:
         """Sum of nodes; zero for none."""
-        result = self.number(0.0)
-        for term in terms:
-            result = self.add(result, term)
-        return result
+        return reduce(self.add, terms, self.number(0.0))
 
     def lower(self, expression: sp.Expr, symbols: Mapping[sp.Symbol, Node]) -> Node:
         """Node of a sympy expression, given nodes of its symbols; a `ModelError` names what cannot be compiled."""
@@ -192,37 +188,28 @@ class _Lowering:
 
     def _new(self, expression: sp.Expr) -> Node:
         if expression.is_number:
-            return self._number(expression)
+            try:
+                return self.graph.number(float(expression))
+            except TypeError:
+                raise ModelError(f"the equations contain the constant {expression}; constants must be real") from None
         rule = self.table.get(expression.func)
         if rule is None:
             what = f"the symbol {expression}" if expression.is_Symbol else f"the function {expression.func.__name__}"
             raise ModelError(f"{what} has no compiled form")
         return rule(expression)
 
-    def _number(self, expression: sp.Expr) -> Node:
-        try:
-            return self.graph.number(float(expression))
-        except TypeError:
-            raise ModelError(f"the equations contain the constant {expression}; constants must be real") from None
-
     def _call(self, name: str, expression: sp.Expr) -> Node:
         return self.graph.apply(name, *(self.node(a) for a in expression.args))
 
     def _fold(self, name: str, arguments: Sequence[sp.Expr]) -> Node:
-        result = self.node(arguments[0])
-        for argument in arguments[1:]:
-            result = self.graph.apply(name, result, self.node(argument))
-        return result
+        return reduce(partial(self.graph.apply, name), map(self.node, arguments))
 
     def _sum(self, expression: sp.Expr) -> Node:
         # Terms that do not vary are added first, so that they are computed once outside a loop.
         plus = [self.node(a) for a in expression.args if not a.could_extract_minus_sign()]
         minus = [self.node(-a) for a in expression.args if a.could_extract_minus_sign()]
         plus.sort(key=lambda n: (self.graph.varying[n], n))
-        result = self.graph.total(plus)
-        for term in minus:
-            result = self.graph.sub(result, term)
-        return result
+        return reduce(self.graph.sub, minus, self.graph.total(plus))
 
     def _product(self, expression: sp.Expr) -> Node:
         if expression.could_extract_minus_sign():
@@ -239,10 +226,8 @@ class _Lowering:
 
     def _multiply(self, factors: list[Node]) -> Node:
         # Factors that do not vary are multiplied first, so that they are computed once outside a loop.
-        result = self.graph.number(1.0)
-        for factor in sorted(factors, key=lambda n: (self.graph.varying[n], n)):
-            result = self.graph.mul(result, factor)
-        return result
+        ordered = sorted(factors, key=lambda n: (self.graph.varying[n], n))
+        return reduce(self.graph.mul, ordered, self.graph.number(1.0))
 
     def _power(self, expression: sp.Expr) -> Node:
         base, exponent = expression.args

@@ -57,9 +57,8 @@ def template(module: Module, name: str) -> Template:
     arguments.pop("return", None)
     printer.structs |= {structs.definition(kind) for kind in arguments.values() if not isinstance(kind, str)}
     interface = machine_code.interface(name, arguments, module.meta["functions"][name]["results"])
-    sizes = [
-        f'size_{i} = numba.types.ExternalFunction("{size_symbol(i)}", numba.i8())' for i in range(len(printer.sizes))
-    ]
+    symbols = [size_symbol(i) for i in range(len(printer.sizes))]
+    sizes = [f'size_{i} = numba.types.ExternalFunction("{one}", numba.i8())' for i, one in enumerate(symbols)]
     header = HEADER + "".join(f"{line}\n" for line in sorted(printer.imports))
     text = "\n\n".join([header, "\n".join([*sorted(printer.structs), *sizes]), *printer.texts, interface]) + "\n"
     content = digest(versions(), text, *(source_of(line.split()[1]) for line in sorted(printer.imports)))
@@ -100,7 +99,6 @@ class _Printer:
         return self.names[callee]
 
     def size(self, value: int) -> str:
-        """Text that stands for a whole number."""
         self.sizes.append(value)
         return f"size_{len(self.sizes) - 1}()"
 

@@ -143,9 +143,8 @@ class _Elimination(Generic[X]):
             self.fixed[other].discard(column)
             for j in sorted(pivots.keys() - {column}):
                 self._set(other, j, a.sub(changed.get(j, a.number(0.0)), a.mul(factor, pivots[j])))
-            self.sides[other] = [
-                a.sub(x, a.mul(factor, y)) for x, y in zip(self.sides[other], self.sides[row], strict=True)
-            ]
+            sides = zip(self.sides[other], self.sides[row], strict=True)
+            self.sides[other] = [a.sub(x, a.mul(factor, y)) for x, y in sides]
         self.rows_of[column] = set()
         self.steps.append((row, column))
 

@@ -99,11 +99,9 @@ def choice(
 def entry(symbol: str, called: str, types: Mapping[str, str], *, returns: bool) -> str:
     """Definition of a C interface, which writes what a function returns through its last argument."""
     given = ", ".join(part.replace(" noalias", "") for part in parameters(types))
-    call = (
-        [f"%.value = call double @{called}({given})", "store double %.value, ptr %.found"]
-        if returns
-        else [f"call void @{called}({given})"]
-    )
+    call = [f"call void @{called}({given})"]
+    if returns:
+        call = [f"%.value = call double @{called}({given})", "store double %.value, ptr %.found"]
     return defined(f"void @{symbol}({', '.join([*parameters(types), 'ptr noalias %.found'])})", [*call, "ret void"])
 
 
@@ -160,12 +158,10 @@ class _Body:
         self.store((target, self.values[node]) for target, node in results)
 
     def store(self, values: Iterable[tuple[str, str]]) -> None:
-        """Write values into elements of arrays."""
         for target, value in values:
             self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
 
     def definition(self, symbol: str, kind: str) -> str:
-        """Definition of the function, which returns what is of a kind."""
         return defined(f"{kind} @{symbol}({', '.join(parameters(self.types))})", self.lines)
 
     def new(self, text: str) -> str:
@@ -194,7 +190,6 @@ class _Body:
         return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
 
     def apply(self, name: str, given: Sequence[str]) -> str:
-        """Value of an operation."""
         x, zero, one = given[0], self.number(0.0), self.number(1.0)
         match name:
             case "add" | "sub" | "mul" | "div":

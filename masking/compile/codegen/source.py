@@ -259,8 +259,5 @@ def _read(signature: str) -> tuple[str, dict[str, str]]:
 def reads(graph: Graph, nodes: Sequence[Node], loads: Mapping[str, str], language: Language) -> list[str]:
     """Statements that read the symbols which nodes use, each by the text that `loads` has for it."""
     used = {str(graph.operations[n][1]) for n in needed(graph, nodes) if graph.operations[n][0] == "symbol"}
-    return [
-        f"{language.declare}{symbol} = {text}{language.end}"
-        for symbol, text in loads.items()
-        if symbol in used and symbol != text
-    ]
+    read = [(symbol, text) for symbol, text in loads.items() if symbol in used and symbol != text]
+    return [f"{language.declare}{symbol} = {text}{language.end}" for symbol, text in read]

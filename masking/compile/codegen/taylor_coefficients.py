@@ -57,11 +57,8 @@ def degree(graph: Graph, nodes: Sequence[Node]) -> int:
 
 def cost(graph: Graph, nodes: Sequence[Node]) -> int:
     """Number of products of series that one order of `nodes` takes."""
-    return sum(
-        1
-        for n in needed(graph, nodes)
-        if graph.varying[n] and graph.operations[n][0] not in {*LINEAR, "symbol"} and not _is_scaling(graph, n)
-    )
+    varying = (n for n in needed(graph, nodes) if graph.varying[n])
+    return sum(graph.operations[n][0] not in {*LINEAR, "symbol"} and not _is_scaling(graph, n) for n in varying)
 
 
 def coefficients(
@@ -135,7 +132,7 @@ class _Series:
             "pow": self._pow,
             "sqrt": lambda n, k, x: self._root(self.a[n], self.at(x, k), k),
             "exp": lambda n, k, x: self._integral(k, x, self.a[n]),
-            "log": lambda n, k, x: graph.div(self._less_weighted(self.at(x, k), self.a[n], x, k), self.at(x, 0)),
+            "log": self._log,
             **dict.fromkeys(("sin", "sinh", "cosh", "tan", "tanh"), lambda n, k, x: self._integral(k, x, self.b[n])),
             "cos": lambda n, k, x: graph.apply("neg", self._integral(k, x, self.b[n])),
             "atan": lambda n, k, x: self._inverse(n, k, self.at(x, k)),
@@ -216,9 +213,10 @@ class _Series:
         rest = self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
         return self.graph.div(self.graph.sub(numerator, rest), self.b[node][0])
 
-    def _less_weighted(self, first: Node, series: list[Node], x: Node, k: int) -> Node:
-        terms = [self._weighted(i, series[i], self.at(x, k - i)) for i in range(1, k)]
-        return self.graph.sub(first, self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k)))
+    def _log(self, node: Node, k: int, x: Node) -> Node:
+        terms = [self._weighted(i, self.a[node][i], self.at(x, k - i)) for i in range(1, k)]
+        rest = self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
+        return self.graph.div(self.graph.sub(self.at(x, k), rest), self.at(x, 0))
 
     def _integral(self, k: int, x: Node, series: list[Node]) -> Node:
         """(1/k) sum_(0<i<=k) i x_i b_(k-i), the k-th coefficient of the integral of x' b."""

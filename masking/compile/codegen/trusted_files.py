@@ -38,7 +38,8 @@ def keep(target: Path, content: bytes) -> None:
             where = f"they are kept in {other.parents[1]} until this process ends"
         except OSError:
             where = "they are made anew in each process"
-        notice("kept", f"generated files cannot be kept in {target.parents[1]} ({_reason(error)}): {where}")
+        reason = str(error) if isinstance(error, UntrustedError) or not error.strerror else error.strerror
+        notice("kept", f"generated files cannot be kept in {target.parents[1]} ({reason}): {where}")
 
 
 def find(source: Path) -> bytes | None:
@@ -69,7 +70,12 @@ def write_whole(target: Path, content: bytes) -> None:
 def write_sealed(target: Path, content: bytes) -> None:
     """Write a file behind a checksum of its name and content; an `OSError` says that the folder is not this user's."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    _check_folder(target.parent)
+    if os.name == "posix":
+        held = target.parent.stat()
+        if held.st_uid == os.geteuid() and held.st_mode & _OTHERS:  # this user's folder is closed to the others
+            target.parent.chmod(stat.S_IMODE(held.st_mode) & ~_OTHERS)
+            held = target.parent.stat()
+        _check(held, "the folder")
     write_whole(target, _seal(target, content) + content)
 
 
@@ -112,25 +118,11 @@ def _read(source: Path) -> bytes:
         return stream.read(LARGEST)
 
 
-def _check_folder(folder: Path) -> None:
-    """Close a folder of this user's to the others; refuse one that is not this user's."""
-    if os.name == "posix":
-        held = folder.stat()
-        if held.st_uid == os.geteuid() and held.st_mode & _OTHERS:
-            folder.chmod(stat.S_IMODE(held.st_mode) & ~_OTHERS)
-            held = folder.stat()
-        _check(held, "the folder")
-
-
 def _check(held: os.stat_result, what: str) -> None:
     if held.st_uid != os.geteuid():
         raise UntrustedError(f"{what} belongs to another user")
     if held.st_mode & _OTHERS:
         raise UntrustedError(f"other users may write {'it' if what == 'it' else 'into ' + what}")
-
-
-def _reason(error: OSError) -> str:
-    return str(error) if isinstance(error, UntrustedError) or not error.strerror else error.strerror
 
 
 def _seal(path: Path, content: bytes) -> bytes:

@@ -27,21 +27,19 @@ def decomposed() -> Iterator[None]:
 def svd(matrix: Array) -> tuple[Array, Array, Array]:
     """Singular values: u (m, k), s (k,), v (k, n) of a matrix (m, n), k = min(m, n); fails as `decomposed` says."""
     with decomposed():
-        u, s, v = np.linalg.svd(_finite(matrix), full_matrices=False)
-    return u, s, v
+        return np.linalg.svd(np.asarray_chkfinite(matrix), full_matrices=False)
 
 
 def eigenvalues(matrix: Array) -> Complex:
     """Eigenvalues (n,) of a matrix (n, n); fails as `decomposed` says."""
     with decomposed():
-        return np.asarray(np.linalg.eigvals(_finite(matrix)), dtype=np.complex128)
+        return np.asarray(np.linalg.eigvals(np.asarray_chkfinite(matrix)), dtype=np.complex128)
 
 
 def symmetric(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues (n,), rising, and eigenvectors (n, n) of a symmetric matrix (n, n); fails as `decomposed` says."""
     with decomposed():
-        values, vectors = np.linalg.eigh(_finite(matrix))
-    return values, vectors
+        return np.linalg.eigh(np.asarray_chkfinite(matrix))
 
 
 def inverse(matrix: Array, rcond: float | None = None, *, hermitian: bool = False) -> Array:
@@ -51,8 +49,8 @@ def inverse(matrix: Array, rcond: float | None = None, *, hermitian: bool = Fals
     """
     with decomposed():
         if rcond is None:
-            return np.asarray(np.linalg.pinv(_finite(matrix), hermitian=hermitian))
-        return np.asarray(np.linalg.pinv(_finite(matrix), rcond=rcond, hermitian=hermitian))
+            return np.asarray(np.linalg.pinv(np.asarray_chkfinite(matrix), hermitian=hermitian))
+        return np.asarray(np.linalg.pinv(np.asarray_chkfinite(matrix), rcond=rcond, hermitian=hermitian))
 
 
 def least_squares(matrix: Array, right: Array, rcond: float | None = None) -> Array:
@@ -61,8 +59,5 @@ def least_squares(matrix: Array, right: Array, rcond: float | None = None) -> Ar
     Singular values below the part `rcond` of the largest are taken as 0; by default those that rounding makes.
     """
     with decomposed():
-        return np.asarray(np.linalg.lstsq(_finite(matrix), _finite(right), rcond=rcond)[0])
-
-
-def _finite(matrix: Array) -> Array:
-    return np.asarray_chkfinite(matrix)
+        matrix, right = np.asarray_chkfinite(matrix), np.asarray_chkfinite(right)
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=rcond)[0])

@@ -50,25 +50,18 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     patience = max(1, math.ceil(watchdog * sampled.rate - 1e-9))
     operations.add("watch", WATCH, "commands counters", unit_kernels.watchdog, a, patience, returns_status=True)
     sensors = [Channel(n, s.unit, f"measures {s.measures.text}") for n, s in known.plant.sensors.items()]
+    ports = {"readings": tuple(sensors), "commands": tuple(Channel(n, known.unit(n)) for n in known.actuators)}
+    constants |= {"gain": sampled.gain, "limits": sampled.limits}
+    title = f"{known.plant.name}, masked as {sampled.controller.virtual.name}: sampled controller"
+    notes = (
+        f"The first step is sample {-sampled.before}; at sample 0 the rig is released.",
+        f"Commands are within the limits; the watchdog allows {patience} periods without a step.",
+    )
     names = [*known.model.coordinates, *(f"{c}'" for c in known.model.coordinates), *known.model.declaration.states]
     names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
-    return Unit(
-        identifier(name),
-        f"{known.plant.name}, masked as {sampled.controller.virtual.name}: sampled controller",
-        "controller",
-        module,
-        {"readings": tuple(sensors), "commands": tuple(Channel(n, known.unit(n)) for n in known.actuators)},
-        memory,
-        unit_kernels.COUNTERS,
-        constants | {"gain": sampled.gain, "limits": sampled.limits},
-        operations,
-        period,
-        (
-            f"The first step is sample {-sampled.before}; at sample 0 the rig is released.",
-            f"Commands are within the limits; the watchdog allows {patience} periods without a step.",
-        ),
-        tuple(Channel(n, "SI", "estimate") for n in names),
-    )
+    states = tuple(Channel(n, "SI", "estimate") for n in names)
+    made_of = (module, ports, memory, constants, operations)
+    return Unit(identifier(name), title, "controller", *made_of, period, notes, states)
 
 
 def _begin(sampled: SampledController, operations: Operations) -> dict[str, Array]:
@@ -112,19 +105,8 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
         notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")
     if controller.virtual.declaration.events:
         notes.append("At the events of the virtual system, the caller makes them jump.")
-    return Unit(
-        identifier(name),
-        f"{model.name}, masked as {controller.virtual.name}: control law of the states",
-        "law",
-        module,
-        {
-            "readings": tuple(Channel(n, "SI", "state") for n in names),
-            "commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs),
-        },
-        {"p": values.shape, "first": (1,)},
-        unit_kernels.COUNTERS,
-        {"values": values},
-        operations,
-        None if rate is None else 1.0 / rate,
-        tuple(notes),
-    )
+    title = f"{model.name}, masked as {controller.virtual.name}: control law of the states"
+    ports = {"readings": tuple(Channel(n, "SI", "state") for n in names)}
+    ports |= {"commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs)}
+    made_of = (module, ports, {"p": values.shape, "first": (1,)}, {"values": values}, operations)
+    return Unit(identifier(name), title, "law", *made_of, None if rate is None else 1.0 / rate, tuple(notes))

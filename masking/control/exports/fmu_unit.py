@@ -144,7 +144,15 @@ def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str
     listed = SubElement(root, "ModelVariables")
     for variable in found:
         _variable(listed, variable, version)
-    _structure(SubElement(root, "ModelStructure"), found, version)
+    structure = SubElement(root, "ModelStructure")
+    places = [(i, v.reference) for i, v in enumerate(found, 1) if v.causality == "output"]
+    for name in ("Output", "InitialUnknown"):
+        listed = SubElement(structure, f"{name}s") if version == 2 else structure
+        for place, reference in places:
+            if version == 2:
+                SubElement(listed, "Unknown", {"index": str(place)})
+            else:
+                SubElement(listed, name, {"valueReference": str(reference)})
     return root
 
 
@@ -159,17 +167,6 @@ def _variable(parent: Element, variable: Variable, version: int) -> None:
         SubElement(SubElement(parent, "ScalarVariable", attributes), "Real", value)
     else:
         SubElement(parent, "Float64", attributes | value)
-
-
-def _structure(parent: Element, found: tuple[Variable, ...], version: int) -> None:
-    places = [(i, v.reference) for i, v in enumerate(found, 1) if v.causality == "output"]
-    for name in ("Output", "InitialUnknown"):
-        listed = SubElement(parent, f"{name}s") if version == 2 else parent
-        for place, reference in places:
-            if version == 2:
-                SubElement(listed, "Unknown", {"index": str(place)})
-            else:
-                SubElement(listed, name, {"valueReference": str(reference)})
 
 
 def _build(unit: Unit, sources: Mapping[str, str]) -> Element:

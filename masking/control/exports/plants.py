@@ -33,24 +33,16 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     arguments = "commands y p queue acting work counters late"
     operations.add("step", "Move by one period under commands.", arguments, *step)
     sensors, units = twin.declaration.sensors, twin.declaration.actuators or twin.base.inputs
-    return Unit(
-        identifier(name),
-        f"{twin.declaration.name}: simulated rig",
-        "plant",
-        module,
-        {
-            "commands": tuple(Channel(n, units[n].unit) for n in twin.actuators),
-            "noise": tuple(Channel(f"noise_{n}", "1", "sample of mean 0 and deviation 1") for n in sensors),
-            "readings": tuple(Channel(n, s.unit, f"measures {s.measures.text}") for n, s in sensors.items()),
-        },
-        {"y": state.shape, "p": values.shape, "queue": (rows, a), "acting": (a,), "work": (5, len(state))},
-        unit_kernels.COUNTERS,
-        {"state0": state, "values": values, "late": late},
-        operations,
-        period,
-        (f"A period has {substeps} steps of the classical Runge-Kutta method.",),
-        tuple(Channel(n, "SI") for n in twin.state_names),
-    )
+    ports = {
+        "commands": tuple(Channel(n, units[n].unit) for n in twin.actuators),
+        "noise": tuple(Channel(f"noise_{n}", "1", "sample of mean 0 and deviation 1") for n in sensors),
+        "readings": tuple(Channel(n, s.unit, f"measures {s.measures.text}") for n, s in sensors.items()),
+    }
+    memory = {"y": state.shape, "p": values.shape, "queue": (rows, a), "acting": (a,), "work": (5, len(state))}
+    made_of = (module, ports, memory, {"state0": state, "values": values, "late": late}, operations)
+    notes = (f"A period has {substeps} steps of the classical Runge-Kutta method.",)
+    states = tuple(Channel(n, "SI") for n in twin.state_names)
+    return Unit(identifier(name), f"{twin.declaration.name}: simulated rig", "plant", *made_of, period, notes, states)
 
 
 def model_unit(model: Model, name: str, rate: float) -> Unit:
@@ -79,17 +71,9 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     operations.add("step", "Move by one period under inputs that are held.", "inputs y p work counters", *step)
     units = "scales" if model.is_dimensionless else "SI"
     outputs = [Channel(o, units) for o in d.outputs] or [Channel(c, units) for c in names]
-    return Unit(
-        identifier(name),
-        f"{model.name}: model",
-        "model",
-        module,
-        {"inputs": tuple(Channel(i, x.unit) for i, x in d.inputs.items()), "readings": tuple(outputs)},
-        {"y": state.shape, "p": values.shape, "work": (5, size)},
-        unit_kernels.COUNTERS,
-        {"state0": state, "values": values},
-        operations,
-        period,
-        (f"A period has {substeps} step{'s' * (substeps != 1)} of the classical Runge-Kutta method.",),
-        tuple(Channel(c, units) for c in names) if d.outputs else (),
-    )
+    ports = {"inputs": tuple(Channel(i, x.unit) for i, x in d.inputs.items()), "readings": tuple(outputs)}
+    memory = {"y": state.shape, "p": values.shape, "work": (5, size)}
+    made_of = (module, ports, memory, {"state0": state, "values": values}, operations)
+    notes = (f"A period has {substeps} step{'s' * (substeps != 1)} of the classical Runge-Kutta method.",)
+    states = tuple(Channel(c, units) for c in names) if d.outputs else ()
+    return Unit(identifier(name), f"{model.name}: model", "model", *made_of, period, notes, states)

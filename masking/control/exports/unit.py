@@ -41,7 +41,6 @@ class Unit:
     module: Module  # holds each operation's kernel as `unit_` and its name
     ports: Mapping[str, tuple[Channel, ...]]  # channels by the name of the argument that they are
     memory: Mapping[str, tuple[int, ...]]  # shape of each array that evolves
-    counters: int  # length of the array of whole numbers
     constants: Mapping[str, Array]  # arrays that stay
     operations: Mapping[str, Operation]  # by name; `init` begins, `step` is called once a period
     period: float | None  # seconds, or units of a model's time, between steps; None where the caller gives the time

@@ -138,20 +138,16 @@ class Twin:
         places = {"element": self.base.elements, "sensor": self.sensors, "actuator": self.actuators}
         allowed = [str(place) for place in places.get(known.where, ())]
         given = {**use.parameters, **change.parameters}
-        problems += self._check(path, known, use, given, allowed)
+        problems += self._check(name, known, given, allowed)
         enabled = use.enabled if change.enabled is None else change.enabled
         for at in use.at or ("",):
             label = f"{name}_{at}" if len(use.at) > 1 else name
             yield PlacedEffect(label, use.effect, known, at, given, enabled, path)
 
     def _check(
-        self,
-        path: str,
-        known: Effect,
-        use: schema.EffectUse,
-        given: Mapping[str, float | Expression],
-        allowed: list[str],
+        self, effect: str, known: Effect, given: Mapping[str, float | Expression], allowed: list[str]
     ) -> Iterator[Problem]:
+        use, path = self.declaration.effects[effect], f"effects.{effect}"
         place = self.declaration.key_place(path)
         if known.where == "loop" and use.at:
             yield Problem(place, path, f"the effect {use.effect} sits in the loop, not at {', '.join(use.at)}")

@@ -82,10 +82,8 @@ class EffectInstance:
 
     def with_values(self, at: Sequence[int], values: Iterable[float]) -> EffectInstance:
         """Instance with other values of some of its parameters."""
-        made = list(self.values)
-        for i, value in zip(at, values, strict=True):
-            made[i] = float(value)
-        return replace(self, values=tuple(made))
+        made = dict(enumerate(self.values)) | dict(zip(at, map(float, values), strict=True))
+        return replace(self, values=tuple(made.values()))
 
     def with_free_times(self, factor: float) -> EffectInstance:
         """Instance with its estimated parameters multiplied."""
@@ -100,9 +98,8 @@ class EffectInstance:
         """Instance with the parameters that follow the step of integration in s, where it has such."""
         rules = self.entry.by_step
         known = {"mobility": mobility, "step": step}
-        return self.with_values(
-            self.entry.indices(tuple(rules)), (Expression(text).evaluate(known) for text in rules.values())
-        )
+        values = (Expression(text).evaluate(known) for text in rules.values())
+        return self.with_values(self.entry.indices(tuple(rules)), values)
 
     @property
     def creeping(self) -> EffectInstance:
@@ -339,9 +336,8 @@ class AugmentedModel:
     def sizes(self) -> PortSizes:
         """Sizes of the rig with ports, as kernels read them."""
         twin = self._opened[0]
-        return PortSizes(
-            len(twin.state_names), len(self.coordinates), len(twin.sensors), *self._ports, twin.is_fed, MOST_STATES
-        )
+        counts = len(twin.state_names), len(self.coordinates), len(twin.sensors)
+        return PortSizes(*counts, *self._ports, twin.is_fed, MOST_STATES)
 
     @cached_property
     def mobilities(self) -> dict[str, float]:

@@ -121,8 +121,7 @@ class _Known:
 
     def form(self, terms: tuple[Atom, ...], values: Sequence[Sequence[float]]) -> Form:
         factors, left = self.solved(terms, values)
-        many = len(terms) + sum(map(len, values))
-        cost = float(left @ left) + self.penalty * many
+        cost = float(left @ left) + self.penalty * (len(terms) + sum(map(len, values)))
         return Form(terms, tuple(map(tuple, values)), tuple(map(float, factors)), cost)
 
     def sharpened(self, form: Form) -> Form:
@@ -146,11 +145,8 @@ def forms(law: FreeLaw, readings: int) -> list[Form]:
     known, place = _Known(law, float(np.log(readings))), law.place
     if not np.isfinite(known.spread).all():
         return []
-    every = [
-        (atom, values)
-        for atom in atoms(place.element.displacement is not None, place.has_rate)
-        for values in atom.starts()
-    ]
+    tried = atoms(place.element.displacement is not None, place.has_rate)
+    every = [(atom, values) for atom in tried for values in atom.starts()]
     columns = np.column_stack([known.column(atom, values) for atom, values in every])
     usable: Array = np.asarray(np.isfinite(columns).all(axis=0))
     every = [one for one, is_usable in zip(every, usable, strict=True) if is_usable]
@@ -295,9 +291,7 @@ class ClosedForm:
             "written": is_written,
             "expression": one.entry.expression,
             "parameters": dict(zip(one.entry.parameters, one.values, strict=True)),
-            "terms": [
-                {"shape": atom.name, "factor": factor, "numbers": [*values]} for atom, values, factor in self.terms
-            ],
+            "terms": [{"shape": a.name, "factor": factor, "numbers": [*values]} for a, values, factor in self.terms],
         }
 
 

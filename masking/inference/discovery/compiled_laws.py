@@ -45,7 +45,6 @@ _EVEN = {"x0": effects.EffectParameter("D", "middle"), "w": effects.EffectParame
 _ALONG = {"v0": effects.EffectParameter("D/s", "middle"), "wv": effects.EffectParameter("D/s", "width")}
 _TURN = {"vs": effects.EffectParameter("D/s", "rate at which a sign has 76 % of its size")}
 
-
 MOST_PIECES = 4  # of a sample, in which the state of a law is integrated along a motion
 FINE = 16.0  # pieces in the time in which a motion turns by one radian: its forces are then right to 1 %
 
@@ -61,10 +60,8 @@ def pieces(x: Array, rate: Array, dt: float) -> int:
 
 def _spline(x: str) -> str:
     """Cubic B-spline on five knots, a divided difference of truncated cubes."""
-    parts = []
-    for i in range(5):
-        apart = "*".join(f"(t{i} - t{j})" for j in range(5) if j != i)
-        parts.append(f"max({x} - t{i}, 0)**3/({apart})")
+    apart = ["*".join(f"(t{i} - t{j})" for j in range(5) if j != i) for i in range(5)]
+    parts = [f"max({x} - t{i}, 0)**3/({those})" for i, those in enumerate(apart)]
     return f"(t4 - t0)*({' + '.join(parts)})"
 
 
@@ -119,10 +116,8 @@ def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
     found = {
         name: effect
         for name, effect in dictionary.items()
-        if effect.expression
-        and effect.where in SUBJECTS
-        and len(effect.states) <= MOST_STATES
-        and len(effect.parameters) <= MOST_PARAMETERS
+        if effect.expression and effect.where in SUBJECTS
+        if len(effect.states) <= MOST_STATES and len(effect.parameters) <= MOST_PARAMETERS
     }
     rates = {name: replace(e, expression=e.takes_rate) for name, e in found.items() if e.takes_rate}
     return {**found, **{rate_of(name): effect for name, effect in rates.items()}, **ALL_TAKEN}

@@ -43,7 +43,4 @@ def _kind(effect: Effect) -> str:
     """Variables that the force of an element follows; '' for neither displacement nor rate."""
     if effect.where != "element" or effect.absorbed_by:
         return ""
-    if effect.states:
-        return "memory"
-    names = Expression(effect.expression).symbols & {"d", "d_rate"}
-    return " and ".join(sorted(names))
+    return "memory" if effect.states else " and ".join(sorted(Expression(effect.expression).symbols & {"d", "d_rate"}))

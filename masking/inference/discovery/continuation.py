@@ -48,8 +48,7 @@ def loses_phase(problem: EstimationProblem, residuals: Array) -> bool:
     readings = problem.record.readings - problem.record.readings.mean(axis=0)
     bounds = len(readings) * np.arange(min(PARTS, len(readings))) // min(PARTS, len(readings))
     squares, errors = (np.add.reduceat(table**2, bounds, axis=0) for table in (readings, residuals))
-    counts = np.diff(np.append(bounds, len(readings)))[:, None]
-    is_seen = squares > counts * (SEEN * problem.sigma) ** 2
+    is_seen = squares > np.diff(np.append(bounds, len(readings)))[:, None] * (SEEN * problem.sigma) ** 2
     return bool((is_seen & (errors > problem.rules.phase_loss**2 * squares)).any())
 
 

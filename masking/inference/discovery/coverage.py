@@ -44,9 +44,8 @@ class Coverage(Result):
         """Coverage of a motion: displacement, rate, and force of the law there with its standard deviation (m,)."""
         size = max(float(np.sqrt((force**2).mean())), 1e-300)
         every = (("d", "displacement", x), ("v", "speed", np.abs(rate)))
-        parts = [
-            part for side, name, values in every if side in sides for part in _parts(name, values, deviation / size)
-        ]
+        seen = [(name, values) for side, name, values in every if side in sides]
+        parts = [part for name, values in seen for part in _parts(name, values, deviation / size)]
         ends = [(float(values.min()), float(values.max())) for values in (x, rate)]
         visited = _visited(x, rate) if len({*sides} & {"d", "v"}) > 1 else 1.0
         band = 2.0 * float(np.sqrt((deviation**2).mean())) / size
@@ -58,12 +57,8 @@ def _parts(of: str, values: Array, relative: Array) -> list[Widest]:
     edges = np.linspace(float(values.min()), float(values.max()), BINS + 1)
     at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
     ends = {BINS - 1} if of == "speed" else {0, BINS - 1}
-    return [
-        Widest(
-            of, float(edges[i]), float(edges[i + 1]), 2.0 * float(np.sqrt((relative[at == i] ** 2).mean())), i in ends
-        )
-        for i in np.unique(at).tolist()
-    ]
+    bands = {i: 2.0 * float(np.sqrt((relative[at == i] ** 2).mean())) for i in np.unique(at).tolist()}
+    return [Widest(of, float(edges[i]), float(edges[i + 1]), band, i in ends) for i, band in bands.items()]
 
 
 def _visited(x: Array, rate: Array) -> float:

@@ -81,6 +81,11 @@ class SimulationError(Result):
     fitted_alone: dict[str, float] | None = None
     json_names = ("estimation", "validation", "fitted_alone", "noise_floor", "validation_noise_floor")
 
+    @property
+    def over_noise(self) -> float:
+        """Largest error of a sensor in the validation record, over its noise floor there."""
+        return max(error / max(self.validation_noise_floor[n], 1e-300) for n, error in self.validation.after.items())
+
     def is_noise(self, readings: int, rules: DecisionRules) -> bool:
         """Whether each sensor is at the noise floor in the validation record, with its number of readings."""
         return at_noise_floor(self.validation[1].values(), self.validation_noise_floor.values(), readings, rules)
@@ -119,10 +124,9 @@ class Discovery(Explained):
         return f"<Discovery: {self.verdict}{f', {causes}' if causes else ''}; error on unseen data: {errors}>"
 
     def _repr_html_(self) -> str:
-        found = [*self.effects, *([self.unnamed] if self.unnamed else [])]
         causes = [
             (one.name.replace("_", " "), one.on, symbols.markup(name), *(f"{x:.4g}" for x in (*pair, one.probability)))
-            for one in found
+            for one in (*self.effects, *([self.unnamed] if self.unnamed else []))
             for name, pair in one.parameters.items()
         ]
         three = (*self.simulation_error.validation, self.simulation_error.validation_noise_floor)
@@ -149,8 +153,7 @@ class Discovery(Explained):
         """Small errors of sensors and actuators that were adjusted with the parameters of the model."""
         rig = self.written_rig
         first, known = len(rig.names), rig.imperfect(self.written.hypothesis.theta)
-        stds = map(float, self.written_deviations[first:])
-        pairs = zip(known, stds, strict=False)
+        pairs = zip(known, map(float, self.written_deviations[first:]), strict=False)
         return [Named(one.effect, one.at, {one.names[0]: Estimate(one.estimated[0], std)}, 1.0) for one, std in pairs]
 
     @property
@@ -166,8 +169,7 @@ class Discovery(Explained):
     @cached_property
     def as_written(self) -> Discovery:
         """Discovery with what is written as its explanation: the law without a name where there is one."""
-        law = self.law
-        if law is None:
+        if (law := self.law) is None:
             return self
         explanation = replace(law.explanation, hypothesis=law.simulated)
         return replace(self, problem=law.known, explanation=explanation, validation=law.problem, after=law.validated)
@@ -210,10 +212,8 @@ class Discovery(Explained):
         """Where the model error is: its coordinates, places, displacements, rates, times and sides."""
         before = whiteness_of(self.validation, self.adjusted.residuals)
         after = whiteness_of(self.validation, self.unseen.residuals)
-        has_finding = self.effects or self.law
-        pairs = {
-            name: ResidualWhiteness(before[name], after[name] if has_finding else None) for name in self.twin.sensors
-        }
+        causes = self.effects or self.law
+        pairs = {n: ResidualWhiteness(before[n], after[n] if causes else None) for n in self.twin.sensors}
         return localise(self.as_written, pairs, [place.name for place in self.rig.places])
 
     @property
@@ -236,9 +236,8 @@ class Discovery(Explained):
         """Whether something is missing that shows in the validation record alone."""
         after, floor = self.simulation_error.estimation[1].values(), self.simulation_error.noise_floor.values()
         is_seen = not at_noise_floor(after, floor, len(self.record), self.problem.rules)
-        return (
-            self.verdict == "unknown" and self.explanation.kind == "none" and not is_seen and not self.is_at_noise_floor
-        )
+        is_missing = self.verdict == "unknown" and self.explanation.kind == "none"
+        return is_missing and not is_seen and not self.is_at_noise_floor
 
     @cached_property
     def closed(self) -> bool:
@@ -265,8 +264,5 @@ class Discovery(Explained):
 
 def whiteness_of(problem: EstimationProblem, residuals: Array) -> dict[str, Whiteness]:
     """How white residuals (m, sensors) of a record are, by sensor."""
-    readings, rate = problem.record.readings, problem.record.rate
-    return {
-        name: whiteness(residuals[:, i], readings[:, i], float(problem.sigma[i]), rate)
-        for i, name in enumerate(problem.rig.twin.sensors)
-    }
+    every = zip(problem.rig.twin.sensors, residuals.T, problem.record.readings.T, problem.sigma, strict=True)
+    return {name: whiteness(left, read, float(sigma), problem.record.rate) for name, left, read, sigma in every}

@@ -16,17 +16,10 @@ from threadpoolctl import threadpool_limits
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, MaskingError
-from masking.inference.discovery import (
-    directed_places,
-    fitting,
-    held_out,
-    instrument_errors,
-    shooting_intervals,
-    unit_check,
-    verdict,
-)
+from masking.inference.discovery import fitting, held_out, instrument_errors, shooting_intervals, unit_check, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.composites import are_composite
+from masking.inference.discovery.directed_places import are_worth_a_search
 from masking.inference.discovery.discovery_result import (
     Alternative,
     Discovery,
@@ -43,7 +36,6 @@ from masking.inference.discovery.next_experiment import NextExperiment, declared
 from masking.inference.discovery.prior import prior_of, train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of, steps_of
-from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.search import SearchResult, Tell
 from masking.inference.discovery.smoothing import centred
 from masking.inference.discovery.unit_check import UnitDoubt
@@ -141,20 +133,18 @@ def _in_unit(
 
     The problem of the record, simulated whole, and the validation record are as declared; no doubt means these.
     """
-    twin = whole.rig.twin
     if doubt is not None:
         whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
     problem = replace(whole, interval=shooting_intervals.interval(whole, settings.shooting_interval))
     problem = replace(problem.apart(), substeps=shooting_intervals.substeps(problem))
-    noise = noise_of(twin, unseen)
+    noise = noise_of(whole.rig.twin, unseen)
     found = _explained(problem, unseen, noise, say)
     if settings.shooting_interval is None and not problem.interval and _loses_phase(found):
         problem = problem.apart()
         for seconds in shooting_intervals.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
-            again = _explained(
-                replace(problem, interval=shooting_intervals.interval(whole, seconds)), unseen, noise, say
-            )
+            part = replace(problem, interval=shooting_intervals.interval(whole, seconds))
+            again = _explained(part, unseen, noise, say)
             if again.verdict != "unknown":
                 found = again
                 break
@@ -163,11 +153,7 @@ def _in_unit(
 
 def _explains_more(found: Discovery, again: Discovery) -> bool:
     """Whether a record is explained in another unit, and less well or in a less likely way as declared."""
-    before, after = (
-        max(error / max(one.simulation_error.validation_noise_floor[name], 1e-300) for name, error in errors.items())
-        for one in (found, again)
-        for errors in (one.simulation_error.validation[1],)
-    )
+    before, after = (one.simulation_error.over_noise for one in (found, again))
     if again.is_far_off or not after <= unit_check.NO_WORSE * before:
         return False
     return found.is_far_off or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
@@ -186,7 +172,7 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
     problem = replace(found.problem, rig=rig, substeps=substeps)
     try:
         with threadpool_limits(1):
-            is_worth = directed_places.are_worth_a_search(problem, found.search.base.hypothesis)
+            is_worth = are_worth_a_search(problem, found.search.base.hypothesis)
         again = _explained(problem, unseen, noise, say) if is_worth else found
     except IntegrationError:
         return found
@@ -210,9 +196,7 @@ def _stated(found: Discovery) -> Discovery:
         except IntegrationError:
             return found
         stated.append(fine.errors(made.squares))
-    estimation, validation = (
-        each._replace(after=after) for each, after in zip((errors.estimation, errors.validation), stated, strict=True)
-    )
+    estimation, validation = errors.estimation._replace(after=stated[0]), errors.validation._replace(after=stated[1])
     return replace(found, simulation_error=replace(errors, estimation=estimation, validation=validation))
 
 
@@ -220,12 +204,11 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     """Errors with first-order hold of commands; None if they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
-    problem, known = found.problem, found.explanation.hypothesis
-    problem = replace(problem, record=replace(found.record, hold="first-order", late=NOT_LATE))
+    problem = replace(found.problem, record=replace(found.record, hold="first-order", late=NOT_LATE))
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(problem)
         size = found.record.readings.size
-        if other.cost - size < problem.rules.first_order_hold_fraction * (known.cost - size):
+        if other.cost - size < problem.rules.first_order_hold_fraction * (found.explanation.cost - size):
             return problem.errors(other.squares)
     return None
 
@@ -260,19 +243,13 @@ def _near(found: Discovery) -> Hypothesis | None:
         return found.explanation.hypothesis
     base, size = found.search.base, found.problem.record.readings.size
     first = found.search.steps[0][0] if found.search.steps else base
-    is_near = verdict.leaves_little(first.cost, base.cost, size, found.problem.rules)
-    return first.hypothesis if is_near else None
+    return first.hypothesis if verdict.leaves_little(first.cost, base.cost, size, found.problem.rules) else None
 
 
 def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, substeps: int = 0) -> Discovery:
-    """Discovery in one search of a record.
+    """Discovery in one search of a record, with the noise of the unseen one (sensors,).
 
-    Args:
-        problem: the record and the rig, in the integration steps of the model alone.
-        unseen: the validation record.
-        noise: its standard deviation there (sensors,).
-        say: called with what is done.
-        substeps: integration steps between samples of models with effects; by default as many as those need.
+    The problem has the integration steps of the model alone; models with effects have as many as they need by default.
     """
     with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
         search, known = instrument_errors.searched(problem, say, substeps)
@@ -294,7 +271,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
     excess, left = (verdict.excess_cost(one.cost, size) for one in (search.base, chosen))
     unexplained = left / excess if excess > 0.0 else 0.0
     scored, composite = _scored(given.rivals, known, tempering), are_composite(chosen.names, known.rig, rules)
-    effects = _causes(known.rig, (chosen, *given.rivals[1:]), tempering, scored, rules)
+    effects = _causes(known.rig, (chosen, *given.rivals[1:]), tempering, scored)
     rounded = _rounded(known, chosen.hypothesis)
     answer = verdict.revised(
         verdict.decide(scored, unexplained, size, rules, composite=composite),
@@ -423,8 +400,7 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(problem.record)
     found = []
-    steps = steps_of(problem.record)
-    for i, (name, step) in enumerate(zip(twin.sensors, steps, strict=True)):
+    for i, (name, step) in enumerate(zip(twin.sensors, steps_of(problem.record), strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * problem.sigma[i] ** 2:
             cause = Named(ROUNDING.name, name, {ROUNDING.quantum: Estimate(float(step), 0.0)}, 1.0)
@@ -445,7 +421,7 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
 
 
 def _causes(
-    rig: AugmentedModel, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored], rules: DecisionRules
+    rig: AugmentedModel, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored]
 ) -> tuple[Named, ...]:
     """Causes of the chosen explanation; the last one with its probability and its alternatives."""
     chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]

@@ -127,11 +127,9 @@ def fit(
 
 def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) -> bool:
     """Whether a fit may have ended in a wrong minimum; if fresh, of a model that rings, by any error."""
-    left = float(found.squares @ problem.weights)
-    if left <= problem.rules.small_residual * found.residuals.size:
+    if float(found.squares @ problem.weights) <= problem.rules.small_residual * found.residuals.size:
         return False
-    rings = fresh and continuation.rings(problem)
-    return rings or continuation.loses_phase(problem, found.residuals)
+    return (fresh and continuation.rings(problem)) or continuation.loses_phase(problem, found.residuals)
 
 
 @dataclass(frozen=True)
@@ -221,10 +219,7 @@ def together(
 ) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
 
-    The initial states that are found are those of both records, the residuals those of its own; rival as in `fit`.
-
-    Raises:
-        IntegrationError: the motion is not finite.
+    The initial states that are found are those of both records, the residuals those of its own; the rest as in `fit`.
     """
     start = np.concatenate([known.start, validated(other, known).start])
     return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
@@ -381,15 +376,12 @@ class _LeastSquares:
         theta, added, inner, start = self.parts(x)
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
         pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
-        found = _joined(
-            [
-                one.equations(theta, begin, self.instances, added, inner=begun, frozen=self.frozen)
-                for one, begin, begun in pieces
-            ],
-            self.edges[1],
-            len(inner) // len(self.records),
-            [one.weights / self.problem.weights for one in self.records],
-        )
+        every = [
+            one.equations(theta, begin, self.instances, added, inner=begun, frozen=self.frozen)
+            for one, begin, begun in pieces
+        ]
+        weights = [one.weights / self.problem.weights for one in self.records]
+        found = _joined(every, self.edges[1], len(inner) // len(self.records), weights)
         (k, first, last), prior, rough = self.edges, self.problem.prior, 0.0
         if self.penalty is not None:
             found.matrix[k:first, k:first] += self.penalty
@@ -407,13 +399,9 @@ class _LeastSquares:
 
 
 def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
-    """Equations of several records as those of one.
+    """Equations of several records as those of one; weights of squared residuals are beside the first one's (sensors,).
 
-    Args:
-        parts: of each record.
-        shared: columns that all have, the first.
-        inner: columns of states inside of effects, which come next; each record has its own.
-        weights: of squared residuals, beside those of the first record (sensors,).
+    The first columns are `shared` by all; then come `inner` ones of states inside of effects, each record's own.
     """
     if len(parts) == 1:
         return parts[0]

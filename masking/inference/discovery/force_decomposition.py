@@ -111,10 +111,8 @@ def decompose(
     size, loss = _rms(force), float((force * rate).mean())
     most, parts, regions = size * _rms(rate), None, {}
     if math.isfinite(size) and size > math.sqrt(SEEN) * deviation:
-        relative, rest = (
-            force / size,
-            (deviation / size) ** 2,
-        )  # in any unit, squares are neither too large nor too small
+        # In any unit, squares are neither too large nor too small.
+        relative, rest = force / size, (deviation / size) ** 2
         parts = _parts(x, rate, relative, 1.0 - rest, stretches)
         regions = _regions(x, rate, relative**2 - rest)
     return ForceDecomposition(size, float(force.mean()), deviation, loss, loss / most if most else 0.0, parts, regions)
@@ -161,13 +159,10 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
 def _odd(x: Array, rate: Array, force: Array, least: float, half: Mask) -> float | None:
     """Which part of the means over cells of displacement and rate turns round with both."""
     at = _cells(x, *_around(x)) * CELLS + _cells(rate, *_around(rate))
-    sums, many = (
-        np.array([np.bincount(at[h], w, CELLS**2) for h, w in ((half, force[half]), (~half, force[~half]))]),
-        np.array([np.bincount(at[h], minlength=CELLS**2) for h in (half, ~half)]),
-    )
+    sums = np.array([np.bincount(at[h], force[h], CELLS**2) for h in (half, ~half)])
+    many = np.array([np.bincount(at[h], minlength=CELLS**2) for h in (half, ~half)])
     # The cell at the other side of the origin has the last number less this one.
-    is_known = (np.minimum(many, many[:, ::-1]) >= FEWEST).all(axis=0)
-    weights = many.sum(axis=0) * is_known
+    weights = many.sum(axis=0) * (np.minimum(many, many[:, ::-1]) >= FEWEST).all(axis=0)
     if weights.sum() < COVERED * len(x):
         return None
     means = sums / np.maximum(many, 1)

@@ -179,8 +179,7 @@ def fit(
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.
     tempering = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
-    ranked = sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))
-    for one in ranked[:MOST_FORMS]:
+    for one in sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))[:MOST_FORMS]:
         law = _fitted(one, known, marks)
         if law is not None and (best is None or law.score < best.score):
             best = law
@@ -314,8 +313,7 @@ def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) ->
 def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> tuple[EffectInstance, ...]:
     """Form at a place as effects, with factors (f,); 0 if none are given."""
     sizes = [term.size for term in form]
-    given = np.zeros(sum(sizes)) if factors is None else factors
-    parts = np.split(given, np.cumsum(sizes)[:-1])
+    parts = np.split(np.zeros(sum(sizes)) if factors is None else factors, np.cumsum(sizes)[:-1])
     return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
 
 

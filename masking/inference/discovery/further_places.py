@@ -47,9 +47,8 @@ class FurtherPlaces:
         """Hypothesis of the rig without further places as one of this rig, with the state at rest."""
         if not self.time:
             return known
-        names = self.rig.twin.state_names
         start = np.tile(self.rig.rest, (len(known.start), 1))
-        start[:, [names.index(name) for name in before.twin.state_names]] = known.start
+        start[:, [self.rig.twin.state_names.index(name) for name in before.twin.state_names]] = known.start
         return replace(known, theta=np.insert(known.theta, len(before.names), seconds), start=start)
 
 
@@ -84,16 +83,13 @@ def _with_memory(rig: AugmentedModel, place: Place, time: float) -> FurtherPlace
     rate = Expression(f"(({moved}) - {state})/{seconds}")
     symbols = {} if is_plain(base) else symbol_dimensions(base) or {}
     dimension = dimension_in(element.displacement, symbols) if symbols and element.displacement else None
-    clock = symbols.get("t")
-    unit, per = ("1" if one is None else describe(one) for one in (dimension, clock))
+    unit, per = ("1" if one is None else describe(one) for one in (dimension, symbols.get("t")))
     follows = Expression(f"({moved})")  # in brackets, it is not the place of a coordinate, which is another one
     law = Element(displacement=follows, rate=rate, unit=element.unit, acts=element.acts)
+    usual = Parameter(value=tried[len(tried) // 2], unit=per, meaning=f"relaxation time of {place.name}")
     changed = {
         "states": {**base.states, state: State(meaning=f"displacement of {place.name}, relaxed", unit=unit)},
-        "parameters": {
-            **base.parameters,
-            seconds: Parameter(value=tried[len(tried) // 2], unit=per, meaning=f"relaxation time of {place.name}"),
-        },
+        "parameters": {**base.parameters, seconds: usual},
         "equations": {**base.equations, Expression(f"{state}'"): rate},
         "elements": {**base.elements, name: law},
     }

@@ -89,8 +89,7 @@ class Atom:
     @cached_property
     def shapes(self) -> tuple[tuple[str, Shape], ...]:
         """Shapes with what they are of."""
-        pairs = (("d", self.of_d), ("v", self.of_v))
-        return tuple((of, shape) for of, shape in pairs if shape is not None)
+        return tuple((of, shape) for of, shape in (("d", self.of_d), ("v", self.of_v)) if shape is not None)
 
     def starts(self) -> list[tuple[float, ...]]:
         """Values from which fits start, one after the other."""
@@ -121,8 +120,7 @@ class Atom:
             numbers = [left.pop() for _ in shape.tried][::-1]
             known = {key: _ordinal(value) for key, value in zip(shape.tried, numbers, strict=True)}
             said.append(shape.noun.format(x=nouns[of], **known))
-        first = self.shapes[-1][1]
-        return f"{'grows with' if first.grows else 'follows'} {', times '.join(said)}"
+        return f"{'grows with' if self.shapes[-1][1].grows else 'follows'} {', times '.join(said)}"
 
     @property
     def name(self) -> str:
@@ -132,9 +130,7 @@ class Atom:
 
 def atoms(has_displacement: bool, has_rate: bool) -> list[Atom]:
     """Every term of a law at a place that has a displacement, a rate, or both."""
-    found = [Atom(CONSTANT, None)]
-    along = [shape for shape in DISPLACEMENTS if has_displacement]
-    found += [Atom(shape, None) for shape in along]
+    found = [Atom(shape, None) for shape in (CONSTANT, *(DISPLACEMENTS if has_displacement else ()))]
     if has_rate:
         turning = (SIGN, *RATES)
         found += [Atom(None, shape) for shape in (*turning, EVEN, *ALONE[:1])]

@@ -93,8 +93,7 @@ def cycle(rate: Array, sampling: float) -> float | None:
     power[0] = 0.0
     at, lines = int(np.argmax(power)), np.arange(len(power))
     near = np.abs(lines - at) <= max(NEAR * at, LEAKAGE)
-    whole = float(power.sum())
-    if at < FEWEST_CYCLES or not float(power[near].sum()) > ONE * whole > 0.0:
+    if at < FEWEST_CYCLES or not float(power[near].sum()) > ONE * float(power.sum()) > 0.0:
         return None
     return float((lines * power)[near].sum() / power[near].sum() * sampling / len(rate))
 

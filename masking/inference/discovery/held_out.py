@@ -49,49 +49,43 @@ class Given:
 
 
 def no_worse(
-    offered: Sequence[tuple[Explanation, ...]],
-    problem: EstimationProblem,
-    validation: EstimationProblem,
-    before: Hypothesis,
+    tried: Sequence[tuple[Explanation, ...]], problem: EstimationProblem, unseen: EstimationProblem, before: Hypothesis
 ) -> Given:
     """First explanation that is no worse on unseen data than the model as declared.
 
-    Offered are rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself and
+    Tried are rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself and
     `before` on the validation record.
     """
-    withheld, declared = None, float(before.squares @ validation.weights)
-    for rivals in offered[:-1]:
+    withheld, declared = None, float(before.squares @ unseen.weights)
+    for rivals in tried[:-1]:
         fitted, alone = tempered(rivals[0].with_prior(problem), rivals[0].hypothesis), None
         chosen = replace(rivals[0], hypothesis=fitted, joint=None)
         causes = tuple(Cause(*key) for key in chosen.names)
         try:
-            after = fitting.validated(validation, chosen.hypothesis)
+            after = fitting.validated(unseen, chosen.hypothesis)
         except IntegrationError:
             withheld = withheld or Withheld(causes, None)
             continue
         made = None
         with suppress(IntegrationError):
-            made = _pooled(chosen, after, problem, validation)
+            made = _pooled(chosen, after, problem, unseen)
         if made is not None:
-            alone = validation.errors(after.squares)
+            alone = unseen.errors(after.squares)
             chosen, after = made
-        cost = float(after.squares @ validation.weights)
+        cost = float(after.squares @ unseen.weights)
         if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
             return Given(rivals, chosen, after, withheld, alone)
-        withheld = withheld or Withheld(causes, validation.errors(after.squares))
-    return Given(offered[-1], offered[-1][0], before, withheld)
+        withheld = withheld or Withheld(causes, unseen.errors(after.squares))
+    return Given(tried[-1], tried[-1][0], before, withheld)
 
 
 def _pooled(
     chosen: Explanation, after: Hypothesis, problem: EstimationProblem, validation: EstimationProblem
 ) -> tuple[Explanation, Hypothesis] | None:
-    """Explanation fitted to both records, and it on the validation record.
+    """Explanation fitted to both records, and it on the validation record; errors as `fitting.together`.
 
-    None where it explains that as well as the estimation record already, a fit to both explains either less
-    well, or the residual is not small.
-
-    Raises:
-        IntegrationError: the motion of a fit to both is not finite.
+    None where it explains that as well as the estimation record already, a fit to both explains either less well, or
+    the residual is not small.
     """
     rules, free, fitted = problem.rules, chosen.with_prior(problem), chosen.hypothesis
     least = verdict.noise_threshold(min(len(problem.record), len(validation.record)), rules)

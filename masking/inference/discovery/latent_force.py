@@ -115,14 +115,14 @@ def force_at(found: Explained, most: str) -> LatentForce:
     return _sensor(found, name) if instances[-1].where == "sensor" else _force(found, instances[-1].where, name)
 
 
-def binned(x: Array, force: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
+def binned(x: Array, force: Array) -> tuple[Array, Array, Array]:
     """Centres, means of a force and numbers of samples (b,) of bins of x (m,); those with few samples are left out."""
     low, high = np.quantile(x, [0.002, 0.998])
-    edges = np.linspace(low, high if high > low else low + 1.0, bins + 1)
-    at = np.clip(np.searchsorted(edges, x) - 1, 0, bins - 1)
-    counts = np.bincount(at, minlength=bins)
-    enough = counts >= min(FEWEST, max(1, len(x) // (4 * bins)))
-    sums, places = np.bincount(at, force, bins), np.bincount(at, x, bins)
+    edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
+    at = np.clip(np.searchsorted(edges, x) - 1, 0, BINS - 1)
+    counts = np.bincount(at, minlength=BINS)
+    enough = counts >= min(FEWEST, max(1, len(x) // (4 * BINS)))
+    sums, places = np.bincount(at, force, BINS), np.bincount(at, x, BINS)
     return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough].astype(float)
 
 
@@ -160,11 +160,10 @@ def _force(found: Explained, where: str, name: str) -> LatentForce:
 def _sensor(found: Explained, name: str) -> LatentForce:
     at, base, after = found.twin.sensors.index(name), found.search.base.hypothesis, found.explanation.hypothesis
     x = (found.record.readings - after.residuals)[:, at]
-    rate = np.gradient(x) * found.record.rate
-    unit, sigma = found.twin.declaration.sensors[name].unit, float(found.problem.sigma[at])
-    units = unit, unit, _per_second(unit)
+    rate, sigma = np.gradient(x) * found.record.rate, float(found.problem.sigma[at])
+    unit = found.twin.declaration.sensors[name].unit
     before, left = base.residuals[:, at], after.residuals[:, at]
-    return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), units)
+    return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), (unit, unit, _per_second(unit)))
 
 
 def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
@@ -211,8 +210,7 @@ def directions(rig: AugmentedModel, theta: Array, column: int) -> Array:
 
 def command_unit(found: Explained, name: str) -> str:
     """Unit of the commands of an actuator."""
-    actuators = found.twin.declaration.actuators or found.twin.base.inputs
-    return actuators[name].unit
+    return (found.twin.declaration.actuators or found.twin.base.inputs)[name].unit
 
 
 def element_units(rig: AugmentedModel, name: str) -> tuple[str, str, str]:

@@ -109,10 +109,9 @@ class Localisation:
 def localise(found: Explained, whiteness: Mapping[str, ResidualWhiteness], names: Collection[str]) -> Localisation:
     """Localise the model error of a record, at the places that have names: further places are none of their own."""
     seen, periods = found.smoothed, Periods.of(found.record.commands, found.record.rate)
-    latent = _latent_forces(found, seen.before, seen.error, periods, names)
     residuals = found.explanation.hypothesis.residuals
     left = None if seen.after is None else _latent_forces(found, seen.after, residuals, periods, names)
-    return Localisation(latent, left, whiteness)
+    return Localisation(_latent_forces(found, seen.before, seen.error, periods, names), left, whiteness)
 
 
 def _latent_forces(
@@ -144,13 +143,10 @@ def _latent_forces(
         part = min(followed(command, force, repeats) / energy, 1.0) if energy > 0.0 else 0.0
         actuators[name] = share(force, deviation) * part
     sensors = {}
-    for name, reading, residual, sigma in zip(
-        found.twin.sensors, (found.record.readings - error).T, error.T, found.problem.sigma, strict=True
-    ):
-        square = float((residual**2).mean())
-        is_seen = square > BEYOND * sigma**2
-        sensors[name] = (
-            min(followed(reading, residual, repeats) / (square - float(sigma) ** 2), 1.0) if is_seen else 0.0
-        )
+    simulated = (found.record.readings - error).T
+    for name, reading, residual, sigma in zip(found.twin.sensors, simulated, error.T, found.problem.sigma, strict=True):
+        power = float((residual**2).mean())
+        is_seen = power > BEYOND * sigma**2
+        sensors[name] = min(followed(reading, residual, repeats) / (power - float(sigma) ** 2), 1.0) if is_seen else 0.0
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
     return LatentForces(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

@@ -30,12 +30,6 @@ class Kept:
     features: dict[tuple[tuple[int, ...], EffectInstance], Features] = field(default_factory=dict)
     numbers: int = 0
 
-    def add(self, factors: tuple[int, ...], instance: EffectInstance, features: Features) -> None:
-        """Keep what an instance does, if there is room."""
-        numbers = self.numbers + features[0].size
-        if numbers < KEPT:
-            self.features[factors, instance], self.numbers = features, numbers
-
 
 @dataclass(frozen=True)
 class MotionFeatures:
@@ -64,9 +58,10 @@ class MotionFeatures:
         if known is not None:
             return known
         found = self._by_factors(candidate, instance)
+        numbers = self.kept.numbers + found[0].size
         follows_fit = instance.where == "sensor"  # it acts on readings as they are simulated
-        if instance in candidate.instances and not follows_fit:
-            self.kept.add(candidate.factors, instance, found)
+        if instance in candidate.instances and not follows_fit and numbers < KEPT:
+            self.kept.features[candidate.factors, instance], self.kept.numbers = found, numbers
         return found
 
     def _by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:

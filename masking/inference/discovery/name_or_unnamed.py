@@ -26,15 +26,15 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
         return _without_names(found, substeps)
     is_refused, rules = found.verdict == "unknown", found.problem.rules
-    left, size = _left(found), found.record.readings.size
+    left, size, errs = _left(found), found.record.readings.size, found.simulation_error.over_noise
     is_open = is_refused or (verdict.none_matters(left) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
-    leaves_more = max(found.explanation.cost / size, _errs(found) ** 2) > 1.0 + rules.screen_resolution
+    leaves_more = max(found.explanation.cost / size, errs**2) > 1.0 + rules.screen_resolution
     law = None
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
-    above, matched = 0.0 if found.is_at_noise_floor else _errs(found), _in_intervals_of(law, found)
+    above, matched = 0.0 if found.is_at_noise_floor else errs, _in_intervals_of(law, found)
     if law is None:
         explained, better, unexplained = not above, -np.inf, left
     else:
@@ -78,14 +78,12 @@ def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
         return found
     validation = replace(found.validation, interval=law.problem.interval)
     try:
-        made = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
+        new = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
     except IntegrationError:
         return found
-    before, after, adjusted = (validation.errors(one.squares) for one in made)
+    before, after, adjusted = (validation.errors(one.squares) for one in new)
     errors = replace(found.simulation_error, validation=Errors(before, after), adjusted=adjusted)
-    return replace(
-        found, validation=validation, before=made[0], after=made[1], adjusted=made[2], simulation_error=errors
-    )
+    return replace(found, validation=validation, before=new[0], after=new[1], adjusted=new[2], simulation_error=errors)
 
 
 def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
@@ -93,11 +91,6 @@ def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
     left, length = float(law.validated.squares @ law.problem.weights), law.problem.interval_samples
     fair = [one for one in found if one.validation.interval_samples >= length]
     return any(left > one.after.squares @ one.validation.weights for one in fair)
-
-
-def _errs(found: Discovery) -> float:
-    after, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
-    return max(after[name] / floor[name] for name in floor)
 
 
 def changes_beyond(found: Discovery) -> bool:
@@ -109,10 +102,7 @@ def changes_beyond(found: Discovery) -> bool:
     for one in found.explanation.hypothesis.instances:
         if one.at in places:
             at = places.index(one.at)
-            reached = {
-                "D": float(np.abs(motion.displacement[:, at]).max()),
-                "D/s": float(np.abs(motion.rate[:, at]).max()),
-            }
+            reached = {"D": np.abs(motion.displacement[:, at]).max(), "D/s": np.abs(motion.rate[:, at]).max()}
             units = (one.entry.parameters[name].unit for name in one.names)
             if any(abs(value) > reached.get(unit, np.inf) for unit, value in zip(units, one.estimated, strict=True)):
                 return True
@@ -123,22 +113,17 @@ def _takes_a_rest(found: Discovery) -> bool:
     """Whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
     if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
         return False
-    size = found.problem.record.readings.size
-    before = found.search.steps[-2][0]
-    return verdict.leaves_little(before.cost, found.search.base.cost, size, found.problem.rules)
+    before, base, size = found.search.steps[-2][0], found.search.base, found.problem.record.readings.size
+    return verdict.leaves_little(before.cost, base.cost, size, found.problem.rules)
 
 
 def _left(found: Discovery) -> float:
     """Part of the rms of the model error that the names leave in both records, beyond noise."""
-    pairs = zip(
-        (found.search.base.hypothesis, found.adjusted),
-        (found.explanation.hypothesis, found.after),
-        (found.problem, found.validation),
-        strict=True,
-    )
+    seen = found.problem, found.search.base.hypothesis, found.explanation.hypothesis
+    unseen = found.validation, found.adjusted, found.after
     excess = [
         [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
-        for base, named, part in pairs
+        for part, base, named in (seen, unseen)
     ]
     whole, left = np.sum(excess, axis=0)
     return float(np.sqrt(left / whole)) if whole > left else 1.0

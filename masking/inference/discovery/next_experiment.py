@@ -68,17 +68,13 @@ class NextExperiment(Result):
 
 
 def next_experiment(
-    problem: EstimationProblem,
-    first: Hypothesis,
-    second: Hypothesis,
-    names: tuple[str, str],
-    limits: Array | None = None,
+    problem: EstimationProblem, first: Hypothesis, second: Hypothesis, names: tuple[str, str], limits: Array | None
 ) -> NextExperiment | None:
     """Excitation, of those that are tried, that separates two explanations best, with their names.
 
     A component is moved as far, and its rate is that of this displacement; None of a rig without inputs, and where it
     is not known which measured input is the rate of which. Limits are the largest command of each actuator
-    (actuators,); three times the record's by default.
+    (actuators,); three times the record's where there are none.
     """
     rates = _rates(problem.rig)
     if rates is None or not problem.rig.twin.actuators:
@@ -91,8 +87,7 @@ def next_experiment(
         separation = min(_left(problem, commands, truth, other) for truth, other in both)
         return NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
 
-    every = (tried(*one) for one in _possible(problem, size, most, rates))
-    return max(every, key=lambda one: one.separation)
+    return max((tried(*one) for one in _possible(problem, size, most, rates)), key=lambda one: one.separation)
 
 
 def declared_limits(twin: Twin) -> Array | None:
@@ -137,8 +132,7 @@ def _rates(rig: AugmentedModel) -> dict[int, int] | None:
         x, rate = (None if one is None else one.text.strip() for one in (element.displacement, element.rate))
         if x in names and rate in names:
             found[names[rate]] = names[x]
-    known = {*found, *found.values()}
-    return found if all(names[name] in known for name in twin.measured_actuators) else None
+    return found if {names[name] for name in twin.measured_actuators} <= {*found, *found.values()} else None
 
 
 def _possible(
@@ -172,13 +166,8 @@ def _excitations(problem: EstimationProblem, size: Array, most: Array) -> Iterat
                 phases = signals.schroeder_phases(np.ones(len(own)))
                 wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
                 columns.append(wave / np.abs(wave).max())
-            settings = {
-                "peak": peak_of,
-                "lowest": f"{lines[0] / period:g} Hz",
-                "highest": f"{lines[-1] / period:g} Hz",
-                "seconds": seconds,
-            }
-            yield "multisine", settings, np.array(columns).T * peaks
+            ends = {"lowest": f"{lines[0] / period:g} Hz", "highest": f"{lines[-1] / period:g} Hz"}
+            yield "multisine", {"peak": peak_of, **ends, "seconds": seconds}, np.array(columns).T * peaks
         shape = np.interp(t / seconds, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
         shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]
         yield "ramp", {"peak": peak_of, "seconds": seconds}, np.array(shifted).T * peaks

@@ -52,8 +52,7 @@ def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
             factors = best_factors(gram, right, made.squares[part])
             both = _with_factors(first, factors[: len(i)]), _with_factors(second, factors[len(i) :])
             if both[0] and both[1]:
-                gain = float(2.0 * factors @ right - factors @ gram @ factors)
-                found.append(Pair((both[0], both[1]), gain))
+                found.append(Pair((both[0], both[1]), float(2.0 * factors @ right - factors @ gram @ factors)))
     return sorted(found, key=lambda pair: -pair.gain)
 
 

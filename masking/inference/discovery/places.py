@@ -15,15 +15,8 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from masking.errors import DeclarationError, Problem
+from masking.model.declaration import couplings
 from masking.model.declaration.checks import equation_of, no_equation
-from masking.model.declaration.couplings import (
-    driven_outputs,
-    driven_states,
-    has_own_force,
-    has_rate,
-    measured_inputs,
-    motions,
-)
 from masking.model.declaration.dimensions import displacement_dimension, force_dimensions, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Element, ModelDeclaration, Parameter
@@ -43,7 +36,6 @@ class Place:
     declared: bool  # whether the model declares it
     coordinate: str | None = None  # the degree that it is a place of, if one
     has_rate: bool = True  # whether it is known how fast it is stretched
-    is_of_coordinates: bool = True  # whether coordinates alone stretch it
     has_force: bool = False  # whether it declares a force of its own, with which effects may be in series
     directed: Directed = ""  # what it follows, if it acts on a coordinate by other than the motion of this alone
 
@@ -54,16 +46,11 @@ class Place:
 
     def takes(self, effect: Effect) -> bool:
         """Whether an effect finds here what it follows: a displacement, a rate, or neither."""
-        used = effect.follows
-        if effect.directed != self.directed:
+        if effect.directed != self.directed or (effect.attaches != "beside" and not self.has_force):
             return False
-        if effect.attaches != "beside" and not self.has_force:
+        if (effect.is_flow and self.has_rate) or (effect.follows & {"d_rate", "d_acc"} and not self.has_rate):
             return False
-        if effect.is_flow and self.has_rate:
-            return False
-        return ("d" not in used or self.element.displacement is not None) and (
-            self.has_rate or not used & {"d_rate", "d_acc"}
-        )
+        return "d" not in effect.follows or self.element.displacement is not None
 
 
 def degrees(model: ModelDeclaration) -> tuple[str, ...]:
@@ -72,7 +59,8 @@ def degrees(model: ModelDeclaration) -> tuple[str, ...]:
     An output that elements share with the coordinates, as the reading of a force on them, is none of its own.
     """
     own = {name for e in model.elements.values() if not e.acts.keys() & model.coordinates.keys() for name in e.acts}
-    return (*model.coordinates, *driven_states(model), *(name for name in driven_outputs(model) if name in own))
+    outputs = (name for name in couplings.driven_outputs(model) if name in own)
+    return (*model.coordinates, *couplings.driven_states(model), *outputs)
 
 
 def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, ...]:
@@ -93,9 +81,8 @@ def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, .
             found.append(_place(model, name, element, name, declared=False))
     if not found:
         remedy = "declare where one may sit, such as 'elements: {strut: {displacement: d, rate: v, acts: {F: 1}}}'"
-        raise DeclarationError(
-            Problem(model.place("outputs"), "elements", f"{model.name} has no place for a force", remedy)
-        )
+        what = f"{model.name} has no place for a force"
+        raise DeclarationError(Problem(model.place("outputs"), "elements", what, remedy))
     between = {_text(e.displacement) for e in model.elements.values()}
     weights = _weights(model)
     if any(len({*element.acts} & {*model.coordinates}) > 2 for element in model.elements.values()):
@@ -106,14 +93,13 @@ def places(model: ModelDeclaration, *, directed: bool = False) -> tuple[Place, .
         if model.coordinates[a].unit != model.coordinates[b].unit or forces[a] != forces[b]:
             continue
         acts = {a: Expression("-1"), b: Expression(f"({weights[a]})/({weights[b]})")}
-        unit = _force_unit(model, a, forces[a])
-        element = Element(displacement=Expression(f"{a} - {b}"), unit=unit, acts=acts)
+        element = Element(displacement=Expression(f"{a} - {b}"), unit=_force_unit(model, a, forces[a]), acts=acts)
         found.append(Place(f"{a}-{b}", element, declared=False))
     return (*found, *(_directed(model, forces) if directed else ()))
 
 
 def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -> Iterator[Place]:
-    commands = [name for name in model.inputs if name not in measured_inputs(model)]
+    commands = [name for name in model.inputs if name not in couplings.measured_inputs(model)]
     units = {name: x.unit for section in (model.coordinates, model.inputs) for name, x in section.items()}
     for name in model.coordinates:
         unit, driven = _force_unit(model, name, forces[name]), _inputs_of(model, name)
@@ -128,7 +114,7 @@ def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -
             per = unit if not by or is_plain(model) else describe(dimension_of(f"({unit})/({units[by]})"))
             element = Element(displacement=Expression(followed), unit=per, acts={name: Expression(factor)})
             moves = followed in model.coordinates
-            yield Place(called, element, False, None, moves, moves, directed=kind)
+            yield Place(called, element, False, None, moves, directed=kind)
 
 
 def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
@@ -189,9 +175,8 @@ def is_of_one(displacement: Expression | None, coordinates: Collection[str]) -> 
 
 
 def _place(model: ModelDeclaration, name: str, element: Element, degree: str | None, *, declared: bool) -> Place:
-    moved = {name for x in motions(element) for name in x.names}
-    known = has_rate(model, element), not moved & {*model.states, *model.inputs}
-    return Place(name, element, declared, degree, *known, declared and has_own_force(model, element))
+    has_force = declared and couplings.has_own_force(model, element)
+    return Place(name, element, declared, degree, couplings.has_rate(model, element), has_force)
 
 
 def _degree(model: ModelDeclaration, element: Element) -> str | None:
@@ -200,7 +185,7 @@ def _degree(model: ModelDeclaration, element: Element) -> str | None:
     A state may be the rate of its element, as the speed of a motor is.
     """
     name, *others = element.acts
-    if others or name in driven_outputs(model):
+    if others or name in couplings.driven_outputs(model):
         return None if others else name
     if name in model.coordinates and element.rate is not None and _text(element.rate) != f"{name}'":
         return None
@@ -210,7 +195,7 @@ def _degree(model: ModelDeclaration, element: Element) -> str | None:
 
 def _alone(model: ModelDeclaration, name: str, unit: str) -> Element:
     """Element of a degree by itself; a force on an output follows nothing that is known."""
-    if name in driven_outputs(model):
+    if name in couplings.driven_outputs(model):
         return Element(unit=unit, acts={name: Expression("1")})
     return Element(displacement=Expression(name), unit=unit, acts={name: Expression("-1")})
 
@@ -236,11 +221,8 @@ def _force_unit(model: ModelDeclaration, name: str, dimension: Dimension | None)
     """Unit of a force on a coordinate, as it is usually written."""
     if is_plain(model) or dimension is None:
         return "1"
-    own = {
-        **{n: f"{c.unit}/s**2" for n, c in model.coordinates.items()},
-        **{n: o.unit for n, o in model.outputs.items()},
-    }
-    own |= {n: f"{z.unit}/s" for n, z in model.states.items()}
+    own = {n: f"{c.unit}/s**2" for n, c in model.coordinates.items()}
+    own |= {n: o.unit for n, o in model.outputs.items()} | {n: f"{z.unit}/s" for n, z in model.states.items()}
     usual = (*(e.unit for e in model.elements.values()), own[name], *USUAL)
     return next((unit for unit in usual if dimension_of(unit) == dimension), describe(dimension))
 

@@ -51,10 +51,8 @@ def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionR
     The tolerance is the relative standard deviation of a parameter that declares none.
     """
     declared = twin.model.declaration.parameters
-    deviations = []
-    for name, value in zip(rig.names, rig.start, strict=True):
-        std = declared[name].std if name in declared else None
-        deviations.append(std or tolerance * (abs(float(value)) or 1.0))
+    stds = [declared[name].std if name in declared else None for name in rig.names]
+    deviations = [std or tolerance * (abs(float(x)) or 1.0) for std, x in zip(stds, rig.start, strict=True)]
     mean, deviation, (low, high) = rig.start.copy(), np.array(deviations), rig.bounds
     least = rules.sign_deviations * deviation
     low = np.where((mean > 0.0) & (mean >= least), np.maximum(low, 0.0), low)

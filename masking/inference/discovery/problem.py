@@ -109,17 +109,14 @@ class EstimationProblem:
         matrices, gradients = np.zeros((intervals * width, whole_lanes(width))), np.zeros(intervals * width)
         squares, simulated = np.zeros(len(rig.twin.sensors)), np.empty_like(record.readings)
         late = given.late / self.dt
-        status = rig.kernels.run(
-            Steps(len(record), self.dt, self.substeps, is_first_order(record.hold)),
-            self.interval_samples,
-            Shooting(k, np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives),
-            AugmentedArrays(
-                *(rig.sizes.table, p, *terms(rig.equations, basis), given.table, given.estimated, given.values),
-                *(given.support, given.acting, record.late + late, given.late_columns, np.empty(len(late))),
-            ),
-            Readings(record.commands, record.counted(late), self.weights),
-            Sums(matrices, gradients, squares, simulated),
-        )
+        steps = Steps(len(record), self.dt, self.substeps, is_first_order(record.hold))
+        shooting = Shooting(k, np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives)
+        known = rig.sizes.table, p, *terms(rig.equations, basis), given.table, given.estimated, given.values
+        acting = given.support, given.acting, record.late + late, given.late_columns, np.empty(len(late))
+        readings = Readings(record.commands, record.counted(late), self.weights)
+        sums = Sums(matrices, gradients, squares, simulated)
+        arrays = AugmentedArrays(*known, *acting)
+        status = rig.kernels.run(steps, self.interval_samples, shooting, arrays, readings, sums)
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
             raise IntegrationError("the simulated motion is no longer finite")
         matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)

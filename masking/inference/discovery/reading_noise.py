@@ -25,10 +25,8 @@ def noise_of(twin: Twin, record: Data) -> Array:
 
     What a force changes at once may jump, as that of a friction does, or a rate where a command changes: there the
     noise is that of most readings. That of measured inputs counts with what the readings have of these by linear
-    regression. Parameters of the model have no part in it. Rounding to steps q makes q / sqrt(12) at least.
-
-    Raises:
-        RecordError: readings carry no noise, so that nothing can be said to be beyond it.
+    regression. Parameters of the model have no part in it. Rounding to steps q makes q / sqrt(12) at least. A
+    RecordError says that readings carry no noise, so that nothing can be said to be beyond it.
     """
     found, smooth = record.noise, _smooth(record.readings)
     found = np.where(smooth < FEWER * found, smooth, found)

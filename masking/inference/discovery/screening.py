@@ -145,18 +145,14 @@ class Screen:
 
     def _effects(self, instances: Sequence[EffectInstance]) -> list[Array]:
         """Responses of the sensors to each effect, and their derivatives (blocks, sensors, 1 + f)."""
-        features, at = [], []
-        for instance in instances:
-            made, columns = self._features.with_slopes(instance)
-            features.append(made)
-            at.append(columns)
+        pairs = [self._features.with_slopes(instance) for instance in instances]
+        features, at = ([pair[i] for pair in pairs] for i in (0, 1))
         found: list[Array] = []
         for part in _chunks([table.shape[1] for table in features]):
             found += self._at_sensors([instance.where for instance in instances[part]], features[part], at[part])
         for i, instance in enumerate(instances):
             if instance.effect == compiled_laws.DELAY:  # the columns of each actuator: values, then slopes
-                halves = np.split(found[i], 2, axis=2)
-                found[i] = np.stack([half.sum(axis=2) for half in halves], axis=2)
+                found[i] = np.stack([half.sum(axis=2) for half in np.split(found[i], 2, axis=2)], axis=2)
         return found
 
     def _at_sensors(self, where: Sequence[str], features: Sequence[Array], at: Sequence[Array]) -> list[Array]:
@@ -175,8 +171,7 @@ class Screen:
 
     def responses(self, instances: Sequence[EffectInstance]) -> Array:
         """Change of `left` by a unit of each free parameter, to first order (r, f)."""
-        tables = [made[:, :, 1:] for made in self._effects(instances)]
-        rows = _bounded(self._rows(np.concatenate(tables, axis=2)))
+        rows = _bounded(self._rows(np.concatenate([made[:, :, 1:] for made in self._effects(instances)], axis=2)))
         return self._out(np.vstack([rows, np.zeros((len(self.left) - len(rows), rows.shape[1]))]))
 
     def around(self, instances: Sequence[EffectInstance]) -> tuple[Array, Array]:
@@ -197,19 +192,15 @@ class Screen:
         """Reduction of the cost by each candidate, the best first."""
         found: dict[int, Score] = {}
         self._settle([(candidate, instance) for candidate in candidates for instance in candidate.instances], found)
-        self._zoom(found)
+        for width in ZOOMS:  # nearer to the steps of converters, whose effect has no slope to follow
+            stepped = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
+            parts = 1.0 + np.linspace(-width, width, 9)
+            self._settle([(p.candidate, p.instance.with_free_times(part)) for p in stepped for part in parts], found)
         best = max((score.gain for score in found.values()), default=0.0)
         near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and p.candidate.has_shape]
         sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
         kept = [sharper.get(id(score.candidate), score) for score in found.values()]
         return sorted(kept, key=lambda score: -score.gain)
-
-    def _zoom(self, found: dict[int, Score]) -> None:
-        """Look nearer at the steps of converters, whose effect has no slope to follow."""
-        for width in ZOOMS:
-            near = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
-            parts = 1.0 + np.linspace(-width, width, 9)
-            self._settle([(p.candidate, p.instance.with_free_times(part)) for p in near for part in parts], found)
 
     def _sharpened(self, scores: Sequence[Score]) -> dict[int, Score]:
         """Scores whose shapes are brought to their best values, by damped steps of all of them at once."""
@@ -252,8 +243,7 @@ class Screen:
         """Scores of instances of candidates; their columns together are at most `MOST_COLUMNS`."""
         made = self.products(jobs)
         rows, squares = made.rows, made.squares
-        possible = self.possible.T @ rows
-        beyond = squares - (possible**2).sum(axis=0)
+        beyond = squares - ((self.possible.T @ rows) ** 2).sum(axis=0)
         inertias = np.repeat([one.entry.is_inertia for _, one in jobs], [len(part) for part in made.columns])
         if inertias.any():
             others, ones = (part.T @ rows for part in self.single)
@@ -269,11 +259,10 @@ class Screen:
     def products(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> Products:
         """Products of the columns of instances of candidates."""
         features, at = zip(*(self._features.by_factors(*job) for job in jobs), strict=True)
+        made = self._at_sensors([instance.where for _, instance in jobs], features, at)
         tables = [
             table.sum(axis=2, keepdims=True) if candidate.effect == compiled_laws.DELAY else table
-            for (candidate, _), table in zip(
-                jobs, self._at_sensors([instance.where for _, instance in jobs], features, at), strict=True
-            )
+            for (candidate, _), table in zip(jobs, made, strict=True)
         ]
         ends = np.cumsum([table.shape[2] for table in tables])
         columns = np.split(np.arange(ends[-1]), ends[:-1])
@@ -313,8 +302,7 @@ class Screen:
             if (factors < box.low).any():
                 if (factors <= 0.0).all() and (box.low >= 0.0).any():
                     return nothing
-                least = LEAST * np.abs(factors).max()
-                factors = np.where(box.low >= 0.0, np.maximum(factors, least), factors)
+                factors = np.where(box.low >= 0.0, np.maximum(factors, LEAST * np.abs(factors).max()), factors)
             factors = np.clip(factors, box.low, box.high)
             instance = instance.with_values(candidate.factors, factors)
         return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
@@ -328,15 +316,10 @@ class Screen:
         every = self.every // self.thin
         self.work.add(self.blocks * every, many)
         is_direct = bool(rig.equations.meta["depends"][1])
-        rig.kernels.respond(
-            Blocks(self.blocks * every, self.thin / record.rate, every, self.interval_samples),
-            is_direct,
-            Sources(at.astype(np.int64), np.full(many, -1) if initial is None else initial),
-            KnownMotion(self._states, self._commands),
-            p,
-            np.ascontiguousarray(features),
-            found,
-        )
+        blocks = Blocks(self.blocks * every, self.thin / record.rate, every, self.interval_samples)
+        sources = Sources(at.astype(np.int64), np.full(many, -1) if initial is None else initial)
+        motion = KnownMotion(self._states, self._commands)
+        rig.kernels.respond(blocks, is_direct, sources, motion, p, np.ascontiguousarray(features), found)
         return found.reshape(self.blocks, sensors, many)
 
     def _means(self, table: Array, every: int = 0) -> Array:

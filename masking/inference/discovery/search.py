@@ -15,14 +15,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import (
-    fitting,
-    shooting_intervals,
-    simpler_explanations,
-    sticking_laws,
-    verdict,
-    wrong_parameters,
-)
+from masking.inference.discovery import fitting, simpler_explanations, sticking_laws, verdict, wrong_parameters
+from masking.inference.discovery import shooting_intervals as shooting
 from masking.inference.discovery.add_cause import Addition, in_steps, ready
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import candidates
@@ -111,8 +105,7 @@ class Search:
             found = search._searched(ground)
         if found.passed_over and self._is_composite(found.steps[-1][0]):
             # A law in which simpler ones are nested may do what they do together.
-            again = search._searched(ground, found.passed_over)
-            found = replace(again, tried=found.tried, problem=search.problem)
+            found = replace(search._searched(ground, found.passed_over), tried=found.tried, problem=search.problem)
         return found
 
     def finer(self, substeps: int) -> Search:
@@ -135,10 +128,9 @@ class Search:
                 # One more law would leave it composite; another one in the place of these may not.
                 if now is settled:
                     break
-                now, before = self._settled(now, ground), now
-                settled = now
-                if now is not before:
-                    steps[-1] = (now,)
+                settled = self._settled(now, ground)
+                steps[-1] = steps[-1] if settled is now else (settled,)
+                now = settled
                 continue
             if now.kind == "effects":
                 wider = self._widened(now, ground)
@@ -154,10 +146,9 @@ class Search:
                 return SearchResult(base, (*steps, tuple(found)), motion, tried, replace(self.problem, substeps=needed))
             if len(now.hypothesis.instances) > 1 and now is not settled:
                 # The first effects may only resemble the true ones: they were compared while the others were missing.
-                now, before = self._settled(now, ground), now
-                settled = now
-                if now is not before:
-                    steps[-1] = (now,)
+                settled = self._settled(now, ground)
+                if settled is not now:
+                    now, steps[-1] = settled, (settled,)
                     continue
             number += 1
             is_kept = any(one is likeliest for one in found) or self._is_composite(likeliest)
@@ -194,7 +185,7 @@ class Search:
         """Integration steps between samples that an explanation needs, if it leaves hardly anything."""
         if best.kind != "effects" or not verdict.leaves_little(best.cost, base.cost, self.size, self.rules):
             return self.problem.substeps
-        return shooting_intervals.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
+        return shooting.finer(self.problem, best.hypothesis, (self.rough or self.problem).substeps)
 
     def _known(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
@@ -203,7 +194,7 @@ class Search:
         if self.rough is None:
             return {}
         if now.hypothesis.instances:
-            rougher = shooting_intervals.corrected(self.rough, now.hypothesis)
+            rougher = shooting.corrected(self.rough, now.hypothesis)
             if rougher is None:
                 return {}
             problem, hypothesis = rougher
@@ -214,10 +205,7 @@ class Search:
     def _round(
         self, now: Explanation, scores: Sequence[Score], screen: Screen, ground: Ground, *, parameters: bool
     ) -> tuple[list[Explanation], Explanation]:
-        """Explanations with one more cause, best first, and the likeliest, whatever is nested in it.
-
-        There are none where the best is no better than chance.
-        """
+        """Explanations with one more cause, best first, and the likeliest, nested or not; none if all are chance."""
         rules, gains = self.rules, wrong_parameters.scores(self.problem, now.hypothesis)
         known = self._known(now, scores, screen, ground, parameters=parameters)
         made = self.fits.setdefault(now.names, {}) if self.rough is None else Fits()
@@ -291,8 +279,7 @@ class Search:
         # A law that follows the steps of integration errs by what these may.
         last = ranked[0].hypothesis.instances[-1:]
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
-        ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
-        return ordered, ranked[0]
+        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical), ranked[0]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -319,10 +306,9 @@ class Search:
                 continue
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(score)
-        excess = now.cost - self.size
         is_noise = verdict.reaches_noise(now.cost, self.size, rules)
         if now.names and is_noise and verdict.is_excess(now.cost, self.size, rules):
-            chosen = [score for score in chosen if score.gain > rules.gain_fraction * excess]
+            chosen = [score for score in chosen if score.gain > rules.gain_fraction * (now.cost - self.size)]
         keys = {p.candidate.key for p in chosen}
         simpler = set().union(*map(self._nested_in, keys)) - keys - {*now.names}
         inside = {name for names in self.nested.values() for name in names}
@@ -330,8 +316,7 @@ class Search:
         others = [p for p in scores if p.candidate.key in nested and not _is_among(p, chosen)]
         first = {p.candidate.key: p for p in [*others[::-1], *chosen]}
         chosen += [p for p in others if first[p.candidate.key] is p]
-        variants = [p for p in others if not _is_among(p, chosen)]
-        return chosen, variants
+        return chosen, [p for p in others if not _is_among(p, chosen)]
 
     def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
         """Fits whose motion is finite, noted by their numbers.
@@ -392,10 +377,7 @@ class Search:
         return other.score(tempering) < best.score(tempering) - self.rules.indifferent
 
     def _widened(self, now: Explanation, ground: Ground) -> Explanation:
-        """Free further parameters of the shape of each effect, where another trial of it estimates them.
-
-        One that sticks may also creep, where a trial of it does.
-        """
+        """Free further parameters of the shape of each effect, or let one that sticks creep, where a trial does."""
         rules = self.rules
         if verdict.reaches_noise(now.cost, self.size, rules) and not verdict.is_excess(now.cost, self.size, rules):
             return now

@@ -26,11 +26,7 @@ SHORTEST = 3e-3  # of the travel: the shortest displacement with which a frictio
 
 
 def interval(problem: EstimationProblem, seconds: float | None) -> int:
-    """Samples of a shooting interval, in whole blocks of a screen: as asked, or as needed; 0 for none.
-
-    Raises:
-        RecordError: the interval that is asked for is too short.
-    """
+    """Samples of a shooting interval, in whole blocks of a screen; 0 for none. One too short is a RecordError."""
     rate, count, rules = problem.record.rate, len(problem.record), problem.rules
     if seconds is None:
         speeds = modes(problem.rig, problem.prior.mean) * count / rate

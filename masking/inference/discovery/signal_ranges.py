@@ -30,15 +30,11 @@ def spans(problem: EstimationProblem, motion: Motion) -> dict[tuple[str, str], S
         # Of a place whose rate alone is known, how far it goes to and fro, without what goes on and on.
         moved = x if place.element.displacement is not None else signal.detrend(np.cumsum(rate) * problem.dt)
         span = _span(moved, of_motion, float(np.sqrt((rate**2).mean())) or 1.0, tones)
-        stiffness = rig.stiffnesses.get(place.name, 0.0)
-        stiffnesses = tuple(part * (stiffness or 1.0) for part in REPLACED)
-        found["element", place.name] = replace(
-            span, stiffnesses=stiffnesses, pitches=_pitches(problem, moved, rate, motion.forces)
-        )
-    for where, names, table in (
-        ("sensor", rig.twin.sensors, record.readings),
-        ("actuator", rig.twin.actuators, record.commands),
-    ):
+        stiffnesses = tuple(part * (rig.stiffnesses.get(place.name, 0.0) or 1.0) for part in REPLACED)
+        pitches = _pitches(problem, moved, rate, motion.forces)
+        found["element", place.name] = replace(span, stiffnesses=stiffnesses, pitches=pitches)
+    ports = {"sensor": (rig.twin.sensors, record.readings), "actuator": (rig.twin.actuators, record.commands)}
+    for where, (names, table) in ports.items():
         for name, x in zip(names, table.T, strict=True):
             found[where, name] = _span(x, of_motion)
     return found
@@ -73,8 +69,7 @@ def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -
     at = np.minimum((x - x.min()) / travel * many, many - 1).astype(np.int64)
     power = np.zeros(LINES * many // 2 + 1)
     for column in left.T[left.var(axis=0) > 0.0]:
-        summed = np.bincount(at, column, many)
-        power += np.abs(np.fft.rfft(summed, LINES * many)) ** 2 / column.var()
+        power += np.abs(np.fft.rfft(np.bincount(at, column, many), LINES * many)) ** 2 / column.var()
     cycles = np.arange(len(power)) / LINES
     power = np.where((cycles >= 1.0) & (cycles <= most), power, 0.0)
     return tuple(travel / float(cycles[i]) for i in _strongest(power, LINES, problem.rules.tones))

@@ -77,8 +77,7 @@ class _Gains:
 def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     """Motion and the latent forces of a record, with the parameters (k,) of the rig and its initial states (w, states).
 
-    Raises:
-        IntegrationError: the readings do not tell all coordinates, or the motion is no longer finite.
+    An IntegrationError says that readings do not tell all coordinates, or that the motion is no longer finite.
     """
     rig, record, sigma = problem.rig, problem.record, problem.sigma
     part = replace(problem, record=record.first(SHORT / record.rate))
@@ -121,14 +120,9 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
     x = np.concatenate([start[0], np.zeros(len(rig.degrees))])
     p, _ = rig.basis(theta)
     acting = np.ascontiguousarray(record.acting)
-    status = rig.kernels.follow(
-        Steps(len(record), problem.dt, problem.substeps, is_first_order(record.hold)),
-        LatentRig(rig.latent, x, p.copy(), gains.forward, gains.kept),
-        acting,
-        record.readings,
-        states,
-        predicted,
-    )
+    steps = Steps(len(record), problem.dt, problem.substeps, is_first_order(record.hold))
+    latent = LatentRig(rig.latent, x, p.copy(), gains.forward, gains.kept)
+    status = rig.kernels.follow(steps, latent, acting, record.readings, states, predicted)
     if status or not np.isfinite(states).all():
         raise IntegrationError("the record cannot be followed: the motion is no longer finite")
     sensed = np.empty_like(record.readings)
@@ -137,11 +131,7 @@ def _filter(problem: EstimationProblem, theta: Array, start: Array, gains: _Gain
 
 
 def linearised(rig: AugmentedModel, theta: Array) -> tuple[Array, Array, Array, Array]:
-    """A (n, n), B of forces on the degrees (n, degrees), C (sensors, n) and D (sensors, degrees) at rest.
-
-    Raises:
-        IntegrationError: the equations have no slopes at rest.
-    """
+    """A (n, n), B (n, degrees), C (sensors, n), D (sensors, degrees) at rest; an IntegrationError without slopes."""
     count, y = len(rig.coordinates), rig.rest
     jy, jp = rig.slopes(theta)
     js, jps = rig.reading(theta, y)[1], rig.direct(theta)
@@ -233,10 +223,8 @@ def _gains(rig: AugmentedModel, theta: Array, rate: float, sigma: Array, intensi
         backward = np.linalg.solve(ahead, step @ now).T
     else:  # a state that nothing moves at rest, such as that of a friction, is known
         backward = (decompositions.inverse(ahead, 1.0 / WORST_CONDITION, hermitian=True) @ step @ now).T
-    with (
-        decompositions.decomposed(),
-        warnings.catch_warnings(),
-    ):  # a direction that nothing moves stays as it is: 1 is an eigenvalue
+    # A direction that nothing moves stays as it is: 1 is an eigenvalue.
+    with decompositions.decomposed(), warnings.catch_warnings():
         warnings.simplefilter("ignore", linalg.LinAlgWarning)
         steady = linalg.solve_discrete_lyapunov(backward, now - backward @ ahead @ backward.T)
     deviation = np.sqrt(np.maximum(np.diag(steady)[n:], 0.0)) * size[n:]

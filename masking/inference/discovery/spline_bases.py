@@ -140,10 +140,8 @@ class Term:
                 shapes = [(*one, self.sharp) for one in self._even(0)]
             case _:
                 shapes = self.curves[0].parameters()
-        return [
-            EffectInstance(entry.name, at, (float(factor), *shape), (0,), entry)
-            for factor, shape in zip(factors, shapes, strict=True)
-        ]
+        pairs = zip(factors, shapes, strict=True)
+        return [EffectInstance(entry.name, at, (float(factor), *shape), (0,), entry) for factor, shape in pairs]
 
     def _even(self, number: int) -> list[tuple[float, float]]:
         return [(five[2], five[3] - five[2]) for five in self.curves[number].parameters()]

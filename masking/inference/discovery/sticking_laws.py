@@ -64,9 +64,8 @@ def fits(
     first = {score.candidate.at: score for score in reversed(scores)}.values()
     jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
     folding = [one for one in ground.every if any(excluded_laws.folds(problem, at) for at in one.instances)]
-    made = noted(
-        [*jobs, *((id(one), _job(problem, one, one.instances, begun)) for one in folding), *bounds], problem.work
-    )
+    jobs += [(id(one), _job(problem, one, one.instances, begun)) for one in folding]
+    made = noted([*jobs, *bounds], problem.work)
     best = min(made, key=lambda one: one.cost, default=now)
     least = min(WORSE * min(one.cost for one in (now, *found)), (1.0 - SHOWN) * now.cost)
     if not made or best.cost > least or not _leaves_much(problem, now, made):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -27,22 +27,16 @@ _MEANINGS = {
 
 def tabulated(law: FreeLaw) -> EffectInstance:
     """Free law as one effect at its place, in tables of displacement and rate."""
-    parts, values = [], dict[str, float]()
-    factors = _centred(law.terms, np.split(law.factors, np.cumsum([term.size for term in law.terms])[:-1]))
+    parts, values, kinds = [], dict[str, float](), [term.kind for term in law.terms]
+    factors = np.split(law.factors, np.cumsum([term.size for term in law.terms])[:-1])
+    if {"free_spring", "free_damping"} <= {*kinds}:  # what the curve over the rate is at rest goes to the other
+        one, other = kinds.index("free_damping"), kinds.index("free_spring")
+        at_rest = float((law.terms[one].curves[0].values(np.zeros(1)) @ factors[one])[0])
+        factors[one], factors[other] = factors[one] - at_rest, factors[other] + at_rest  # B-splines add up to 1
     for i, (term, of_term) in enumerate(zip(law.terms, factors, strict=True)):
         parts += [*_written(term, of_term, "" if i == 0 else str(i + 1), values)]
     parameters = {name: EffectParameter(_UNITS[name[0]], _MEANINGS[name[0]]) for name in values}
     return law.written(" + ".join(parts), parameters, values.values())
-
-
-def _centred(terms: Sequence[Term], factors: list[Array]) -> list[Array]:
-    """Factors of terms with a curve over the rate that is 0 at rest: what it is there goes to the other."""
-    kinds = [term.kind for term in terms]
-    if {"free_spring", "free_damping"} <= {*kinds}:
-        one, other = kinds.index("free_damping"), kinds.index("free_spring")
-        at_rest = float((terms[one].curves[0].values(np.zeros(1)) @ factors[one])[0])
-        factors[one], factors[other] = factors[one] - at_rest, factors[other] + at_rest  # B-splines add up to 1
-    return factors
 
 
 def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -> Iterator[str]:
@@ -54,7 +48,8 @@ def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -
             yield f"{f}*tanh(d_rate/{s})"
         case "free_surface":
             along, across = term.curves
-            heights = _heights(along) @ factors.reshape(along.size, across.size) @ _heights(across).T
+            of_rate = along.values(along.points) @ factors.reshape(along.size, across.size)
+            heights = of_rate @ across.values(across.points).T
             left, sizes, right = decompositions.svd(heights)
             values |= {f: float(sizes[0]) or 1.0, x: _reach(along), v: _reach(across)}
             for size, a, b in zip(sizes, left.T, right, strict=True):
@@ -63,18 +58,13 @@ def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -
                     yield f"{f}*{of_x}*{of_v}"
         case kind:
             (curve,) = term.curves
-            heights = _heights(curve) @ factors
+            heights = curve.values(curve.points) @ factors
             by, at = (c, x) if kind == "free_resistance" else (f, v) if kind == "free_damping" else (f, x)
             values |= {by: float(np.abs(heights).max()) or 1.0, at: _reach(curve)}
             table = _table(curve, f"{'d_rate' if at == v else 'd'}/{at}", heights / values[by])
             turned = {"free_resistance": "d_rate*", "free_rub": f"tanh(d_rate/{s})*"}.get(kind, "")
             values |= {s: term.sharp} if kind == "free_rub" else {}
             yield f"{by}*{turned}{table}"
-
-
-def _heights(curve: Curve) -> Array:
-    """B-splines at the points of a curve (p, p + 2)."""
-    return curve.values(curve.points)
 
 
 def _reach(curve: Curve) -> float:

@@ -25,10 +25,7 @@ def approached(
 
     Far from the values of an effect, parameters of the rig take whatever value stands best for it, and none leads from
     there to the effect. With a residual that is weighted by its own size they stay as near as their prior holds them.
-    With `once`, they end where what they leave would count for less.
-
-    Raises:
-        IntegrationError: the motion is not finite from where it begins.
+    With `once`, they end where what they leave would count for less. Errors as `fitting.fit`.
     """
     begun, left, size = fitting.Begun(tuple(instances), known.theta, known.start), np.inf, problem.record.readings.size
     found, now = None, fitting.cost(problem, instances, known.theta, known.start)

@@ -71,9 +71,8 @@ class UnitDoubt:
     @property
     def is_gain(self) -> bool:
         """Whether the record would need a gain of the one channel that is about the factor of its unit."""
-        known = {
-            on: times if self.kind == "actuator" else 1.0 / times for (_, on), times in self.otherwise if on and times
-        }
+        gains = {on: times for (_, on), times in self.otherwise if on and times}
+        known = gains if self.kind == "actuator" else {on: 1.0 / times for on, times in gains.items()}
         by = known.get(self.names[0], 0.0) / self.factor if len(self.names) == 1 else 0.0
         return 1.0 / LIKE < by < LIKE
 
@@ -89,9 +88,7 @@ class UnitDoubt:
             "declared": self.declared,
             "sign": -1 if self.is_sign else 1,
             "otherwise": [{"name": name, "on": on, "times": times} for (name, on), times in self.otherwise],
-            "alike": [
-                {"channels": [*one.names], "unit": one.unit, "sign": -1 if one.is_sign else 1} for one in self.alike
-            ],
+            "alike": [{"channels": [*x.names], "unit": x.unit, "sign": -1 if x.is_sign else 1} for x in self.alike],
         }
 
     def converted(self, problem: EstimationProblem) -> EstimationProblem:
@@ -188,11 +185,8 @@ def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
         yield from (UnitDoubt((name,), kind, port.unit, port.unit, REVERSED) for name, port in ports.items())
         channels = {name: port.unit for name, port in ports.items() if "unit" in port.model_fields_set}
         alike = {unit: tuple(name for name in channels if channels[name] == unit) for unit in channels.values()}
-        groups = {
-            *((name,) for name in channels),
-            *alike.values(),
-            *([tuple(channels)] if kind == "sensor" and channels else []),
-        }
+        groups = {*((name,) for name in channels), *alike.values()}
+        groups |= {tuple(channels)} if kind == "sensor" and channels else set()
         for names in sorted(groups, key=lambda group: (len(group), group)):
             yield from _of_group(names, kind, [*dict.fromkeys(channels[name] for name in names)])
     for unit in TIMES:

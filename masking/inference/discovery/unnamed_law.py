@@ -13,16 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
-from masking.inference.discovery import (
-    closed_form,
-    fitting,
-    free_law,
-    further_places,
-    latent_force,
-    shooting_intervals,
-    signal_ranges,
-    verdict,
-)
+from masking.inference.discovery import closed_form, fitting, free_law, further_places, signal_ranges, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.closed_form import ClosedForm
 from masking.inference.discovery.coverage import Coverage
@@ -30,8 +21,9 @@ from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import ALIKE, FEWEST, KINDS, PARTS, FreeLaw
 from masking.inference.discovery.grammar import evaluated
-from masking.inference.discovery.latent_force import Explained
+from masking.inference.discovery.latent_force import Explained, binned
 from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.shooting_intervals import finer
 from masking.inference.discovery.tabulated_law import tabulated
 from masking.inference.estimation.simulation import STUCK
 
@@ -97,10 +89,9 @@ class UnnamedLaw:
     def band(self, x: Array, rate: Array, along: Array) -> tuple[Array, Array, Array]:
         """Band of the curves along a motion (m,): two standard deviations about their means over bins of `along`.
 
-        Returns:
-            centres of the bins, and the ends of the band there (b,).
+        It is given as the centres of the bins, and the ends of the band there (b,).
         """
-        columns = [latent_force.binned(along, column) for column in self.free.rows(x, rate).T]
+        columns = [binned(along, column) for column in self.free.rows(x, rate).T]
         means, (factors, covariance) = np.column_stack([mean for _, mean, _ in columns]), self.curves
         middle, half = means @ factors, 2.0 * _deviation(means, covariance)
         return columns[0][0], middle - half, middle + half
@@ -150,18 +141,16 @@ class UnnamedLaw:
 
     def as_dict(self) -> dict[str, Any]:
         """Law as JSON can hold it."""
-        known = dict(zip(self.instance.entry.parameters, self.instance.values, strict=True))
-        estimation, validation = self.error
         return {
             "on": self.place,
             "follows": {"d": self.free.nouns["d"], "d_rate": self.free.nouns["v"]},
             "expression": self.instance.entry.expression,
-            "parameters": known,
+            "parameters": dict(zip(self.instance.entry.parameters, self.instance.values, strict=True)),
             "closed_form": self.form and self.form.as_dict(self.is_formula),
             "closed": self.closed,
             "coverage": self.coverage.as_dict(),
             "shooting_interval": self.problem.interval / self.problem.record.rate or None,
-            "simulation_error": {"estimation": estimation, "validation": validation},
+            "simulation_error": dict(zip(("estimation", "validation"), self.error, strict=True)),
         }
 
 
@@ -194,8 +183,7 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     fine, other = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
     try:
         with threadpool_limits(1):
-            pairs = (known, seen, named), (fine, other, form.hypothesis)
-            costs = [fitting.together(*both).cost for both in pairs]
+            costs = [fitting.together(*both).cost for both in ((known, seen, named), (fine, other, form.hypothesis))]
     except IntegrationError:
         return -np.inf
     noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
@@ -217,7 +205,7 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int, part:
     if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, found.problem.rules):
         return law  # smaller steps would make nothing of it
     with threadpool_limits(1):
-        needed = shooting_intervals.finer(law.free.problem, law.free.hypothesis, substeps)
+        needed = finer(law.free.problem, law.free.hypothesis, substeps)
     if needed <= steps:
         return law
     again = _law_of(found, validation, needed)
@@ -263,7 +251,10 @@ def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> Unn
         plain = replace(validation, rig=problem.rig, prior=problem.prior)
         without = [fitting.validated(plain, one) for one in (base, replace(base, theta=problem.prior.mean))]
         form = closed_form.fitted(free, free.problem, validation)
-        if form is not None and form.score <= _score(free, followed, problem, validation):
+        # The free law costs what it does in both records, with Schwarz's penalty for each factor.
+        penalty = free.size * float(np.log(problem.record.readings.size + validation.record.readings.size))
+        cost = free.hypothesis.cost + float(followed.squares @ validation.weights) + penalty
+        if form is not None and form.score <= cost:
             law, formula = free, form.tempered(free.problem, validation)
             fitted, validated = formula.hypothesis, formula.validated
             written = _explanation(fitted, fitted.instances)
@@ -277,17 +268,13 @@ def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> Unn
         return None
     errors, floor = (problem.errors(fitted.squares), validation.errors(validated.squares)), validation.noise_floor
     closed = verdict.at_noise_floor(errors[1].values(), floor.values(), len(validation.record), problem.rules)
-    is_formula = formula is not None
-    return UnnamedLaw(law, written, validated, errors, closed, validation, formula or form, is_formula)
+    return UnnamedLaw(law, written, validated, errors, closed, validation, formula or form, formula is not None)
 
 
 def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationProblem, Hypothesis]:
     """Validation record in the longest shooting intervals in which a law follows the motion, and the law.
 
-    A chaotic motion is lost whatever the law, since any difference grows.
-
-    Raises:
-        IntegrationError: the motion is not finite.
+    A chaotic motion is lost whatever the law, since any difference grows. Errors as `fitting.fit`.
     """
     size, kept, most = len(validation.record), law.problem.interval, STUCK * validation.record.readings.size
     for samples in (kept, *(n for part in PARTS if (n := size // part) > FEWEST)):
@@ -298,12 +285,6 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
                 return part, found
     part = replace(validation, interval=kept)
     return part, fitting.validated(part, law.hypothesis)
-
-
-def _score(law: FreeLaw, validated: Hypothesis, problem: EstimationProblem, validation: EstimationProblem) -> float:
-    """Cost of a free law in both records, with Schwarz's penalty for each factor."""
-    readings = problem.record.readings.size + validation.record.readings.size
-    return law.hypothesis.cost + float(validated.squares @ validation.weights) + law.size * float(np.log(readings))
 
 
 def _in_tables(law: FreeLaw) -> Explanation:

@@ -176,13 +176,7 @@ def _are_alike(one: Law, other: Law) -> bool:
 
 
 def is_redundant(
-    richer: Fitted,
-    others: Iterable[Fitted],
-    nested: Collection[Key],
-    now: float,
-    rules: DecisionRules,
-    *,
-    tempering: float,
+    richer: Fitted, others: Iterable[Fitted], nested: set[Key], now: float, rules: DecisionRules, *, tempering: float
 ) -> bool:
     """Whether a nested model does all that a richer one does, which then is that nested model.
 
@@ -244,8 +238,7 @@ def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: 
     start, before, after = (excess_cost(cost, readings) for cost in (base, now.cost, then.cost))
     is_first = now.kind == "none"
     if reaches_noise(then.cost, readings, rules):
-        few = after > (1.0 - rules.gain_fraction) * before
-        return not is_first and few and is_excess(now.cost, readings, rules)
+        return not is_first and after > (1.0 - rules.gain_fraction) * before and is_excess(now.cost, readings, rules)
     trace = rules.trace_fraction * start if after > rules.far_cost * readings else 0.0
     is_late = not is_first and _is_explained(start, before, trace, readings, rules)
     return after > (1.0 - (rules.late_gain_fraction if is_late else rules.gain_fraction)) * before

@@ -15,6 +15,7 @@ second pass from `KalmanFit.twin`, with R and P0 as they then are, is consistent
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -153,10 +154,8 @@ def extended_kalman(
 
 
 def _check(twin: Twin, record: Data) -> None:
-    for what, found, wanted in (
-        ("commands", record.commands, twin.actuators),
-        ("readings", record.readings, twin.sensors),
-    ):
+    tables = ("commands", record.commands, twin.actuators), ("readings", record.readings, twin.sensors)
+    for what, found, wanted in tables:
         if found.ndim != 2 or found.shape[1] != len(wanted):
             raise RecordError(f"{record.name}: {what} have shape {found.shape}; they must be of {', '.join(wanted)}")
         wrong = np.flatnonzero(~np.isfinite(found).all(axis=1))
@@ -198,9 +197,8 @@ class _Scales:
         time = model.units.size("s", overrides)
         lengths = [model.units.size(c.unit, overrides) for c in model.declaration.coordinates.values()]
         internal = [model.units.size(s.unit, overrides) for s in model.declaration.states.values()]
-        states = np.array(
-            [*lengths, *(length / time for length in lengths), *internal, *(1.0,) * len(twin.chain_states)]
-        )
+        speeds = [length / time for length in lengths]
+        states = np.array([*lengths, *speeds, *internal, *(1.0,) * len(twin.chain_states)])
         _, jacobian = sensing.sensed(twin.rest(np.zeros(len(lengths))))
         seen = np.abs(jacobian * states).max(axis=1)
         readings = np.where(seen > 0.0, seen, 1.0)
@@ -239,12 +237,8 @@ def _is_affine(sensing: Sensitivity) -> bool:
     """Whether the twin depends on the parameters through sums and constant factors only."""
     twin, theta = sensing.twin, sensing.start()
     farther = np.clip(1.05 * theta + 0.01 * (theta == 0.0), *sensing.bounds())
-    off = {
-        f"{effect.label}_{name}"
-        for effect in twin.effects
-        if not effect.enabled and effect.entry.where == "element"
-        for name in effect.entry.parameters
-    }
+    disabled = (effect for effect in twin.effects if not effect.enabled and effect.entry.where == "element")
+    off = {f"{effect.label}_{name}" for effect in disabled for name in effect.entry.parameters}
     idle = {i for i, name in enumerate(twin.model.parameters) if name in off}
     acting = [row for row, index in enumerate(sensing.affected) if index not in idle]
     here, there = (sensing.basis(at)[1][acting] for at in (theta, farther))
@@ -269,14 +263,8 @@ class _Run:
     def filter(self, y: Array, theta: Array, p0: Array, progress: Progress | None) -> tuple[Array, Array]:
         """Parameters (k,) in declared units, and the covariance of state and parameters; writes their course.
 
-        Args:
-            y: initial state (states,).
-            theta: initial parameters (k,), in declared units.
-            p0: variances of both (states + k,).
-            progress: called with the part done.
-
-        Raises:
-            IntegrationError: the estimate diverged, or the covariance lost its sign.
+        It begins from a state (states,), parameters (k,) and variances of both (states + k,). An IntegrationError says
+        that the estimate diverged, or the covariance lost its sign.
         """
         sensing, record, m, is_root = self.sensing, self.record, len(self.record), self.settings.square_root
         matrix, is_affine = np.diag(np.sqrt(p0) if is_root else p0), _is_affine(sensing)
@@ -292,6 +280,7 @@ class _Run:
         derivatives = np.zeros((COLUMN_ROWS * sensing.states, whole_lanes(len(theta) + sensing.states)))
         p, basis = self._basis(theta)
         affected, at = np.array(sensing.affected or (0,), dtype=np.int64), 0
+        found = Filtered(self.states, self.estimates, self.noises)
         for piece in range(1, PIECES + 1):
             end = m * piece // PIECES
             if not is_affine:
@@ -300,14 +289,10 @@ class _Run:
                 moved = MOVED * np.maximum(np.abs(theta), 0.1 * self.scales.parameters)
                 moved_by = terms(sensing.equations, basis)[:2]
                 table = np.array([low, high, np.full_like(theta, np.inf) if is_affine else moved])
-                status, at = kernel(
-                    FilterSteps(at, end - at, 1.0 / record.rate, substeps, is_linear, self.settings.iterated),
-                    FilteredTwin(sensing.sizes.coordinates, affected, y, theta, p, basis, *moved_by),
-                    matrix,
-                    derivatives,
-                    FilterRecord(acting, readings, self.r, self.q, table),
-                    Filtered(self.states, self.estimates, self.noises),
-                )
+                steps = FilterSteps(at, end - at, 1.0 / record.rate, substeps, is_linear, self.settings.iterated)
+                twin = FilteredTwin(sensing.sizes.coordinates, affected, y, theta, p, basis, *moved_by)
+                given = FilterRecord(acting, readings, self.r, self.q, table)
+                status, at = kernel(steps, twin, matrix, derivatives, given, found)
                 if status in (NOT_FINITE, NOT_POSITIVE):
                     raise IntegrationError(self._remedy(status, at, len(theta)))
                 if status == LINEARISE:
@@ -366,13 +351,9 @@ class _Run:
         far = (np.abs(found.values - self.sensing.start()) > FARTHER * np.sqrt(p0)) & (mean > high)
         notes += [
             f"{name} moved by more than {FARTHER:g} of its initial deviations; raise parameters, or begin closer"
-            for name, is_far in zip(found.names, far, strict=True)
-            if is_far
+            for name in itertools.compress(found.names, far)
         ]
         low_bound, high_bound = self.sensing.bounds()
         near = 2.0 * INSIDE * self.scales.parameters
         at_bound = (found.values < low_bound + near) | (found.values > high_bound - near)
-        notes += [
-            f"{name} is held at its bound" for name, is_held in zip(found.names, at_bound, strict=True) if is_held
-        ]
-        return notes
+        return [*notes, *(f"{name} is held at its bound" for name in itertools.compress(found.names, at_bound))]

@@ -99,14 +99,10 @@ class Estimate:
     def lines(self) -> list[str]:
         """Line for each parameter, with half its 95 % interval, and one for the errors."""
         width = max(map(len, self.names), default=0)
-        rows = [
-            f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}"
-            for name, value, std in zip(self.names, self.values, self.std, strict=True)
-        ]
-        text = [f"chi {_each(self.chi)}"]
-        if self.validation:
-            text.append(f"on unseen data {_each(self.validation)}")
-        return [*rows, "; ".join([*text, f"the noise alone {_each(self.floor)}"])]
+        every = zip(self.names, self.values, self.std, strict=True)
+        rows = [f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}" for name, value, std in every]
+        kinds = {"chi": self.chi, "on unseen data": self.validation, "the noise alone": self.floor}
+        return [*rows, "; ".join(f"{kind} {_each(chi)}" for kind, chi in kinds.items() if chi)]
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -192,8 +188,7 @@ def independent(twin: Twin, record: Data, names: Sequence[str]) -> tuple[str, ..
     """
     order = tuple(reversed(names))
     problem = _Problem(Sensitivity(twin, order), [_beginning(record)])
-    information = problem.linearised(problem.unknowns(problem.sensitivity.start())).equations.information()
-    left, _ = _scaled(information)
+    left, _ = _scaled(problem.linearised(problem.unknowns(problem.sensitivity.start())).equations.information())
     kept = []
     for i, name in enumerate(order):  # Cholesky, without those of which nothing is left
         if left[i, i] > INDEPENDENT:
@@ -291,12 +286,10 @@ class _Problem:
 
     def result(self, x: Array) -> Fit:
         at, theta = self.linearised(x), x[: self.k]  # the last equations had the noise of the round before
-        information = at.equations.information()
         names = self.sensitivity.names
-        scaled, scale = _scaled(information)
+        scaled, scale = _scaled(at.equations.information())
         values, vectors = decompositions.symmetric(scaled)
-        kept = np.where(values > FLAT, values, np.inf)
-        covariance = (vectors / kept) @ vectors.T / np.outer(scale, scale)
+        covariance = (vectors / np.where(values > FLAT, values, np.inf)) @ vectors.T / np.outer(scale, scale)
         notes = [_flat(names, vectors[:, i]) for i in np.flatnonzero(values <= FLAT)]
         correlation = covariance / np.sqrt(np.maximum(np.outer(np.diag(covariance), np.diag(covariance)), 1e-300))
         notes += [
@@ -308,7 +301,9 @@ class _Problem:
         twin = self.sensitivity.twin_at(theta)
         chi, floor = relative(twin.sensors, self.pieces, at.extra), noise_alone(twin.sensors, self.pieces)
         notes += [
-            _unexplained(name, chi[name] / max(floor[name], 1e-300))
+            f"the residual of {name} is {chi[name] / max(floor[name], 1e-300):.1f} times its noise: the model is "
+            "missing something that the parameters compensate for, so they are less certain than their intervals say; "
+            "see 'masking discover'"
             for name in chi
             if chi[name] > max(BEYOND * floor[name], EXACT)
         ]
@@ -322,17 +317,9 @@ def _flat(names: tuple[str, ...], direction: Array) -> str:
     strong = [name for name, part in zip(names, direction, strict=True) if abs(part) > 0.1 * np.abs(direction).max()]
     if len(strong) == 1:
         return f"these records do not determine {strong[0]}; excite what it belongs to, or leave it out"
-    listed = f"{', '.join(strong[:-1])} and {strong[-1]}"
-    remedy = (
-        "fix one of them (--parameters names those to fit; in Python, parameters=), or give records that excite each"
-    )
-    return f"{listed} cannot be distinguished from these records; {remedy}"
-
-
-def _unexplained(sensor: str, times: float) -> str:
     return (
-        f"the residual of {sensor} is {times:.1f} times its noise: the model is missing something "
-        "that the parameters compensate for, so they are less certain than their intervals say; see 'masking discover'"
+        f"{', '.join(strong[:-1])} and {strong[-1]} cannot be distinguished from these records; fix one of them "
+        "(--parameters names those to fit; in Python, parameters=), or give records that excite each"
     )
 
 

@@ -20,9 +20,7 @@ from masking.lab.records.noise import white_noise
 from masking.lab.records.recording import Recording
 
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
-
 NOT_LATE = np.zeros(())
-
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LOUD = 1.1  # times their noise: readings that vary by more hold something else
 _FEW = 1000  # readings: among fewer, motion may look like white noise
@@ -49,10 +47,7 @@ def _refusal(hold: str) -> str:
 
 @dataclass(frozen=True)
 class Data:
-    """Commands and readings of one record.
-
-    Raises:
-        ModelError: `hold` is neither 'zero-order' nor 'first-order'.
+    """Commands and readings of one record; a ModelError where `hold` is neither 'zero-order' nor 'first-order'.
 
     Source: Pintelon and Schoukens, System Identification (2012), section 13.2.
     """
@@ -127,15 +122,10 @@ class Data:
             ModelError: `hold` is not known.
             RecordError: the record cannot be read, or has no information about the plant.
         """
-        needed = (*twin.actuators, *twin.sensors)
-        return cls.of(readers.read(path, columns, dt, needed), twin, str(path), hold)
+        return cls.of(readers.read(path, columns, dt, (*twin.actuators, *twin.sensors)), twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:
-        """Refuse a record without information about a plant.
-
-        Raises:
-            RecordError: a column is not finite, nothing moves, or the readings are constant or noise alone.
-        """
+        """Refuse, by a RecordError, one that is not finite or moves nothing, with readings constant or noise alone."""
         for names, table in ((twin.actuators, self.commands), (twin.sensors, self.readings)):
             for column, values in zip(names, table.T, strict=True):
                 wrong = np.flatnonzero(~np.isfinite(values))
@@ -219,9 +209,8 @@ class Data:
 
         Commands are later by `late` samples (actuators,) than those of the record.
         """
-        unknown = math.ceil((self.late + late).max(initial=0.0))
         counted = np.array(self.readings, dtype=float, order="C")
-        counted[:unknown] = np.nan
+        counted[: math.ceil((self.late + late).max(initial=0.0))] = np.nan
         return counted
 
     def residuals(self, simulated: Array, late: Array = NOT_LATE) -> Array:
@@ -242,7 +231,6 @@ class Data:
         Straight lines between samples of a sine of frequency f weaken it by (sin(pi f/rate)/(pi f/rate))^2. Inputs that
         were filtered before they were sampled have nothing above half the rate: what they lose is given back by their
         differences of order 2, 4 and 6, within 1e-5 below a tenth of the rate and within 1 % below a quarter of it.
-
         Source: Pintelon and Schoukens, System Identification (2012), section 13.2, for band-limited inputs; Gradshteyn
         and Ryzhik, Table of Integrals, Series, and Products (2007), 1.645.2, for the series.
         """

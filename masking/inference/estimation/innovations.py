@@ -76,5 +76,4 @@ class KalmanFit(Estimate):
 
     def __str__(self) -> str:
         mean, low, high = self.consistency
-        text = f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}"
-        return "\n".join([*self.lines(), text, *self.notes])
+        return "\n".join([*self.lines(), f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.notes])

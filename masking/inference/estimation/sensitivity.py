@@ -42,9 +42,7 @@ SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
 SIGNATURES = RATES, SLOPES, READING, SENSED
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
-_LATER = (
-    0.01  # of a sample, by which commands are later in the differences that tell how readings depend on a dead time
-)
+_LATER = 0.01  # of a sample, by which commands are later in those that tell how readings depend on a dead time
 
 
 @dataclass(frozen=True)
@@ -168,11 +166,8 @@ class Sensitivity:
     @cached_property
     def equations(self) -> Kernels:
         """Compiled equations and readings of the twin, and their derivatives."""
-        return Kernels(
-            module_store.load(
-                module_store.key({"sensitivity": [self.twin.structure(), list(self.affected)]}), self._build
-            )
-        )
+        key = module_store.key({"sensitivity": [self.twin.structure(), list(self.affected)]})
+        return Kernels(module_store.load(key, self._build))
 
     def _build(self) -> Module:
         name = self.twin.declaration.name
@@ -209,9 +204,8 @@ class Sensitivity:
         """
         readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
         given = np.ascontiguousarray(commands, dtype=float)
-        self.kernels.simulate(
-            len(given), 1.0 / rate, substeps, is_first_order(hold), y, self.parameters(theta), given, readings
-        )
+        p = self.parameters(theta)
+        self.kernels.simulate(len(given), 1.0 / rate, substeps, is_first_order(hold), y, p, given, readings)
         if not np.isfinite(readings).all():
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
@@ -265,22 +259,15 @@ class Sensitivity:
         (p, columns), count, states = basis, len(record), self.states
         size = len(self.names) + states
         matrix, gradient, squares = np.zeros((size, whole_lanes(size))), np.zeros(size), np.zeros(len(weights))
-        y, simulated, derivatives = (
-            np.empty(states),
-            np.empty((count, len(squares))),
-            np.zeros((COLUMN_ROWS * states, whole_lanes(size))),
-        )
-        status = self.kernels.normal(
-            Steps(count, 1.0 / record.rate, substeps, is_first_order(record.hold)),
-            Shooting(len(self.names), np.arange(states), np.array([start], dtype=float), y, derivatives),
-            TwinArrays(p, *terms(self.equations, columns), self.sizes.coordinates, record.late),
-            Readings(record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float)),
-            Sums(matrix, gradient, squares, simulated),
-        )
-        if status:
+        y, simulated = np.empty(states), np.empty((count, len(squares)))
+        derivatives = np.zeros((COLUMN_ROWS * states, whole_lanes(size)))
+        steps = Steps(count, 1.0 / record.rate, substeps, is_first_order(record.hold))
+        shooting = Shooting(len(self.names), np.arange(states), np.array([start], dtype=float), y, derivatives)
+        arrays = TwinArrays(p, *terms(self.equations, columns), self.sizes.coordinates, record.late)
+        readings = Readings(record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float))
+        if self.kernels.normal(steps, shooting, arrays, readings, Sums(matrix, gradient, squares, simulated)):
             raise IntegrationError("the simulated motion is no longer finite")
-        matrix = symmetric(matrix)
-        return NormalEquations(matrix, gradient, squares, simulated, y)
+        return NormalEquations(symmetric(matrix), gradient, squares, simulated, y)
 
 
 def symmetric(lower: Array) -> Array:

@@ -81,14 +81,10 @@ def noise_alone(sensors: Sequence[str], records: Sequence[Data]) -> dict[str, fl
 def validated(sensing: Sensitivity, theta: Array, unseen: Sequence[Data], weights: Array) -> dict[str, float]:
     """Relative error of each sensor over records that were not fitted, by name, with parameters (k,) in declared units.
 
-    The initial state of each record is estimated, with weights of squared residuals (sensors,).
-
-    Raises:
-        IntegrationError: the motion is not finite.
+    The initial state of each record is estimated, with weights of squared residuals (sensors,); errors as `nearest`.
     """
-    squares = np.zeros(len(weights))
-    for record in unseen:
-        squares += nearest(sensing, theta, record, weights)[1].squares
+    every = (nearest(sensing, theta, record, weights)[1].squares for record in unseen)
+    squares = sum(every, np.zeros(len(weights)))
     return relative(sensing.twin.sensors, unseen, squares)
 
 
@@ -155,8 +151,7 @@ def in_intervals(twin: Twin, record: Data, seconds: float) -> Simulated:
     Raises:
         IntegrationError: the motion of an interval is not finite from any initial state that was tried.
     """
-    pieces = record.windows(seconds)
-    every = [simulate(twin, piece, noise=record.noise) for piece in pieces]
+    every = [simulate(twin, piece, noise=record.noise) for piece in record.windows(seconds)]
     readings = np.concatenate([one.readings for one in every])
     return replace(every[0], record=record, readings=readings, shooting_interval=len(record) / record.rate / len(every))
 
@@ -195,9 +190,8 @@ def nearest(
         [part for part in parts if start is None and part * len(record) >= FIRST_READINGS] for parts in (PARTS, DOUBLED)
     )
     ways = [usable[i:] for i in range(len(usable) + 1)]
-    starts = itertools.product(
-        _guesses(sensing, record) if start is None else [start], ways + [doubled] * bool(doubled)
-    )
+    guesses = _guesses(sensing, record) if start is None else [start]
+    starts = itertools.product(guesses, ways + [doubled] * bool(doubled))
     nearer = ((first, doubled) for first in _small(sensing, theta, record, weights, usable) if not found)
     for first, parts in itertools.chain(starts, nearer):
         if parts is doubled and found and not thorough:
@@ -297,14 +291,7 @@ def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
 
 
 def guessed_state(
-    rest: Array,
-    at_rest: tuple[Array, Array],
-    free: Sequence[int],
-    times: Array,
-    readings: Array,
-    *,
-    n: int,
-    degree: int,
+    rest: Array, at_rest: tuple[Array, Array], free: Sequence[int], t: Array, readings: Array, *, n: int, degree: int
 ) -> Array:
     """Guess of a state (states,) from a polynomial through the readings around it.
 
@@ -312,13 +299,13 @@ def guessed_state(
         rest: the state at rest (states,), in which the states that are not free stay.
         at_rest: readings there (sensors,), and their derivatives by the state (sensors, states).
         free: indices of the states that may begin anywhere.
-        times: of the readings, from the instant of the state, s (m,).
+        t: times of the readings, from the instant of the state, s (m,).
         readings: (m, sensors).
         n: number of coordinates, which are the first states; their velocities are the next.
         degree: of the polynomial.
     """
     y, (read, jacobian) = rest.copy(), at_rest
-    value, *slope = np.polynomial.polynomial.polyfit(times, readings, min(degree, len(times) - 1))[:2]
+    value, *slope = np.polynomial.polynomial.polyfit(t, readings, min(degree, len(t) - 1))[:2]
     seen = [i for i in free if not n <= i < 2 * n]
     inverse = decompositions.inverse(jacobian[:, seen])
     y[seen] += inverse @ (value - read)

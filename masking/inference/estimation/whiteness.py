@@ -89,7 +89,6 @@ def evenness(values: Array) -> float:
 
     The share of a band of n among N lines is distributed as Beta(n, N - n) then; that of the strongest line is above g
     with a probability of at most N (1 - g)^(N - 1).
-
     Source: Fisher, Proceedings of the Royal Society A 125 (1929), 54-59.
     """
     power, band = _banded(values)

@@ -17,12 +17,9 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
 from masking.inference.procedures.motion_columns import columns, probability, refuse_not_positive
 
-# Harmonics of the drive that are distinguished from it in each reading, the drive first.
-HARMONICS = (1, 2, 3)
-# Samples of a period that are needed.
-SAMPLES_PER_PERIOD = 10
-# Readings that are needed.
-LEAST_READINGS = 12
+HARMONICS = (1, 2, 3)  # of the drive, which are distinguished in each reading; the drive first
+SAMPLES_PER_PERIOD = 10  # that are needed
+LEAST_READINGS = 12  # that are needed
 
 
 @dataclass(frozen=True)
@@ -107,9 +104,8 @@ def actuator_ratio(
     variance = 0.5 * power * shape[0, 0] / abs(b) ** 2 * (1.0 + alike) / (1.0 - alike)
     away = gains - ratio
     fitted = np.asarray(a - b * (a / b).real + b * away + found[2] * away**3 + found[3] * rates)
-    return ActuatorRatio(
-        ratio, float(np.sqrt(variance)), 2 * (len(rest) - 4), gains, readings, fitted, used, abs((a / b).imag * b)
-    )
+    freedom, left = 2 * (len(rest) - 4), abs((a / b).imag * b)
+    return ActuatorRatio(ratio, float(np.sqrt(variance)), freedom, gains, readings, fitted, used, left)
 
 
 def _demodulated(t: Array, x: Array, g: Array, frequency: float) -> tuple[Array, Array, NDArray[np.complex128]]:

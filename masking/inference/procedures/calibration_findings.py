@@ -128,8 +128,7 @@ class Calibration:
     @cached_property
     def residuals(self) -> dict[str, Array]:
         """Residual of each stage in the unseen record, measured less simulated (m, sensors), by its name."""
-        unseen = self.records.unseen
-        return {s.name: simulate(s.fit.twin, unseen, s.parameters).residual for s in self.stages}
+        return {s.name: simulate(s.fit.twin, self.records.unseen, s.parameters).residual for s in self.stages}
 
     @cached_property
     def excited(self) -> tuple[Excited, ...]:
@@ -137,15 +136,13 @@ class Calibration:
         record, actuators = self.records.fit, self.twin.declaration.actuators or self.twin.model.declaration.inputs
         count = min(len(record), round(PERIOD * record.rate))
         t = np.arange(count) / record.rate
-        frequencies = np.fft.rfftfreq(count, 1.0 / record.rate)
+        frequencies = np.asarray(np.fft.rfftfreq(count, 1.0 / record.rate), dtype=float)
         found = []
         for i, name in enumerate(self.twin.actuators):
             values = record.commands[:count, i]
-            spectrum = 2.0 * np.abs(np.fft.rfft(values)) / count
+            spectrum = np.asarray(2.0 * np.abs(np.fft.rfft(values)) / count)
             unit, limit = actuators[name].unit, float(self.records.limits[i])
-            found.append(
-                Excited(name, unit, t, values, np.asarray(frequencies, dtype=float), np.asarray(spectrum), limit)
-            )
+            found.append(Excited(name, unit, t, values, frequencies, spectrum, limit))
         return tuple(found)
 
     @cached_property
@@ -233,8 +230,7 @@ def _force(twin: Twin, element: str, displacements: Array) -> Array | None:
     """
     names = twin.model.coordinates
     stretched = {n: e.displacement for n, e in twin.base.elements.items() if e.displacement is not None}
-    known = {*names, *twin.model.parameters}
-    if element not in stretched or any(not d.names <= known for d in stretched.values()):
+    if element not in stretched or any(d.names - {*names, *twin.model.parameters} for d in stretched.values()):
         return None
     elements = {name: twin.base.elements[name] for name in stretched}
     zero = twin.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict.fromkeys(names, 0.0)

@@ -19,10 +19,8 @@ from masking.lab.records.recording import Recording
 from masking.model.declaration import units
 from masking.model.modelling.scales import Units
 
-# A command that changes by this part of its largest value, or less, does not move.
-STILL = 1e-12
-# Option of the command line that names a channel of each kind.
-OPTIONS = {"input": "--input", "sensor": "--sensor"}
+STILL = 1e-12  # of its largest value: a command that changes by less does not move
+OPTIONS = {"input": "--input", "sensor": "--sensor"}  # of the command line, by which a channel of each kind is named
 
 
 @dataclass(frozen=True)
@@ -62,10 +60,8 @@ class Source:
 
     def choices(self, kind: str) -> tuple[str, ...]:
         """Names of a kind, input or sensor: those with its prefix, or every column where there is none."""
-        found = self.recording.names(kind)
-        if found:
-            return found
-        return tuple(c for c in self.recording.columns if c != "t" and not c.startswith(("input.", "sensor.")))
+        plain = (c for c in self.recording.columns if c != "t" and not c.startswith(("input.", "sensor.")))
+        return self.recording.names(kind) or tuple(plain)
 
     def one(self, kind: str, wanted: str | None) -> Channel:
         """Channel of a kind that is named, or the only one there is; of inputs, the only one that moves.
@@ -73,9 +69,7 @@ class Source:
         Raises:
             RecordError: there is no such channel, or none is named where there are several; names the choices.
         """
-        if wanted is not None:
-            return self._channel(kind, wanted)
-        names = self._moving(kind)
+        names = self._moving(kind) if wanted is None else [wanted]
         if len(names) != 1:
             what = f"{len(names)} inputs that move" if kind == "input" else f"{len(names)} sensors"
             raise RecordError(

@@ -24,14 +24,10 @@ from masking.inference.procedures.motion_columns import probability
 
 Indices = NDArray[np.int64]
 
-# A line counts as excited where an input has this part of its largest amplitude.
-EXCITED_PART = 0.01
-# Inputs can be distinguished at a line where the condition of their amplitudes is at most this.
-WORST_CONDITION = 1e6
-# A channel that changes by this part of its largest value, or less, does not move.
-MOVING_PART = 1e-12
-# An amplitude of this part of the largest, or less, is rounding.
-SILENT_PART = 1e-9
+EXCITED_PART = 0.01  # of its largest amplitude, from which an input is excited at a line
+WORST_CONDITION = 1e6  # of the amplitudes of inputs at a line, up to which they can be distinguished
+MOVING_PART = 1e-12  # of its largest value: a channel that changes by no more does not move
+SILENT_PART = 1e-9  # of the largest amplitude: one that is no larger is rounding
 
 
 @dataclass(frozen=True)
@@ -97,9 +93,7 @@ class FrequencyResponse:
             r^2 = sigma^2 F(2, 2 m),   m complex degrees of freedom of the variance
 
         Source: Pintelon and Schoukens (2012), section 2.4.2 (sample variance of circular complex noise).
-
-        Raises:
-            ModelError: the level is not between 0 and 1.
+        A level that is not between 0 and 1 is a ModelError.
         """
         freedom = self.freedom if self.total is None else self.realisations - 1
         factor = float(special.fdtri(2, 2 * freedom, probability(level)))
@@ -144,9 +138,8 @@ class Distortion:
         """
         signal = float(np.mean(self.level[self.excited]))
         beyond = self.level - self.noise
-        parts = {
-            name: max(float(np.mean(beyond[lines])), 0.0) for name, lines in (("even", self.even), ("odd", self.odd))
-        }
+        sides = {"even": self.even, "odd": self.odd}
+        parts = {name: max(float(np.mean(beyond[lines])), 0.0) for name, lines in sides.items()}
         return {name: float(np.sqrt(v / signal)) for name, v in (parts | {"noise": float(self.noise.mean())}).items()}
 
 
@@ -234,8 +227,7 @@ def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None
     each = each_y.transpose(0, 2, 3, 1) @ inverse  # (realisations, lines, outputs, inputs)
     response = each.mean(axis=0)
     # Each realisation is compared with its own response, so that distortion is not taken for noise.
-    own = np.repeat(each, inputs, axis=0)
-    rest = y - np.einsum("bkoi,bpki->bpko", own, u)
+    rest = y - np.einsum("bkoi,bpki->bpko", np.repeat(each, inputs, axis=0), u)
     spread = (_variance(rest) / periods).reshape(groups, inputs, len(lines), -1)
     noise = np.einsum("reko,rkej->koj", spread, np.abs(inverse) ** 2) / groups**2
     total = _variance(each[None])[0] / groups if groups > 1 else None
@@ -345,9 +337,8 @@ def _blocks(what: str, values: ArrayLike) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise RecordError(
-            f"the {what} are no table of real numbers ({error}); give experiments of the same length"
-        ) from None
+        why = f"the {what} are no table of real numbers ({error}); give experiments of the same length"
+        raise RecordError(why) from None
     if found.ndim not in {1, 2, 3} or not found.size:
         raise RecordError(f"the {what} have shape {found.shape}; give (experiments, samples, channels)")
     found = found[None, :, None] if found.ndim == 1 else found[None] if found.ndim == 2 else found
@@ -362,8 +353,7 @@ def _blocks(what: str, values: ArrayLike) -> Array:
 
 
 def _refuse_constant(what: str, values: Array) -> None:
-    largest = np.abs(values).max(axis=(0, 1))
-    still = np.flatnonzero(np.ptp(values, axis=1).max(axis=0) <= MOVING_PART * largest)
+    still = np.flatnonzero(np.ptp(values, axis=1).max(axis=0) <= MOVING_PART * np.abs(values).max(axis=(0, 1)))
     if len(still):
         raise RecordError(
             f"{what} {still[0]} (counted from 0) is constant at {values[0, 0, still[0]] + 0.0:.6g} after the periods "
@@ -386,8 +376,7 @@ def _refuse_silent(found: Spectra, lines: Indices) -> None:
 
 def _refuse_alike(matrix: Complex, lines: Indices, base: float) -> None:
     """Refuse inputs (realisations, lines, inputs, experiments) that cannot be distinguished at a line."""
-    condition = np.linalg.cond(matrix).max(axis=0)
-    bad = np.flatnonzero(~(condition < WORST_CONDITION))
+    bad = np.flatnonzero(~(np.linalg.cond(matrix).max(axis=0) < WORST_CONDITION))
     if len(bad):
         line = lines[bad[0]]
         raise RecordError(

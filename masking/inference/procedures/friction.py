@@ -19,10 +19,8 @@ from masking.errors import ModelError, RecordError
 from masking.inference.procedures.motion_columns import TURNED, columns, directions, part_of, refuse_one_way, turns
 from masking.inference.procedures.springs import SLIDING, elements, thinned
 
-# A record is averaged in time to at most this many points before its gap is taken.
-THINNED = 20000
-# A step nearer to an end than this part of the travel may be what settles after the turn.
-END_PART = 0.05
+THINNED = 20000  # points at most, to which a record is averaged in time before its gap is taken
+END_PART = 0.05  # of the travel: a step nearer to an end may be what settles after the turn
 
 
 @dataclass(frozen=True)
@@ -90,8 +88,7 @@ def shift_of_equilibrium(times: ArrayLike, displacement: ArrayLike, force: Array
             travels differ by a factor of two.
     """
     _, x, f = columns(times=times, displacement=displacement, force=force)
-    at = turns(f, part_of(f, TURNED))
-    inner = at[1:-1]
+    inner = turns(f, part_of(f, TURNED))[1:-1]
     ends = [*inner, len(f) - 1]
     rows = []
     for k in range(0, len(inner) - 1, 2):
@@ -145,9 +142,8 @@ def locate_friction(times: ArrayLike, displacement: ArrayLike, force: ArrayLike,
     refuse_one_way(x, direction)
     t, x, f, direction = (thinned(column, THINNED) for column in (t, x, f, direction))
     kept = np.abs(direction) == 1.0  # a stretch in which the force turns belongs to neither way
-    speed = np.gradient(x, t)
-    memory = elements(x, np.array(SLIDING) * float(np.ptp(x)))
-    middles, gaps = _half_gaps(x[kept], np.column_stack([f, speed, memory])[kept], direction[kept], bins)
+    sources = np.column_stack([f, np.gradient(x, t), elements(x, np.array(SLIDING) * float(np.ptp(x)))])
+    middles, gaps = _half_gaps(x[kept], sources[kept], direction[kept], bins)
     gap = gaps[:, 0]
     known = np.column_stack([np.ones(len(gap)), gaps[:, 1:]])
     size = middles[1] - middles[0]
@@ -164,10 +160,8 @@ def locate_friction(times: ArrayLike, displacement: ArrayLike, force: ArrayLike,
     weights = _not_negative(rows, gap)
     used = rows[:, weights > 0.0]
     power = fit.at.cost / (len(gap) - used.shape[1] - 2)
-    slopes = [
-        weights[-1] * (_step(fit.x + h, middles, side) - _step(fit.x - h, middles, side))
-        for h in 1e-4 * size * np.eye(2)
-    ]
+    apart = 1e-4 * size * np.eye(2)
+    slopes = [weights[-1] * (_step(fit.x + h, middles, side) - _step(fit.x - h, middles, side)) for h in apart]
     jacobian = np.column_stack([*(slope / (2e-4 * size) for slope in slopes), used])
     deviations = np.sqrt(np.maximum(np.diag(power * np.linalg.pinv(jacobian.T @ jacobian)), 0.0))
     ends = np.array([x.min(), x.max()])

@@ -14,21 +14,13 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
+from masking.inference.procedures import frequency_response as responses
 from masking.inference.procedures.channels import Channel, Source
-from masking.inference.procedures.frequency_response import (
-    Distortion,
-    FrequencyResponse,
-    Spectra,
-    frequency_response,
-    nonlinear_distortion,
-    spectra,
-    zippered_response,
-)
+from masking.inference.procedures.frequency_response import Distortion, FrequencyResponse, Spectra
 from masking.inference.procedures.measurement import LEVEL, Measurement, Row
 from masking.model.declaration.quantities import percent
 
-# From period to period, commands differ by this part of their size, or less.
-REPEATED = 0.1
+REPEATED = 0.1  # of their size: commands differ by less from period to period
 
 
 @dataclass(frozen=True)
@@ -76,17 +68,17 @@ def response(
             _refuse_other_period(source.name, u, length, rate, discard)
     shortest = min(len(u) for u, _ in tables)
     kept = shortest - shortest % max(length, 1)
-    notes = []
-    if kept < shortest:
-        notes.append(f"the last {(shortest - kept) / rate:.4g} s, no whole period, are left out")
+    left_out = f"the last {(shortest - kept) / rate:.4g} s, no whole period, are left out"
+    notes = [left_out] if kept < shortest else []
     u, y = (np.array([table[i][:kept] for table in tables]) for i in (0, 1))
-    whole = spectra(u, y, period=period, rate=rate, discard=discard)
+    whole = responses.spectra(u, y, period=period, rate=rate, discard=discard)
     found = _responses([c.name for c in driving], whole)
     distortions: dict[str, Distortion] = {}
     if len(driving) == 1:
         for i, channel in enumerate(reading):
+            alone = replace(whole, outputs=whole.outputs[..., [i]])
             try:
-                distortions[channel.name] = nonlinear_distortion(replace(whole, outputs=whole.outputs[..., [i]]))
+                distortions[channel.name] = responses.nonlinear_distortion(alone)
             except RecordError as error:
                 notes.append(f"distortion is not determined: {error}")
                 break
@@ -100,16 +92,15 @@ def response(
             "hold the distortion too"
         )
     rows = tuple(_rows(made, driving, reading))
-    return Measurement(
-        "response", tuple(s.name for s in sources), channels, made, _sentence(made), rows, _series(made), tuple(notes)
-    )  # fmt: skip
+    records, series = tuple(s.name for s in sources), _series(made)
+    return Measurement("response", records, channels, made, _sentence(made), rows, series, tuple(notes))
 
 
 def _responses(names: Sequence[str], found: Spectra) -> dict[str, FrequencyResponse]:
     """Response to each input (lines, outputs, 1)."""
     if len(names) > 1 and not (found.moved().sum(axis=1) > 1).any():
-        return dict(zip(names, zippered_response(found), strict=True))
-    whole = frequency_response(found)
+        return dict(zip(names, responses.zippered_response(found), strict=True))
+    whole = responses.frequency_response(found)
     return {
         name: replace(
             whole, response=whole.response[:, :, [i]], noise=whole.noise[:, :, [i]],

@@ -16,14 +16,10 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
+from masking.inference.procedures import friction as friction_procedure
 from masking.inference.procedures.actuators import ActuatorRatio, actuator_ratio
 from masking.inference.procedures.channels import Channel, Source
-from masking.inference.procedures.friction import (
-    EquilibriumShift,
-    LocatedFriction,
-    locate_friction,
-    shift_of_equilibrium,
-)
+from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
 from masking.inference.procedures.motion_columns import columns, refuse_not_positive
 from masking.inference.procedures.springs import SpringCurve, spring_curve
 from masking.model.declaration.quantities import percent
@@ -32,8 +28,7 @@ FoundT = TypeVar("FoundT")
 
 PLAIN = "displacement is in the unit of the sensor's reading; name the plant (--plant) for what the sensor measures"
 LEVEL = 0.95  # of the intervals in sentences and figures
-# A command is a sine of swept gain where this part of it is not explained by the other command, or less.
-NO_SINE = 0.1
+NO_SINE = 0.1  # of a command: it is a sine of swept gain where the other command leaves less unexplained
 CURVE_POINTS = 200
 
 
@@ -145,9 +140,8 @@ def springs(
     grid = np.linspace(curve.lowest, curve.highest, CURVE_POINTS)
     series = {"displacement": grid, "force": curve.at(grid), "band": curve.band(grid, LEVEL)}
     notes = () if source.twin is not None else (PLAIN,)
-    return Measurement(
-        "springs", (source.name,), {"force": force, "displacement": x}, curve, sentence, tuple(rows), series, notes
-    )
+    channels = {"force": force, "displacement": x}
+    return Measurement("springs", (source.name,), channels, curve, sentence, tuple(rows), series, notes)
 
 
 def stiffness_deviation(curve: SpringCurve, at: float) -> float:
@@ -238,13 +232,13 @@ def friction(
     shift, place, notes, refused = None, None, [], []
     for source, force, x in pairs:
         try:
-            shift = shift_of_equilibrium(source.times, x.values, force.values)
+            shift = friction_procedure.shift_of_equilibrium(source.times, x.values, force.values)
             break
         except RecordError as error:
             refused.append(f"no shift of the equilibrium from {source.name}: {error}")
     farthest, pushed, moved = max(pairs, key=lambda pair: float(np.ptp(pair[2].values)))
     try:
-        place = locate_friction(farthest.times, moved.values, pushed.values, bins=bins)
+        place = friction_procedure.locate_friction(farthest.times, moved.values, pushed.values, bins=bins)
     except RecordError as error:
         if shift is None:
             raise RecordError(f"{farthest.name}: {error}") from None
@@ -252,16 +246,14 @@ def friction(
     _, force, x = pairs[0]
     notes += refused if shift is None else []
     notes += [PLAIN] if sources[0].twin is None else []
-    rows: list[Row] = []
-    texts: list[str] = []
-    series: dict[str, Array] = {}
+    rows, texts, series = list[Row](), list[str](), dict[str, Array]()
     if shift is not None:
-        rows += _shift_rows(shift, force, x)
-        texts.append(_shift_text(shift, x.unit))
+        rows, text = _of_shift(shift, force, x)
+        texts.append(text)
         series |= {"travel": shift.travel, "shift": shift.shift}
     if place is not None:
-        rows += _place_rows(place, force, x)
-        texts.append(_place_text(place, force, x))
+        of_place, text = _of_place(place, force, x)
+        rows, texts = [*rows, *of_place], [*texts, text]
         series |= {"displacement": place.displacement, "half_gap": place.half_gap, "fitted": place.fitted}
     sentence = "; ".join(texts)
     names = tuple(source.name for source in sources)
@@ -279,47 +271,37 @@ def _refuse_fast(source: Source, force: Channel, x: Channel) -> None:
         raise RecordError(f"{source.name}: {error}") from None
 
 
-def _shift_rows(shift: EquilibriumShift, force: Channel, x: Channel) -> list[Row]:
-    constant, growth = np.sqrt(np.diag(shift.covariance))
-    return [
+def _of_shift(shift: EquilibriumShift, force: Channel, x: Channel) -> tuple[list[Row], str]:
+    (constant, growth), far = np.sqrt(np.diag(shift.covariance)), int(np.argmax(shift.travel))
+    rows = [
         Row("constant", "shift of the equilibrium that any travel makes", shift.constant, float(constant), x.unit),
         Row("growth", "shift per travel: hysteresis", shift.growth, float(growth)),
         Row("friction", "dry friction that the constant part stands for", shift.friction, shift.friction_deviation,
             force.unit),
         Row("stiffness", "stiffness where the force is zero", shift.stiffness, None, per(force.unit, x.unit)),
-        Row("largest_shift", "shift after the longest travel", float(shift.shift[np.argmax(shift.travel)]), None,
-            x.unit),
+        Row("largest_shift", "shift after the longest travel", float(shift.shift[far]), None, x.unit),
     ]  # fmt: skip
+    moved, travel = with_unit(shift.shift[far], x.unit), with_unit(shift.travel[far], x.unit)
+    return rows, f"the equilibrium shifts by {moved} after a travel of {travel}"
 
 
-def _place_rows(place: LocatedFriction, force: Channel, x: Channel) -> list[Row]:
+def _of_place(place: LocatedFriction, force: Channel, x: Channel) -> tuple[list[Row], str]:
     rows = [
         Row("is_found", "1 where a friction element is found, 0 where there is none", float(place.is_found)),
         Row("level", "friction elsewhere", place.level, None, force.unit),
         Row("viscous", "force per speed", place.viscous, None, per(f"{force.unit} s".strip(), x.unit)),
     ]
-    if place.is_found:
-        rows += [
-            Row("edge", "displacement at which it engages", place.edge, place.deviation, x.unit),
-            Row("side", "1: beyond it upwards, -1: downwards", float(place.side)),
-            Row("width", "over which it engages", place.width, None, x.unit),
-            Row("step", "friction that it adds", place.step, place.step_deviation, force.unit),
-        ]
-    return rows
-
-
-def _shift_text(shift: EquilibriumShift, unit: str) -> str:
-    far = int(np.argmax(shift.travel))
-    moved, travel = with_unit(shift.shift[far], unit), with_unit(shift.travel[far], unit)
-    return f"the equilibrium shifts by {moved} after a travel of {travel}"
-
-
-def _place_text(place: LocatedFriction, force: Channel, x: Channel) -> str:
     if not place.is_found:
         ends = f"{with_unit(place.displacement[0], x.unit)} and {with_unit(place.displacement[-1], x.unit)}"
-        return f"no friction element engages between {ends}"
+        return rows, f"no friction element engages between {ends}"
+    rows += [
+        Row("edge", "displacement at which it engages", place.edge, place.deviation, x.unit),
+        Row("side", "1: beyond it upwards, -1: downwards", float(place.side)),
+        Row("width", "over which it engages", place.width, None, x.unit),
+        Row("step", "friction that it adds", place.step, place.step_deviation, force.unit),
+    ]
     way = "above" if place.side > 0 else "below"
-    return f"{with_unit(place.step, force.unit)} of friction engage {way} {with_unit(place.edge, x.unit)}"
+    return rows, f"{with_unit(place.step, force.unit)} of friction engage {way} {with_unit(place.edge, x.unit)}"
 
 
 def _pair(source: Source, first: str | None, second: str | None) -> tuple[Channel, Channel]:
@@ -401,16 +383,12 @@ def with_error(value: float, half: float, unit: str = "") -> str:
 def with_unit(value: float, unit: str) -> str:
     """Write a value in three digits with its unit; metres and volts below 1 in mm and mV."""
     small = {"m": "mm", "V": "mV", "N": "mN"}.get(unit)
-    if small is not None and abs(value) < 0.1:
-        return f"{1e3 * value:.3g} {small}"
-    return f"{value:.3g} {unit}".rstrip()
+    return f"{1e3 * value:.3g} {small}" if small and abs(value) < 0.1 else f"{value:.3g} {unit}".rstrip()
 
 
 def per(above: str, below: str) -> str:
     """Unit of a ratio."""
-    if not below:
-        return above
-    return f"{above or '1'}/{below}"
+    return f"{above or '1'}/{below}" if below else above
 
 
 def _plain(value: float | None) -> float | None:

@@ -11,22 +11,14 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
 from masking.lab.records import clock
 
-# Samples that are needed.
-LEAST_SAMPLES = 200
-# The force turns where it comes back by this part of its range: in saw-teeth, and in ramps.
-TURNED, SWEPT = 0.02, 0.05
-# Noise of the force makes no turns: they are larger than this many of its standard deviations.
-NOISE_FACTOR = 8.0
-# Both directions must cover this part of the travel.
-COVERED = 0.85
+LEAST_SAMPLES = 200  # that are needed
+TURNED, SWEPT = 0.02, 0.05  # of its range: a force turns where it comes back by this, in saw-teeth and in ramps
+NOISE_FACTOR = 8.0  # standard deviations of its noise, which makes no turns: they are larger
+COVERED = 0.85  # of the travel, which both directions must cover
 
 
 def columns(**values: ArrayLike) -> tuple[Array, ...]:
-    """Finite columns of one length, the first of which is a clock in equal steps.
-
-    Raises:
-        RecordError: they are not such columns, are too short, or one is constant.
-    """
+    """Finite columns of one length, first a clock in equal steps; a RecordError for others, short or constant ones."""
     found = {}
     for name, value in values.items():
         try:
@@ -50,9 +42,8 @@ def columns(**values: ArrayLike) -> tuple[Array, ...]:
         raise RecordError(f"the columns differ in length: {listed}; give all over the same samples")
     times, *others = found
     if lengths[times] < LEAST_SAMPLES:
-        raise RecordError(
-            f"the record has {lengths[times]} samples, at least {LEAST_SAMPLES} are needed; record it longer"
-        )
+        few = f"the record has {lengths[times]} samples, at least {LEAST_SAMPLES} are needed; record it longer"
+        raise RecordError(few)
     clock.rate(found[times], "the record")
     for name in others:
         if np.ptp(found[name]) <= 1e-12 * np.abs(found[name]).max():
@@ -79,10 +70,8 @@ def turns(values: Array, least: float) -> list[int]:
     slopes = np.sign(np.diff(values))
     moving = np.flatnonzero(slopes)
     turned = moving[1:][slopes[moving[1:]] != slopes[moving[:-1]]]
-    candidates = [0, *map(int, turned), len(values) - 1]
-    found: list[int] = [0]
-    up = 0
-    for i in candidates[1:]:
+    found, up = [0], 0
+    for i in (*map(int, turned), len(values) - 1):
         change = values[i] - values[found[-1]]
         if up == 0:
             if abs(change) >= least:

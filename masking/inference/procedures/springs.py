@@ -14,29 +14,17 @@ from scipy import optimize, special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.motion_columns import (
-    LEAST_SAMPLES,
-    columns,
-    directions,
-    probability,
-    refuse_not_positive,
-    refuse_one_way,
-)
+from masking.inference.procedures import motion_columns as motion
 
-# A record is averaged in time to at most this many points before a curve is fitted.
-POINTS = 3000
-# Stretches of the record that count as independent of each other in the covariance of a curve.
-BATCHES = 48
-# Hysteresis is a sum of elastic elements that slide at these displacements, as parts of the travel.
-SLIDING = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
+POINTS = 3000  # at most, to which a record is averaged in time before a curve is fitted
+BATCHES = 48  # stretches of the record that count as independent of each other in the covariance of a curve
+SLIDING = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)  # of the travel, where elements slide whose sum is hysteresis
 # A ramp is too fast where forces of inertia or damping take more than these parts of the force,
 INERTIA_PART, VISCOUS_PART = 0.01, 0.05
-# and explain this part of the power that springs and friction leave.
-SEEN = 0.05
+SEEN = 0.05  # and explain this part of the power that springs and friction leave
 # Speed that is alike to this part in each direction cannot be distinguished from friction: the ramp is then slow.
 APART_PART = 0.1
-# A record is too short where friction and noise are more than this part of the force.
-UNEXPLAINED_PART = 0.25
+UNEXPLAINED_PART = 0.25  # of the force: a record is too short where friction and noise are more
 
 
 @dataclass(frozen=True)
@@ -87,7 +75,7 @@ class SpringCurve:
         x = np.asarray(displacement, dtype=np.float64) / self.scale
         rows = polynomial.polyvander(x, len(self.coefficients) - 1)
         deviation = np.sqrt(np.maximum(np.einsum("...i,ij,...j", rows, self.covariance, rows), 0.0))
-        factor = float(special.stdtrit(self.freedom, 0.5 + probability(level) / 2.0))
+        factor = float(special.stdtrit(self.freedom, 0.5 + motion.probability(level) / 2.0))
         return np.asarray(factor * self.force_scale * deviation)
 
 
@@ -128,21 +116,19 @@ def spring_curve(
     """
     if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= 9:
         raise ModelError(f"order is {order!r}; give a whole number from 1 to 9")
-    refuse_not_positive(scale=scale, force_scale=force_scale)
-    t, x, f = columns(times=times, displacement=displacement, force=force)
-    direction = directions(f)
+    motion.refuse_not_positive(scale=scale, force_scale=force_scale)
+    t, x, f = motion.columns(times=times, displacement=displacement, force=force)
+    direction = motion.directions(f)
     kept = t >= t[0] + settle
-    if np.count_nonzero(kept) < LEAST_SAMPLES:
-        raise RecordError(
-            f"the record lasts {t[-1] - t[0]:.4g} s, of which {settle:g} s are left out; record it longer"
-        )
+    if np.count_nonzero(kept) < motion.LEAST_SAMPLES:
+        lasts = f"the record lasts {t[-1] - t[0]:.4g} s, of which {settle:g} s are left out"
+        raise RecordError(f"{lasts}; record it longer")
     t, x, f, direction = (column[kept] for column in (t, x, f, direction))
-    refuse_one_way(x, direction)
+    motion.refuse_one_way(x, direction)
     t, x, f, direction = (thinned(column, POINTS) for column in (t, x, f, direction))
     lowest, highest = float(x.min()), float(x.max())
     half, middle = 0.5 * (highest - lowest), 0.5 * (highest + lowest)
-    radii = 2.0 * half * np.array(SLIDING)
-    against = np.column_stack([direction, elements(x, radii)])
+    against = np.column_stack([direction, elements(x, 2.0 * half * np.array(SLIDING))])
     rows = np.column_stack([polynomial.polyvander((x - middle) / half, order), against])
     kept = np.abs(direction) == 1.0  # a stretch in which the force turns belongs to neither way
     t, x, f, direction, rows = t[kept], x[kept], f[kept], direction[kept], rows[kept]
@@ -183,19 +169,11 @@ def _fit_with_covariance(rows: Array, f: Array, free: int) -> tuple[Array, Array
     # Elements without force count as well: which of them have none is itself uncertain, and matters near the turns.
     used, rest = rows, f - rows @ weights
     inverse, one = np.linalg.pinv(used.T @ used), np.eye(used.shape[1])
-    left_out = np.array(
-        [
-            inverse @ np.linalg.lstsq(one - a.T @ a @ inverse, a.T @ b, rcond=None)[0]
-            for a, b in zip(_batches(used), _batches(rest), strict=True)
-        ]
-    )
-    freedom = BATCHES - used.shape[1]
+    batches = zip(np.array_split(used, BATCHES), np.array_split(rest, BATCHES), strict=True)
+    apart = [inverse @ np.linalg.lstsq(one - a.T @ a @ inverse, a.T @ b, rcond=None)[0] for a, b in batches]
+    left_out = np.array(apart)
     covariance = left_out.T @ left_out * (BATCHES - 1) / BATCHES
-    return weights, covariance[:free, :free], freedom
-
-
-def _batches(values: Array) -> list[Array]:
-    return np.array_split(values, BATCHES)
+    return weights, covariance[:free, :free], BATCHES - used.shape[1]
 
 
 def _refuse_unexplained(t: Array, x: Array, f: Array, rest: Array, rows: Array) -> None:

@@ -38,10 +38,7 @@ def connect(address: str, key: Key | None = None) -> Plant:
 
 
 def listen(address: str) -> Hub:
-    """Line at which a plant is served, such as `udp://127.0.0.1:5005`; raises what `connect` does.
-
-    A PlantMismatchError also where plants are not served at such addresses.
-    """
+    """Line at which a plant is served; raises what `connect` does, also where none is served at such addresses."""
 
     def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to
         if not callable(getattr(adapter, "listen", None)):

@@ -16,26 +16,15 @@ _FORM: Final = re.compile(r"([A-Za-z][A-Za-z0-9.+-]+):(?://)?([^?]*)(?:\?(.*))?"
 @final
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address in its parts.
+    """An address in its parts."""
 
-    Args:
-        text: as it was given.
-        scheme: names the adapter, in lower case.
-        place: what stands between the scheme, with `//` or without, and the options.
-        options: values by name.
-    """
-
-    text: str
-    scheme: str
-    place: str
-    options: Mapping[str, str]
+    text: str  # as it was given
+    scheme: str  # names the adapter, in lower case
+    place: str  # what stands between the scheme, with `//` or without, and the options
+    options: Mapping[str, str]  # values by name
 
     def number(self, name: str, default: float) -> float:
-        """Positive option.
-
-        Raises:
-            PlantMismatchError: it is none.
-        """
+        """Positive option; a PlantMismatchError where it is none."""
         text = self.options.get(name, "")
         try:
             value = float(text) if text else default
@@ -46,27 +35,18 @@ class Address:
         return value
 
     def channels(self, name: str, there: Sequence[str], default: Iterable[str]) -> dict[str, str]:
-        """Names behind the channels of an option, such as `x:position,v`, in its order.
+        """Channels of an option, such as `x:position,v`, in its order: by name, what the plant calls each.
 
-        Args:
-            name: of the option, `sensors` or `actuators`.
-            there: what the plant has; empty where only the hardware knows.
-            default: of these, what is taken where the option is not given.
-
-        Returns:
-            by the name of the channel, what the plant calls it.
-
-        Raises:
-            PlantMismatchError: a name is not there or stands twice, or there is none.
+        The plant has those that are `there`, empty where only the hardware knows; `default` is taken where the option
+        is not given. A PlantMismatchError where a name is not there or stands twice, or there is none.
         """
         found: dict[str, str] = {}
         given = [part.strip() for part in self.options[name].split(",")] if name in self.options else list(default)
         for channel, _, own in (part.partition(":") for part in given):
             if not channel or channel in found:
                 remedy = "write them as a,b or as name:a,other:b" if not channel else "let each name stand once"
-                raise PlantMismatchError(
-                    f"{self.text}: {name} are '{self.options.get(name, ','.join(given))}'; {remedy}"
-                )
+                names = self.options.get(name, ",".join(given))
+                raise PlantMismatchError(f"{self.text}: {name} are '{names}'; {remedy}")
             found[channel] = own or channel
             if there and found[channel] not in there:
                 remedy = nearest(found[channel], there)
@@ -77,16 +57,7 @@ class Address:
 
 
 def parse(text: str, allowed: Iterable[str] = (), form: str = "udp://127.0.0.1:5005") -> Address:
-    """Split an address.
-
-    Args:
-        text: the address.
-        allowed: names of its options.
-        form: how it is written, for messages.
-
-    Raises:
-        PlantMismatchError: it is written otherwise.
-    """
+    """Split an address, whose options have `allowed` names; a PlantMismatchError, which shows `form`, for any other."""
     found = _FORM.fullmatch(text)
     if found is None or not found[2]:
         raise PlantMismatchError(f"'{text}' is no address of a plant; write it as {form}")

@@ -132,10 +132,7 @@ class AuthenticatedLine:
         return self._line.waits(seconds)
 
     def receive(self) -> bytes:
-        """Frame that waits, without its tag; a challenge is answered, and is a BlockingIOError.
-
-        A WireError where its tag is wrong.
-        """
+        """Frame that waits, without its tag; a challenge is answered, a BlockingIOError; a wrong tag is a WireError."""
         tagged = self._line.receive()
         if len(tagged) >= wire.SMALLEST + TAG:
             if self._tags[1].is_on(tagged):

@@ -24,15 +24,10 @@ STANDARD: Final = Settings(RATE, WATCHDOG)
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a plant keeps a rule.
+    """Whether a plant keeps a rule."""
 
-    Args:
-        rule: what it says.
-        broken: how it is broken, a sentence each; none where it is kept.
-    """
-
-    rule: str
-    broken: tuple[str, ...]
+    rule: str  # what it says
+    broken: tuple[str, ...]  # how it is broken, a sentence each; none where it is kept
 
     def __str__(self) -> str:
         head = f"{'fails' if self.broken else 'passes'}  {self.rule}"

@@ -10,19 +10,9 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantMismatchError
-from masking.lab.plants import adapters
+from masking.lab.plants import adapters, interface
 from masking.lab.plants.authentication import Key
-from masking.lab.plants.interface import (
-    APPLIED,
-    Counting,
-    Latching,
-    LifeCycle,
-    Plant,
-    Sample,
-    Settings,
-    Telling,
-    check_command,
-)
+from masking.lab.plants.interface import APPLIED, Counting, Latching, LifeCycle, Plant, Sample, Settings, Telling
 
 
 @final
@@ -73,7 +63,7 @@ class PlantGroup:
     def write(self, index: int, command: Array) -> None:
         """Give each plant its part of the command (actuators,), as the answer to its own last sample."""
         self._life.need_active("write")
-        check_command(command, self.actuators)
+        interface.check_command(command, self.actuators)
         first = 0
         for name, plant in self.plants.items():
             last = first + len(plant.actuators)

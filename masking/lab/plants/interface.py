@@ -32,20 +32,13 @@ APPLIED = "applied."
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a plant is configured with.
+    """What a plant is configured with."""
 
-    Args:
-        rate: samples per second, Hz, at most 1e6.
-        watchdog: seconds in which a sample must be answered; else the plant's outputs go to zero and stay there. At
-            most 1e6.
-        lockstep: the plant waits for the command that answers each sample; else its clock goes on without.
-        acknowledge: whoever starts the run has looked at why the plant stopped the last one; a plant that has tripped
-            refuses to start without.
-    """
-
-    rate: float
+    rate: float  # samples per second, Hz, at most 1e6
+    # seconds, at most 1e6, in which a sample must be answered; else the plant's outputs go to zero and stay there
     watchdog: float = 0.02
-    lockstep: bool = False
+    lockstep: bool = False  # the plant waits for the command that answers each sample; else its clock goes on without
+    # whoever starts the run has looked at why the plant stopped the last one; without, a plant that has tripped refuses
     acknowledge: bool = False
 
     def __post_init__(self) -> None:
@@ -60,15 +53,10 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """What the sensors showed at one tick.
+    """What the sensors showed at one tick."""
 
-    Args:
-        index: tick of the plant's clock; it increases from sample to sample, by more than 1 where some were missed.
-        values: (sensors,), in the plant's units.
-    """
-
-    index: int
-    values: Array
+    index: int  # tick of the plant's clock; it increases from sample to sample, by more than 1 where some were missed
+    values: Array  # (sensors,), in the plant's units
 
 
 class Plant(Protocol):
@@ -166,11 +154,7 @@ class LifeCycle:
 
 
 def check_command(command: Array, actuators: tuple[str, ...]) -> None:
-    """Refuse a command that is not one finite number for each actuator, shape (actuators,).
-
-    Raises:
-        CommandError: it is not.
-    """
+    """Refuse what is not one finite number for each actuator, shape (actuators,), with a CommandError."""
     if np.shape(command) != (len(actuators),):
         names = ", ".join(actuators)
         message = f"the command has shape {np.shape(command)}; give ({len(actuators)},), one number for each of {names}"

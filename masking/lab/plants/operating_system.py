@@ -34,10 +34,7 @@ _EARLY_NS: Final = 0 if sys.platform == "linux" else 500_000  # what time.sleep 
 
 @final
 class Deadlines:
-    """Instants 1 / rate apart on the monotonic clock, from now on; a missed one is never made up for.
-
-    `missed` counts the periods that were left out.
-    """
+    """Instants 1 / rate apart on the monotonic clock, from now on; `missed` are those left out, never made up for."""
 
     def __init__(self, rate: float) -> None:
         self.missed = 0
@@ -57,19 +54,15 @@ class Deadlines:
             self._tick += left_out
             self.missed += left_out
         while (now := time.monotonic_ns()) < self._instant and not stop():
-            _sleep_until(min(self._instant, now + int(every * 1e9)))
+            until = min(self._instant, now + int(every * 1e9))
+            time.sleep(max(0, until - time.monotonic_ns() - _EARLY_NS) * 1e-9)
+            while time.monotonic_ns() < until:
+                pass
         return max(0, late, now - self._instant) * 1e-9
 
     @property
     def _instant(self) -> int:
         return self._start + int(self._tick * self._period)
-
-
-def _sleep_until(instant: int) -> None:
-    """Sleep until an instant, ns of the monotonic clock."""
-    time.sleep(max(0, instant - time.monotonic_ns() - _EARLY_NS) * 1e-9)
-    while time.monotonic_ns() < instant:
-        pass
 
 
 @contextlib.contextmanager

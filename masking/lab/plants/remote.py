@@ -9,14 +9,7 @@ from collections import Counter
 from typing import NoReturn
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import (
-    EmergencyStopError,
-    PlantLostError,
-    PlantMismatchError,
-    PlantRefusedError,
-    SamplesLostError,
-    WireError,
-)
+from masking.errors import EmergencyStopError, PlantLostError, PlantRefusedError, SamplesLostError, WireError
 from masking.lab.plants import wire
 from masking.lab.plants.authentication import AuthenticatedLine, Key
 from masking.lab.plants.interface import LifeCycle, Sample, Settings, check_command
@@ -94,10 +87,9 @@ class RemotePlant(ABC):
             self.sensors, self.actuators = wire.read_channels(answer.text)
         except OSError as error:
             self._close()
-            raise PlantLostError(
-                f"{self._address} cannot be reached ({error}); look at its name and what leads there"
-            ) from error
-        except (PlantLostError, PlantRefusedError, PlantMismatchError):
+            message = f"{self._address} cannot be reached ({error}); look at its name and what leads there"
+            raise PlantLostError(message) from error
+        except Exception:
             self._close()
             raise
         self._life.configure()
@@ -176,9 +168,8 @@ class RemotePlant(ABC):
             except PlantLostError:  # nobody listens there yet
                 time.sleep(max(0.0, min(again, give_up) - time.monotonic()))
         if self.counters["unauthenticated"]:
-            raise PlantRefusedError(
-                f"{self._address} answers, but not with this key; give both sides the same --key FILE"
-            )
+            remedy = "give both sides the same --key FILE"
+            raise PlantRefusedError(f"{self._address} answers, but not with this key; {remedy}")
         raise PlantLostError(f"no plant answers at {self._address}; {self.remedy()}")
 
     def _following(self, wait: float) -> Frame | None:

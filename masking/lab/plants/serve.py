@@ -21,6 +21,7 @@ up. The missed ones are counted.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import sys
 import time
@@ -32,14 +33,7 @@ from pathlib import Path
 from typing import Final, Literal, final
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import (
-    EmergencyStopError,
-    MaskingError,
-    PlantMismatchError,
-    PlantRefusedError,
-    RecordError,
-    WireError,
-)
+from masking.errors import EmergencyStopError, MaskingError, PlantMismatchError, PlantRefusedError, WireError
 from masking.lab.plants import adapters, wire
 from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.command_guard import Guard
@@ -62,28 +56,20 @@ REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 class Serving:
     """How a plant is served.
 
-    Args:
-        clock: "real" ticks at the rate that the controller asks for; "lockstep" waits for each command.
-        record: folder in which each session is saved as a recording of its own, `session-1` and so on: the first number
-            that is free. Columns: t (s) and tick of the plant's clock, wall (s since the first sample), late (s), fresh
-            (1 where a command answered in time), latched, `sensor.<name>`, `input.<name>` (in force from this sample to
-            the next) and `plant.<name>` (the plant's telemetry at the end of that time).
-        sessions: number of them; None for any.
-        patience: seconds to wait for a command in lockstep.
-        after_latch: seconds that are still recorded after a trip.
-        allowed: watchdogs and rates that controllers may ask for.
-        guard: what every command passes before it is written.
-        key: that controllers must have; needed where other machines reach the address.
+    A record has the columns t (s) and tick of the plant's clock, wall (s since the first sample), late (s), fresh (1
+    where a command answered in time), latched, `sensor.<name>`, `input.<name>` (in force from this sample to the next)
+    and `plant.<name>` (the plant's telemetry at the end of that time).
     """
 
-    clock: Clock = "real"
+    clock: Clock = "real"  # ticks at the rate that the controller asks for; "lockstep" waits for each command
+    # folder in which each session is saved as a recording, `session-1` and so on: the first number that is free
     record: str | Path | None = None
-    sessions: int | None = None
-    patience: float = 5.0
-    after_latch: float = 1.0
-    allowed: Allowed = field(default_factory=Allowed)
-    guard: Guard | None = None
-    key: Key | None = None
+    sessions: int | None = None  # number of them; None for any
+    patience: float = 5.0  # seconds to wait for a command in lockstep
+    after_latch: float = 1.0  # seconds that are still recorded after a trip
+    allowed: Allowed = field(default_factory=Allowed)  # watchdogs and rates that controllers may ask for
+    guard: Guard | None = None  # what every command passes before it is written
+    key: Key | None = None  # that controllers must have; needed where other machines reach the address
 
 
 def serve(
@@ -172,8 +158,9 @@ class _Server:
             if record is not None and session.rows.count:
                 try:
                     recording = session.rows.recording(session.manifest(self.serving.clock))
-                    folders.append(recording.save(_free_folder(Path(record))))
-                except RecordError as error:
+                    places = (Path(record) / f"session-{number}" for number in itertools.count(1))
+                    folders.append(recording.save(next(place for place in places if not place.exists())))
+                except MaskingError as error:
                     self.tell(f"the record of this session is lost: {error}")
             if session.end != "bye":
                 self.tell(f"session ended: {session.end}")
@@ -251,10 +238,9 @@ class _Server:
             del self.over[next(iter(self.over))]
 
     def hold(self, session: Session) -> None:
-        rate = session.settings.rate
         try:
             self.plant.activate()
-            self.advance(session, rate)
+            self.advance(session, session.settings.rate)
         finally:
             self.plant.deactivate()
 
@@ -392,14 +378,6 @@ class _Server:
         if note and note not in self.reported:
             self.reported.add(note)
             self.tell(note)
-
-
-def _free_folder(record: Path) -> Path:
-    """First folder `session-1` and so on that is not there yet."""
-    number = 1
-    while (folder := record / f"session-{number}").exists():
-        number += 1
-    return folder
 
 
 def _to_stderr(text: str) -> None:

@@ -107,10 +107,7 @@ class Session:
             self.trip(tick, f"no command for {SILENT_START:g} s after the start")
 
     def watch_clock(self, tick: int, late: float) -> None:
-        """Trip where the plant's own clock stood still for the time of the watchdog: what waits to be read is as old.
-
-        `late` is the time since the instant that is at hand, s.
-        """
+        """Trip where the plant's clock stood still, by `late` s, for the watchdog's time: what waits is as old."""
         if self.latch is None and self.answered >= 0 and late >= self.settings.watchdog:
             self.trip(tick, f"the server was held up for {late * 1e3:.0f} ms, while the last command held")
 

@@ -10,11 +10,12 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import ModelError
-from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
+from masking.lab.plants.interface import APPLIED, Sample, Settings
+from masking.lab.plants.stepped import SteppedPlant
 
 
 @final
-class SimulatedPlant:
+class SimulatedPlant(SteppedPlant):
     """A twin that starts at rest and unpowered, and moves for one sample under each command.
 
     A command acts after the delay that the twin declares; `masking.lab.runs.offline.run_twin` computes the same. `seed`
@@ -22,41 +23,30 @@ class SimulatedPlant:
     component: nothing can answer it.
     """
 
-    owns_clock = False
-
     def __init__(self, twin: Twin, seed: int = 0) -> None:
         if "sense" not in twin.kernels.meta["functions"]:
             raise ModelError(
                 f"{twin.declaration.name}: its sensors read at once what is commanded, which no controller can answer; "
                 "what its model is missing is found by 'masking discover', from a record"
             )
+        super().__init__(twin.sensors, twin.actuators)
         self.twin, self.seed = twin, seed
-        self.sensors, self.actuators = twin.sensors, twin.actuators
-        self._life = LifeCycle()
         self._y = twin.unpowered()
         self._queue, self._acting = np.zeros((1, len(twin.actuators))), np.zeros(len(twin.actuators))
-        self._tick, self._is_moved = 0, True
 
-    def configure(self, settings: Settings) -> None:
-        """Go back to rest, for a number of samples per second."""
-        self._life.configure()
+    def begin(self, settings: Settings) -> None:
+        """Go to rest, for a number of samples per second."""
         twin = self.twin
         self._rate, values = settings.rate, twin.values()
         self._generator = np.random.default_rng(self.seed)
         self._y = twin.unpowered()
         self._late = twin.late(settings.rate)
         self._queue = np.zeros((1 + math.ceil(self._late.max(initial=0.0)), len(twin.actuators)))
-        self._acting[:] = 0.0
-        self._tick, self._is_moved = -1, False
         self._time, self._noise, self._readings = np.zeros(1), np.zeros(len(twin.sensors)), np.zeros(len(twin.sensors))
         step, substeps = np.array([1.0 / settings.rate]), np.array([twin.substeps(settings.rate)])
         sensed = (self._time, self._y, values, self._noise, self._readings)
         moved = (self._time, self._y, self._queue, self._late, values, step, substeps, self._acting)
         self._sense, self._move = twin.kernels.sense.bind(*sensed), twin.kernels.move.bind(*moved)
-
-    def activate(self) -> None:
-        """Enable the outputs, at zero."""
-        self._life.activate()
 
     def read(self) -> Sample:
         """Sample after the last command, or the same again where no command came."""
@@ -67,21 +57,20 @@ class SimulatedPlant:
             self._generator.standard_normal(out=self._noise)
             self._time[0] = self._tick / self._rate
             self._sense.call()
-        return Sample(self._tick, self._readings.copy())
+        return Sample(self._tick, self.readings())
 
-    def write(self, index: int, command: Array) -> None:
+    def readings(self) -> Array:
+        """Readings of this tick, whether finite or not."""
+        return self._readings.copy()
+
+    def step(self, command: Array) -> None:
         """Let the rig move by one sample, and this command (actuators,) act after the delay."""
-        self._life.need_active("write")
-        check_answer(self._tick, command, self.actuators)
-        del index  # the oldest command under way acts, whatever sample it answers
         self._queue[-1] = command
         self._time[0] = self._tick * (1.0 / self._rate)
         self._move.call()
-        self._is_moved = True
 
-    def deactivate(self) -> None:
+    def end(self) -> None:
         """Set the outputs to zero."""
-        self._life.deactivate()
         self._queue[:] = 0.0
         self._acting[:] = 0.0
 

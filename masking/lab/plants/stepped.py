@@ -1,4 +1,4 @@
-"""SteppedPlant: a plant that another program simulates; it moves by one sample with each command that it is given."""
+"""SteppedPlant: a plant that is simulated; it moves by one sample with each command that it is given."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, c
 
 
 class SteppedPlant(ABC):
-    """Keeps the rules of a plant, so that an adapter has to begin, step, read and end.
-
-    A command acts within the tick, and holds until the next.
-    """
+    """A plant's rules, so that an adapter has to begin, step, read and end; a command acts in its tick, and holds."""
 
     owns_clock = False
     sensors: tuple[str, ...]

@@ -12,48 +12,37 @@ Peer = tuple[str | int, ...]
 """Where a frame came from, as an answer needs it."""
 
 
-class Line(Protocol):
-    """The controller's end of a line.
-
-    A plant that is gone is a `ConnectionError`; what can neither be sent nor read now is a `BlockingIOError`.
-    """
-
-    def send(self, frame: bytes) -> None:
-        """Send a frame."""
+class End(Protocol):
+    """One end of lines."""
 
     def waits(self, seconds: float) -> bool:
         """Whether a frame waits to be read, or comes within a time."""
         ...
+
+    def close(self) -> None:
+        """Give the line back; never raises."""
+
+
+class Line(End, Protocol):
+    """The controller's end: a ConnectionError where the plant is gone, a BlockingIOError where nothing passes now."""
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame."""
 
     def receive(self) -> bytes:
         """Frame that waits to be read."""
         ...
 
-    def close(self) -> None:
-        """Give the line back; never raises."""
 
+class Hub(End, Protocol):
+    """The plant's end of the lines of any number of controllers."""
 
-class Hub(Protocol):
-    """The plant's end of the lines of any number of controllers.
-
-    Attributes:
-        address: at which it is reached.
-        is_local: nobody reaches it but from this machine, or by a cable of its own.
-    """
-
-    address: str
-    is_local: bool
+    address: str  # at which it is reached
+    is_local: bool  # nobody reaches it but from this machine, or by a cable of its own
 
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame; OSError where it cannot go out."""
 
-    def waits(self, seconds: float) -> bool:
-        """Whether a frame waits to be read, or comes within a time."""
-        ...
-
     def receive(self) -> tuple[bytes, Peer]:
         """Frame that waits to be read, and where it came from; OSError where there is none."""
         ...
-
-    def close(self) -> None:
-        """Give the line back; never raises."""

@@ -76,16 +76,9 @@ class Frame:
 
 
 def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUES, text: str = "") -> bytes:
-    """Write a frame, stamped with this moment; its kind says whether `values` (count,) or `text` is carried.
-
-    A PlantError where it does not fit into a datagram.
-    """
-    if kind in TEXTUAL:
-        payload = text.encode()
-        count = len(payload)
-    else:
-        payload = np.asarray(values, dtype="<f8").tobytes()
-        count = len(values)
+    """Write a frame of `values` (count,) or of `text`, as its kind says; a PlantError if it is too large."""
+    payload = text.encode() if kind in TEXTUAL else np.asarray(values, dtype="<f8").tobytes()
+    count = len(payload) if kind in TEXTUAL else len(values)
     if len(payload) > LARGEST:
         raise PlantError(f"a frame of {len(payload)} bytes does not fit into a datagram; use fewer channels")
     body = _HEADER.pack(MAGIC, VERSION, kind, 0, session % _U64, index, time.monotonic_ns(), count) + payload
@@ -93,10 +86,7 @@ def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUE
 
 
 def decode(datagram: bytes) -> Frame:
-    """Read a frame.
-
-    A WireError where it is not exactly one sound frame of this version, or a command that is not finite.
-    """
+    """Read a frame; a WireError where it is not exactly one sound frame of this version, or a command is not finite."""
     size = len(datagram) - SMALLEST
     if size < 0 or datagram[:4] != MAGIC:
         raise WireError("foreign", "no frame of ours")
@@ -205,9 +195,8 @@ def read_channels(text: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
         given: Any = content.get(kind)
         are_names = isinstance(given, list) and given and all(isinstance(name, str) and name for name in given)
         if not are_names or len(set(given)) != len(given):
-            raise PlantMismatchError(
-                f"the plant does not name its {kind}: {text}; it must give a list of different names"
-            )
+            remedy = "it must give a list of different names"
+            raise PlantMismatchError(f"the plant does not name its {kind}: {text}; {remedy}")
     return tuple(content["sensors"]), tuple(content["actuators"])
 
 

@@ -88,7 +88,10 @@ class StoredColumns(Mapping[str, Column]):
         found = parquet.groups(self.table, range(len(self.table.edges) - 1), wanted)
         for begin, part in zip(self.table.edges, found, strict=False):
             for name, column in part.items():
-                _check(self.table.path, name, column, begin)
+                finite = np.isfinite(column)
+                if not finite.all():
+                    row = int(np.argmin(finite))
+                    raise RecordError(f"{self.table.path}: column '{name}' is {column[row]} in row {begin + row}")
             yield part
 
     def around(self, start: float, end: float) -> dict[str, Column]:
@@ -102,13 +105,6 @@ class StoredColumns(Mapping[str, Column]):
         found = self.around(start, end)
         rows = slice(*np.searchsorted(found[CLOCK], [start, end], side="left"))
         return {name: column[rows].copy() for name, column in found.items()}
-
-
-def _check(path: Path, name: str, column: Column, begin: int) -> None:
-    finite = np.isfinite(column)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        raise RecordError(f"{path}: column '{name}' is {column[row]} in row {begin + row}")
 
 
 def read(path: Path) -> tuple[Mapping[str, Column], bytes | None]:

@@ -87,12 +87,7 @@ def _has_vectors(path: str, held: h5py.Dataset) -> bool:
         kind = held.dtype.kind
     except TypeError:  # HDF5 has kinds of numbers that numpy lacks, such as bit fields
         return False
-    return kind in "fiu" and _is_number_of_matlab(held)
-
-
-def _is_number_of_matlab(held: h5py.Dataset) -> bool:
-    """Whether MATLAB, where a file is its own, holds numbers here, and not one of its other kinds in integers."""
-    if "MATLAB_empty" in held.attrs or "MATLAB_sparse" in held.parent.attrs:  # the shape; one part of a matrix
-        return False
-    known = held.attrs.get("MATLAB_class", b"double")
+    if kind not in "fiu" or "MATLAB_empty" in held.attrs or "MATLAB_sparse" in held.parent.attrs:
+        return False  # of MATLAB: the shape of what is empty; one part of a matrix
+    known = held.attrs.get("MATLAB_class", b"double")  # which may be another of its kinds, in integers
     return (known.decode() if isinstance(known, bytes) else str(known)) in _MATLAB

@@ -33,9 +33,8 @@ class Journal:
 
     def __init__(self, path: Path, patience: float = 0.0) -> None:
         if sys.platform == "win32":
-            raise RecordError(
-                f"{path}: Windows has no lock that processes hand on, as a journal needs; run it on Linux"
-            )
+            message = "Windows has no lock that processes hand on, as a journal needs"
+            raise RecordError(f"{path}: {message}; run it on Linux")
         self.path, until = path, time.monotonic() + patience
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -92,9 +91,8 @@ class Journal:
         except OSError as error:
             os.ftruncate(self.handle, begin)
             os.lseek(self.handle, begin, os.SEEK_SET)
-            raise RecordError(
-                f"{self.path} cannot be written ({error}); make room, then start the same again"
-            ) from error
+            remedy = "make room, then start the same again"
+            raise RecordError(f"{self.path} cannot be written ({error}); {remedy}") from error
         self.entries.append(json.loads(text))
 
 

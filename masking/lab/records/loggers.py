@@ -141,9 +141,8 @@ def _mcap(file: Path, reader: ModuleType) -> Nested:
             samples[topic].append(_flat("", fields))
             clocks[topic].append(message.log_time)
     if others and not samples:
-        raise RecordError(
-            f"{file}: only messages in JSON are read, not {', '.join(sorted(others))}; export them as csv"
-        )
+        unread = ", ".join(sorted(others))
+        raise RecordError(f"{file}: only messages in JSON are read, not {unread}; export them as csv")
     start = min((clock[0] for clock in clocks.values()), default=0)
     made: dict[str, dict[str, object]] = {}
     for topic, rows in samples.items():

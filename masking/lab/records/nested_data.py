@@ -22,10 +22,7 @@ def first_line(error: BaseException) -> str:
 
 @contextmanager
 def parsed(file: Path, what: str) -> Iterator[None]:
-    """Turn whatever a parser raises at a file inside into a RecordError in our words.
-
-    Parsers raise what they meet, such as struct.error, zlib.error, SyntaxError and MemoryError.
-    """
+    """Turn whatever a parser raises at a file inside, such as struct.error, into a RecordError in our words."""
     try:
         yield
     except RecordError:

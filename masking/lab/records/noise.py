@@ -6,22 +6,15 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 
-# Readings fewer than these are too few for bands.
-FEWEST = 256
+FEWEST = 256  # readings; fewer are too few for bands
 # Bands that a spectrum is cut into, and lines in each, at least as far as there are lines.
 FEWEST_BANDS, MOST_BANDS, LINES = 4, 32, 64
-# A band is louder than others if it is this many deviations above their mean.
-LOUDER = 4.0
-# The same where none of hundreds of bands may be so by chance.
-SURELY = 6.0
-# Part of its lowest frequency that a band reaches beyond it where motion ends: a third of an octave.
-WIDER = 0.26
-# Parts of readings in which motion is looked for.
-QUARTERS = 4
-# Variance of the mean over lines of a spectrum by the window sin^4, in parts of that of independent lines.
-ALIKE = 2.63
-# Records are cut to a multiple of this, which has a fast transform.
-MULTIPLE = 128
+LOUDER = 4.0  # deviations above the mean of others by which a band is louder than they
+SURELY = 6.0  # the same where none of hundreds of bands may be so by chance
+WIDER = 0.26  # part of its lowest frequency that a band reaches beyond it where motion ends: a third of an octave
+QUARTERS = 4  # parts of readings in which motion is looked for
+ALIKE = 2.63  # variance of the mean over lines of a spectrum by the window sin^4, in parts of that of independent lines
+MULTIPLE = 128  # what records are cut to a multiple of, which has a fast transform
 
 
 def third_differences(readings: Array) -> Array:

@@ -26,6 +26,7 @@ from masking.lab.records import unpacked_size
 from masking.lab.records.stop_switch import is_running
 from masking.lab.records.stream import sync_folder
 
+Column = NDArray[np.float64]
 MANIFEST_KEY = b"masking.manifest"
 ROWS: Final = 2**16  # of a group of rows, what is read or written at once of a long table
 _MAGIC = b"PAR1"  # the first bytes of every parquet file
@@ -57,10 +58,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def write(
-    stream: BinaryIO,
-    columns: Mapping[str, NDArray[np.float64]],
-    manifest: bytes,
-    facts: Mapping[str, Mapping[str, str]],
+    stream: BinaryIO, columns: Mapping[str, Column], manifest: bytes, facts: Mapping[str, Mapping[str, str]]
 ) -> None:
     """Write equally long, contiguous float64 columns and a manifest in JSON as one zstd-compressed parquet table.
 
@@ -78,7 +76,7 @@ class Writer:
         self._stream = stream
         self._writer: Any = None  # of pyarrow
 
-    def add(self, columns: Mapping[str, NDArray[np.float64]], facts: Mapping[str, Mapping[str, str]]) -> None:
+    def add(self, columns: Mapping[str, Column], facts: Mapping[str, Mapping[str, str]]) -> None:
         """Write rows behind those that are there: the same contiguous columns (samples,) each time.
 
         `facts` are texts for the metadata of fields, such as their units, by key and column; the first ones count.
@@ -101,7 +99,7 @@ def _schema(names: Iterable[str], facts: Mapping[str, Mapping[str, str]]) -> pa.
     )
 
 
-def _table(columns: Mapping[str, NDArray[np.float64]], schema: pa.Schema) -> pa.Table:
+def _table(columns: Mapping[str, Column], schema: pa.Schema) -> pa.Table:
     # From buffers: pa.array() would look whether its argument is a pandas object and import pandas for that (0.4 s).
     arrays = [pa.Array.from_buffers(pa.float64(), len(c), [None, pa.py_buffer(c)]) for c in columns.values()]
     return pa.Table.from_arrays(arrays, schema=schema)
@@ -143,7 +141,7 @@ def _range(group: pq.RowGroupMetaData, column: int | None) -> tuple[float, float
     return float(known.min) + 0.0, float(known.max) + 0.0  # a zero has a sign there
 
 
-def groups(table: Outline, which: Sequence[int], names: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
+def groups(table: Outline, which: Sequence[int], names: Sequence[str]) -> Iterator[dict[str, Column]]:
     """Read columns of a table, one group of rows after the other; `which` are the numbers of the groups.
 
     A RecordError where it is damaged, or another file than it was.
@@ -165,7 +163,7 @@ def _version(path: Path) -> tuple[int, int]:
     return found.st_mtime_ns, found.st_size
 
 
-def read(path: Path) -> tuple[dict[str, NDArray[np.float64]], bytes | None]:
+def read(path: Path) -> tuple[dict[str, Column], bytes | None]:
     """Read every column of a parquet file as float64 (a null becomes NaN), and the manifest text if there is one.
 
     A RecordError where it cannot be read, or is no table of numbers.
@@ -214,7 +212,7 @@ def _check_size(path: Path, metadata: pq.FileMetaData) -> None:
     unpacked_size.check(path, sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns))
 
 
-def _numbers(column: pa.ChunkedArray) -> NDArray[np.float64]:
+def _numbers(column: pa.ChunkedArray) -> Column:
     if column.type != pa.float64():
         column = column.cast(pa.float64(), safe=False)  # large integers are rounded
     if column.null_count:

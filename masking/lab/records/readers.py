@@ -237,5 +237,3 @@ _NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
     **dict.fromkeys((".tdms", ".mf4", ".mcap"), loggers.read),
 }
-
-__all__ = ["CLOCK", "digest", "mapping", "read"]

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 from masking.display.json_text import Result
 from masking.errors import RecordError
@@ -97,7 +97,7 @@ class Recorder(Result):
         columns: Mapping[str, Mapping[str, str]],
         rate: float,
         spare: str | Path,
-        **more: Any,  # noqa: ANN401
+        **more: object,
     ) -> None:
         self.folder, self.lost = Path(folder), 0
         units = {name: entry["unit"] for name, entry in columns.items()}

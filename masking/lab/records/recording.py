@@ -161,11 +161,7 @@ class Recording:
         return replace(self, columns=found)
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[Mapping[str, NDArray[np.float64]]]:
-        """Columns by name, one stretch of time after the other; a single one in memory.
-
-        Args:
-            names: of the columns; by default all.
-        """
+        """Columns by name, all or some of them, one stretch of time after the other; a single one in memory."""
         if isinstance(self.columns, StoredColumns):
             yield from self.columns.chunks(names)
         else:
@@ -227,19 +223,11 @@ class Recording:
         return np.column_stack([self[f"{prefix}.{name}{primes}"] for name in names])
 
     def to_pandas(self) -> Any:  # noqa: ANN401  # pandas is optional
-        """Pandas DataFrame with the time as its index, and `units` and `meanings` in its `attrs`.
-
-        Raises:
-            RecordError: pandas is not installed.
-        """
+        """Pandas DataFrame over the time, with `units` and `meanings` in its `attrs`; a RecordError without pandas."""
         return views.frame(self.columns, self.units, self.meanings)
 
     def to_xarray(self) -> Any:  # noqa: ANN401  # xarray is optional
-        """Xarray Dataset over the time `t`, whose variables have `units` and `long_name`.
-
-        Raises:
-            RecordError: xarray is not installed.
-        """
+        """Xarray Dataset over the time `t`; variables have `units` and `long_name`. A RecordError without xarray."""
         return views.dataset(self.columns, self.units, self.meanings, self.name)
 
     def plot(self, *columns: str) -> NotebookFigure:

@@ -71,7 +71,7 @@ class Ring:
         rate: float,
         units: Mapping[str, str] | None = None,
         rows: int = ROWS,
-        **more: Any,  # noqa: ANN401
+        **more: object,
     ) -> None:
         text = json.dumps({"columns": list(columns), "rate": rate, "units": dict(units or {}), **more}).encode()
         text += b" " * (-len(text) % 8)

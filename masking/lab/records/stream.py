@@ -22,18 +22,8 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import json_text
 from masking.errors import NO_PLACE, RecordError
-from masking.lab.records.stream_pages import (
-    CHAIN,
-    CONTENT,
-    DATA,
-    END,
-    PART_HEAD,
-    Page,
-    hash_of,
-    page_bytes,
-    pages_of,
-    part_head,
-)
+from masking.lab.records import stream_pages
+from masking.lab.records.stream_pages import CHAIN, CONTENT, DATA, END, PART_HEAD
 
 if sys.platform != "win32":
     import fcntl
@@ -100,13 +90,14 @@ def parts(folder: Path, content: bytes | None = None) -> tuple[Path, ...]:
     return (folder / ROWS,)
 
 
-def _last_pages(file: int) -> list[Page]:
+def _last_pages(file: int) -> list[stream_pages.Page]:
     """Sound pages near the end of a part."""
     size = os.fstat(file).st_size
     if size <= PART_HEAD:
         return []
     with mmap.mmap(file, size, access=mmap.ACCESS_READ) as memory:
-        return [page for page in pages_of(memory, max(PART_HEAD, size - _TAIL), None) if page.is_sound]
+        pages = stream_pages.pages_of(memory, max(PART_HEAD, size - _TAIL), None)
+        return [page for page in pages if page.is_sound]
 
 
 def written(folder: str | Path) -> int:
@@ -136,7 +127,7 @@ class StreamWriter:
             self._width = len(json.loads(self._content)["columns"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise RecordError(f"{self.folder}: no manifest of a stream ({error})") from error
-        self._sequence, self._chain, self._end = 0, hash_of(self._content), 0
+        self._sequence, self._chain, self._end = 0, stream_pages.hash_of(self._content), 0
         self._paths = parts(self.folder, self._content)
         self._file: int | None = None
         begun = [path for path in self._paths if path.exists()]
@@ -177,7 +168,7 @@ class StreamWriter:
     def _add(self, kind: int, payload: bytes, first: int = 0, rows: int = 0) -> None:
         """Write a page; where this part is full, into the next one."""
         width = self._width if kind == DATA else 0
-        page = page_bytes(self._chain, self._sequence, kind, payload, first=first, rows=rows, width=width)
+        page = stream_pages.page_bytes(self._chain, self._sequence, kind, payload, first=first, rows=rows, width=width)
         while not self._is_written(page):
             self.moved += 1
             self._open()
@@ -209,7 +200,7 @@ class StreamWriter:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._file = self._locked(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC)
                 self._end = 0
-                if self._is_written(part_head(number, self._chain)):
+                if self._is_written(stream_pages.part_head(number, self._chain)):
                     sync_folder(path.parent)
                     return
             except OSError as error:
@@ -227,9 +218,8 @@ class StreamWriter:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 os.close(file)
-                raise RecordError(
-                    f"{path}: another process records into this stream; wait until it has ended"
-                ) from error
+                message = f"{path}: another process records into this stream; wait until it has ended"
+                raise RecordError(message) from error
         return file
 
     def _go_on(self, path: Path) -> bool:

@@ -81,8 +81,7 @@ def pages_of(memory: mmap.mmap, at: int, chain: bytes | None) -> Iterator[Page]:
                 if not _is_cut(memory, at):
                     yield Page(at, len(memory))
                 return
-            if at != begin:
-                yield Page(at, begin)
+            yield Page(at, begin)
             at, chain = begin, None
             continue
         yield page

@@ -133,9 +133,8 @@ def _table(file: Path, heading: Sequence[str]) -> _Table:
         raise RecordError(f"{file}: line {number}: a quote is not closed") from None
     is_bare = all(is_number(name.replace(",", ".")) for name in names if name)
     if is_bare and not heading:
-        raise RecordError(
-            f"{file}: the first line holds numbers; name its {len(names)} columns, such as --columns t,u1,y1"
-        )
+        remedy = f"name its {len(names)} columns, such as --columns t,u1,y1"
+        raise RecordError(f"{file}: the first line holds numbers; {remedy}")
     if heading and not is_bare:
         raise RecordError(
             f"{file}: the first line names its columns, such as {_shown(names[0])}; rename them, such as "

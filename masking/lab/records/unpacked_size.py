@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 from masking.errors import RecordError
@@ -29,14 +28,10 @@ def check(file: Path, size: int) -> None:
 
 def inflated(data: bytes, most: int) -> int:
     """How many bytes data of zlib unpack to, in little memory; no more than one piece beyond `most`."""
-    return sum(map(len, _pieces(data, most)))
-
-
-def _pieces(data: bytes, most: int) -> Iterator[bytes]:
     unpacking, rest, size = zlib.decompressobj(), data, 0
     while size <= most and not unpacking.eof:
         piece = unpacking.decompress(rest, _PIECE)
         rest, size = unpacking.unconsumed_tail, size + len(piece)
         if not piece and not rest:
-            return
-        yield piece
+            break
+    return size

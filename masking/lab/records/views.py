@@ -69,29 +69,19 @@ def figure(
         for name, colour in zip(names, COLOURS * len(names), strict=False):
             prefix, _, short = name.rpartition(".")
             unit = "" if len(common) == 1 else units.get(name, "")
-            label = axes.with_unit(_label(short), unit)
+            plain = short.rstrip("'")  # a rate keeps its prime
+            label = axes.with_unit(f"{symbols.tex(plain)}{short[len(plain) :]}", unit)
             each.plot(*thin(columns["t"], columns[name]), color=colour, lw=1.2, label=label)
             ideal = columns.get(f"{IDEAL}.{short}") if prefix == "virtual" else None
             if ideal is not None:
                 each.plot(*thin(columns["t"], ideal), color=INK, lw=0.8, ls=axes.DASHED)
-        each.set_ylabel(axes.with_unit(_prefix(names), common.pop() if len(common) == 1 else ""))
+        prefixes = {name.rpartition(".")[0] for name in names}
+        each.set_ylabel(axes.with_unit(*(found.pop() if len(found) == 1 else "" for found in (prefixes, common))))
         each.legend(frameon=False, fontsize=axes.SIZE - 0.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         each.set_xlim(columns["t"][0], columns["t"][-1])
     each.set_xlabel(axes.with_unit("time", units.get("t", "")))
     made.suptitle(title, fontsize=axes.SIZE + 1.5, color=INK, x=0.01, ha="left")
     return made
-
-
-def _prefix(names: Sequence[str]) -> str:
-    """Common prefix of several columns, or the name of a single one."""
-    prefixes = {name.rpartition(".")[0] for name in names}
-    return prefixes.pop() if len(prefixes) == 1 else ""
-
-
-def _label(name: str) -> str:
-    """Typeset the name of a column without its prefix; a rate keeps its prime."""
-    plain = name.rstrip("'")
-    return f"{symbols.tex(plain)}{name[len(plain) :]}"
 
 
 def card(title: str, subtitle: str, columns: Columns, units: Mapping[str, str], meanings: Mapping[str, str]) -> str:

@@ -19,11 +19,9 @@ from masking.control.sampled_controller import SampledLoop
 from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import TwinRun, run_twin
+from masking.lab.runs.offline import Progress, TwinRun, run_twin
 from masking.model.declaration import schema
 from masking.model.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
-
-Progress = Callable[[float], None]
 
 NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
 FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
@@ -59,28 +57,24 @@ class Row:
 
 @dataclass(frozen=True)
 class Budget:
-    """What limits the masking error of a run: the run as it is, without each cause in turn, and without all of them.
-
-    `without_all` leaves on what the controller's model knows.
-    """
+    """What limits the masking error of a run: the run as it is, without each cause in turn, and without all of them."""
 
     whole: Row
     rows: tuple[Row, ...]
-    without_all: Row
-    rate: float
+    without_all: Row  # leaves on what the controller's model knows
+    rate: float  # of the controller, Hz
 
     @property
     def sentence(self) -> str:
         """Cause to remove first, in words."""
-        now, left = _chi(self.whole.rms), _chi(self.without_all.rms)
+        now, left = f"{self.whole.rms:.2g}", f"{self.without_all.rms:.2g}"
         best = min(self.rows, key=lambda row: row.rms)
         if best.rms <= _WORTH * self.whole.rms:
             how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
-            return f"Remedy first: {best.cause} (chi {now} -> {_chi(best.rms)} {how})."
+            return f"Remedy first: {best.cause} (chi {now} -> {best.rms:.2g} {how})."
         if self.without_all.rms <= _WORTH * self.whole.rms:
-            return (
-                f"No single cause limits the masking error; all together do (chi {now} -> {left} without any of them)."
-            )
+            change = f"chi {now} -> {left} without any of them"
+            return f"No single cause limits the masking error; all together do ({change})."
         return f"Nothing that can be switched off limits the masking error (chi {now}, and {left} without any of it)."
 
     def as_dict(self) -> dict[str, Any]:
@@ -139,10 +133,7 @@ def expected_time(experiment: Experiment, recording: Recording) -> float:
 
 
 def causes(twin: Twin) -> dict[str, tuple[str, ...]]:
-    """Causes that a twin has switched on, each with its effects as the plant file names them.
-
-    The limits of the plant file count as saturation.
-    """
+    """Causes that a twin has switched on, with their effects as the plant file names them; limits are saturation."""
     found: dict[str, list[str]] = {family: [] for family in FAMILIES}
     for effect in twin.effects:
         if effect.enabled:
@@ -309,7 +300,3 @@ def _remedy(cause: str, effects: Iterable[Effect]) -> str:
     remedies = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
     usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
     return next(iter([*remedies, *usual]), "")
-
-
-def _chi(value: float) -> str:
-    return f"{value:.2g}"

@@ -180,9 +180,8 @@ class Experiment:
         """
         assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
         allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
-        remedy = (
-            f"allowed: {', '.join(allowed) or 'none'}; forces and gains belong into controller.model and .parameters"
-        )
+        known = ", ".join(allowed) or "none"
+        remedy = f"allowed: {known}; forces and gains belong into controller.model and .parameters"
         problems = []
         for name in assumed.keys() - set(allowed):
             path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"

@@ -38,10 +38,7 @@ class VirtualInputs:
 
     @cached_property
     def series(self) -> dict[str, Series]:
-        """Inputs that are known point by point, in the virtual system's units and time.
-
-        A DeclarationError where a file or a signal cannot be read.
-        """
+        """Inputs known point by point, in the virtual system's units and time; a DeclarationError if unreadable."""
         given = {name: source for name, source in self.experiment.inputs.items() if source.is_series}
         return {name: self._read(name, source) for name, source in given.items()}
 

@@ -36,10 +36,8 @@ else:
 # Rows per unit of virtual time at first; they are doubled until no peak changes by more than the tolerance.
 ROWS_PER_UNIT = 10
 FEWEST_ROWS, MOST_ROWS = 1_000, 400_000
-# Relative error of a peak, and by how much a limit may be passed.
-TOLERANCE = 1e-4
-# A factor is bisected to so much of itself.
-BISECTED = 1e-4
+TOLERANCE = 1e-4  # relative error of a peak, and by how much a limit may be passed
+BISECTED = 1e-4  # of a factor, to which it is found
 # Tried in turn: slower motion up to 64 times, faster up to 16 times, and less stroke or amplitude down to 1/256.
 SLOWER = tuple(2.0 ** (i / 4) for i in range(1, 25))
 FASTER = tuple(2.0 ** (-i / 4) for i in range(1, 17))

@@ -90,32 +90,21 @@ def _guard(twin: Twin) -> PlantLimits:
 
 @dataclass(frozen=True, eq=False)
 class RunSettings:
-    """How an experiment runs on a plant.
+    """How an experiment runs on a plant."""
 
-    Args:
-        lockstep: run as fast as both sides can, each waiting for the other.
-        watchdog: seconds without a command after which the plant goes to zero by itself.
-        acknowledge: why the plant tripped in the last run was looked at; it is refused without.
-        progress: called with the part done.
-        stop: looked at before each tick.
-        emergency: likewise; the run then trips.
-        keep: called with what there is since the release where the run ends in an error, before it is raised.
-        stream: folder to which each row goes while the run goes on, the homing included; once the recording is saved,
-            `masking.lab.records.stream.remove` takes them away. By default nothing is written.
-        spare: folder for the rest of the stream where its own is full; by default that for temporary files.
-        operator: who looks at the run, and may stop it.
-    """
-
-    lockstep: bool = False
-    watchdog: float = WATCHDOG
-    acknowledge: bool = False
-    progress: Callable[[float], None] | None = None
-    stop: Stop | None = None
-    emergency: Stop | None = None
+    lockstep: bool = False  # run as fast as both sides can, each waiting for the other
+    watchdog: float = WATCHDOG  # seconds without a command after which the plant goes to zero by itself
+    acknowledge: bool = False  # why the plant tripped in the last run was looked at; it is refused without
+    progress: Callable[[float], None] | None = None  # called with the part done
+    stop: Stop | None = None  # looked at before each tick
+    emergency: Stop | None = None  # likewise; the run then trips
+    # called with what there is since the release where the run ends in an error, before it is raised
     keep: Callable[[Recording], None] | None = None
+    # folder to which each row goes while the run goes on, the homing included; once the recording is saved,
+    # `masking.lab.records.stream.remove` takes them away
     stream: str | Path | None = None
-    spare: str | Path | None = None
-    operator: Operator | None = None
+    spare: str | Path | None = None  # for the rest of the stream where its own is full; else that for temporary files
+    operator: Operator | None = None  # who looks at the run, and may stop it
 
 
 REAL_TIME: Final = RunSettings()
@@ -299,10 +288,7 @@ class _Keeper:
 
     @property
     def is_over(self) -> bool:
-        """Whether the run has ended as planned.
-
-        The time has passed, which it may have with fewer rows where samples were missed, or what ends it was found.
-        """
+        """Whether the run has ended as planned: its time has passed, with whatever rows, or what ends it was found."""
         return self.last >= self.after - 1 or self.reason == SYNCHRONISED
 
     @property

@@ -39,18 +39,13 @@ class Ideal:
 
         `live` are inputs that the run alone knows, by name (m,).
         """
-        (begin, state), parts, virtual = reached, list[Array](), self.virtual
-        schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(virtual.kernels, len(times))
+        (begin, state), parts, virtual, kernels = reached, list[Array](), self.virtual, self.virtual.kernels
+        schedule, starts = self.inputs.along(times / self.time_scale, live), chunks(kernels, len(times))
         for first in starts:
             part = times[first : first + starts.step]
-            span, u, p = (
-                np.concatenate([[begin], part]) / self.time_scale,
-                np.zeros(len(virtual.inputs)),
-                virtual.values(),
-            )
-            found = input_series.integrate(
-                virtual.kernels, span, state, u, p, schedule=schedule, tolerance=self.tolerance
-            )
+            span = np.concatenate([[begin], part]) / self.time_scale
+            u, p = np.zeros(len(virtual.inputs)), virtual.values()
+            found = input_series.integrate(kernels, span, state, u, p, schedule=schedule, tolerance=self.tolerance)
             parts.append(found.states[1:])
             begin, state = float(part[-1]), found.states[-1, : len(state)].copy()
         return parts[0] if len(parts) == 1 else np.concatenate(parts), (begin, state)

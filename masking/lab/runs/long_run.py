@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from masking.lab.records import parquet
 from masking.lab.records.columns_on_disk import LARGE
 from masking.lab.records.recording import FORMAT, Recording, writing
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import CHUNK, Run, TwinRun, cut
+from masking.lab.runs.offline import CHUNK, Progress, Run, TwinRun, cut
 from masking.lab.runs.recording_columns import Columns
 from masking.model.declaration import cross_checks
 
@@ -35,11 +35,7 @@ def size(experiment: Experiment) -> float:
 
 
 def run(
-    experiment: Experiment,
-    folder: str | Path,
-    *,
-    overwrite: bool = False,
-    progress: Callable[[float], None] | None = None,
+    experiment: Experiment, folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> Recording:
     """Run an experiment, with its recording in a folder; the recording that is returned is on disk if it is large.
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -111,13 +111,7 @@ class StreamedRows:
     RecordError where the folder holds a stream already, or cannot be written.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        folder: Path,
-        spare: Path,
-        **more: Any,  # noqa: ANN401
-    ) -> None:
+    def __init__(self, experiment: Experiment, folder: Path, spare: Path, **more: object) -> None:
         self.layout, self._folder = RowLayout(experiment), folder
         declaration = experiment.declaration
         content = manifest.content(experiment.assembly, experiment.virtual, more)

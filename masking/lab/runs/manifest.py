@@ -80,15 +80,9 @@ def limits(plant: schema.PlantDeclaration, instruments: Instruments) -> dict[str
 def _commit(files: Mapping[str, str]) -> str | None:
     """Git commit of the folder that the experiment was read from, if it is in a repository."""
     folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
+    command = ["git", "rev-parse", "HEAD"]  # the user's own git, wherever it is
     try:
-        found = subprocess.run(  # the user's own git, wherever it is
-            ["git", "rev-parse", "HEAD"],  # noqa: S607
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=5,
-        )
+        found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=5)  # noqa: S603
     except (OSError, subprocess.TimeoutExpired):
         return None
     return found.stdout.strip() or None

@@ -262,13 +262,12 @@ class Mapped(Protocol):
         """Parameter array."""
 
 
-def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, passive: Array | None = None) -> Array:
+def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None) -> Array:
     """Rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
-    `virtual_state` has virtual coordinates then velocities (2 k,); what follows is not looked at. `guess` are rig
-    coordinates (n,) to start from; by default several are tried. `passive` are coordinates, then velocities, of those
-    that no virtual one stands for (2 (n - k),); 0 by default. A ModelError where no rig position gives the virtual
-    coordinates.
+    `virtual_state` has virtual coordinates then velocities (2 k,); what follows is not looked at. `passive` are
+    coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default. A ModelError where
+    no rig position gives the virtual coordinates.
     """
     lengths = loop.controller.lengths
     k = len(loop.controller.virtual.coordinates)
@@ -277,15 +276,14 @@ def rig_state(loop: Mapped, virtual_state: Array, guess: Array | None = None, pa
     beside = np.zeros(2 * len(free)) if passive is None else passive
     whole, rates = np.append(eta, beside[: len(free)]), np.append(rate, beside[len(free) :])
     generator = np.random.default_rng(0)
-    guesses = [np.zeros(len(lengths))] if guess is None else [guess]
-    guesses += [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+    random = [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
 
     def system(q: Array) -> tuple[Array, Array]:
         value, slope = _map(loop, q)
         return value - whole, slope
 
     error = 1e-13 * (1.0 + float(np.max(np.abs(whole))))
-    for start in guesses:
+    for start in (np.zeros(len(lengths)), *random):
         with contextlib.suppress(RootError):
             q, slope = root(system, start, error=error, lengths=lengths, longest=2.0)
             return np.concatenate([q, np.linalg.lstsq(slope, rates, rcond=None)[0]])

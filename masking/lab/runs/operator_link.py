@@ -61,9 +61,8 @@ class Operator:
         self._attendant: Attendant | None = None
         if self._file is not None and self._file.exists():
             self.switch.remove()
-            raise OperatorError(
-                f"{self._file}: this file stops the run, and it is there; remove it once the rig is safe"
-            )
+            remedy = "remove it once the rig is safe"
+            raise OperatorError(f"{self._file}: this file stops the run, and it is there; {remedy}")
 
     def __enter__(self) -> Self:
         return self

@@ -20,15 +20,9 @@ from typing import Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
+from masking import errors
 from masking.compile.numerics.arrays import Array
-from masking.errors import (
-    CommandError,
-    EmergencyStopError,
-    PlantError,
-    PlantLostError,
-    PlantMismatchError,
-    SamplesLostError,
-)
+from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
 from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling
 from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.safety_chain import Cause, Chain, Rules, Trip
@@ -165,10 +159,10 @@ def _reason(error: BaseException, rows: Rows) -> str:
     """Reason for the end of a run in an error, of which the chain learns."""
     tick, text = int(rows.table[max(0, rows.count - 1), TICK]), f"{type(error).__name__}: {error}"
     if isinstance(error, PlantLostError):
-        cause = Cause.COMM_LOST if isinstance(error, SamplesLostError) else Cause.PLANT_LOST
+        cause = Cause.COMM_LOST if isinstance(error, errors.SamplesLostError) else Cause.PLANT_LOST
         rows.chain.stop(cause, tick, detail=text)
         return LOST
-    if isinstance(error, EmergencyStopError):
+    if isinstance(error, errors.EmergencyStopError):
         rows.chain.stop(Cause.ESTOP, tick, "at the plant", detail=text)
     if rows.chain.trip is None and isinstance(error, PlantError):
         rows.chain.stop(Cause.PLANT_ERROR, tick, detail=text)
@@ -246,10 +240,7 @@ def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Ho
 
 
 def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) -> None:
-    """Let the controller answer a sample; what it raises comes through once zero was written.
-
-    A CommandError where it returned something else than one number for each actuator.
-    """
+    """Let the controller answer a sample; what it or `Rows.answer` raises comes through once zero was written."""
     tick = sample.index
     try:
         rows.answer(tick, step(tick, sample.values), time.perf_counter() - began)

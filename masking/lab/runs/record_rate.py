@@ -37,10 +37,7 @@ def instants(duration: float, samples: int, rate: float | None) -> tuple[int, Ca
 
 
 def rows_per_unit(virtual: Model, initial: Array) -> float:
-    """Rows per unit of virtual time that show each period of the motion, and at least 10.
-
-    The period is that of the fastest oscillation about the initial state and about rest.
-    """
+    """Rows per unit of virtual time that show each period of the oscillation that is `fastest`, and at least 10."""
     return max(FEWEST, PER_PERIOD * fastest(virtual, initial) / (2.0 * math.pi))
 
 

@@ -51,10 +51,7 @@ def rules(instruments: Instruments, rate: float, twin: Twin | None = None, estim
 
 
 def limits(instruments: Instruments, rate: float) -> Rules:
-    """Rules of a plant for whoever drives it: its limits, as far as its sensors show them.
-
-    A ModelError where an actuator has no largest command.
-    """
+    """Rules of a plant for whoever drives it: its limits, as far as its sensors show them; raises what `rules` does."""
     return _Builder(instruments, rate, None, 0).limits()
 
 
@@ -102,7 +99,9 @@ class _Builder:
         self._declared()
         motion, pushed = self._motion()
         self._jumps(places, pushed)
-        self._sticking()
+        for name, row in zip(self.instruments.sensors, self.table, strict=True):
+            if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
+                self.notes.append(f"whether {name} sticks is not watched: declare its noise")
         return replace(self._within(), motion=motion, half=self._half(motion), delay=self.instruments.delay)
 
     def limits(self) -> Rules:
@@ -242,12 +241,6 @@ class _Builder:
                 row[safety_tables.STEP] = _MARGIN * speed / self.rate + 2.0 * row[safety_tables.OFF]
             else:
                 self.notes.append(f"jumps of {name} are not watched: give sensors.{name}.jump")
-
-    def _sticking(self) -> None:
-        """Note which sensors may stick without being seen."""
-        for name, row in zip(self.instruments.sensors, self.table, strict=True):
-            if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
-                self.notes.append(f"whether {name} sticks is not watched: declare its noise")
 
     def _limited(
         self, declared: Mapping[Expression, Limit], *, is_rate: bool

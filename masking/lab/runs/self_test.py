@@ -97,7 +97,9 @@ def self_test(
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
-    held = _held(safety_limits.rules(Instruments.of(twin), rate, twin), size)
+    rules = safety_limits.rules(Instruments.of(twin), rate, twin)
+    held = replace(safety_limits.without_model(rules), commands=rules.commands.copy())  # answers are compared here
+    held.commands[:, LARGEST] *= size
     quiet = {e.path.removeprefix("effects.") for e in twin.effects if e.entry.where == "sensor" and e.entry.deviation}
     ideal = twin.changed({**twin.changes, **dict.fromkeys(quiet, EffectChange(enabled=False))})
     answers = list[Answer]()
@@ -116,13 +118,6 @@ def self_test(
 def allowed(twin: Twin) -> float:
     """Command that every actuator of a plant file may be given; a ModelError where one has no largest command."""
     return float(Instruments.of(twin).limits()[:, LARGEST].min())
-
-
-def _held(rules: Rules, size: float) -> Rules:
-    """Rules with a part of the largest commands; answers are compared by the test itself."""
-    commands = rules.commands.copy()
-    commands[:, LARGEST] *= size
-    return replace(safety_limits.without_model(rules), commands=commands)
 
 
 def part_moved(rules: Rules, read: Array) -> float:
@@ -154,7 +149,8 @@ class _Pulse:
         self.read.append(readings.copy())
         if len(self.read) > self.stop and not len(self.read) % self.begin:
             read = np.array(self.read)
-            self.is_over = _is_still(read[-self.begin :], read[: self.begin], read)
+            last, first = np.ptp(read[-self.begin :], axis=0), np.ptp(read[: self.begin], axis=0)
+            self.is_over = bool(np.all(last <= np.maximum(2.0 * first, 0.05 * np.ptp(read, axis=0))))
         self.command[self.at] = self.rules.commands[self.at, LARGEST] if self.begin <= k < self.end else 0.0
         return self.command
 
@@ -179,10 +175,6 @@ class _Pulse:
             raise MaskingError(f"the self-test was {ran.reason}; nothing is known of the rig")
         index = ran.index - ran.index[0]
         return np.stack([np.interp(every, index, column) for column in ran.sensors.T], axis=1), ran.trip
-
-
-def _is_still(last: Array, first: Array, answer: Array) -> bool:
-    return bool(np.all(np.ptp(last, axis=0) <= np.maximum(2.0 * np.ptp(first, axis=0), 0.05 * np.ptp(answer, axis=0))))
 
 
 def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Answer]:

@@ -96,10 +96,7 @@ class StopCondition:
         return cls(settings, (first, second), columns, detector)
 
     def watch(self) -> Callable[[Array], int | None]:
-        """Function that takes virtual coordinates (m, .), one chunk of a run after the other.
-
-        It returns the row at which the run ends, None where it goes on.
-        """
+        """Function of virtual coordinates (m, .), chunk after chunk: the row at which the run ends, or None."""
         step = self.detector.begin().step
 
         def row(virtual: Array) -> int | None:

@@ -13,8 +13,7 @@ from masking.model.declaration.units import pretty
 from masking.model.modelling.model import Model
 
 _NUMBERS: Final = ("duration", "seed", "tolerance", "time_scale")  # of an experiment
-# What needs no declaration to be read anew: values are checked by a run.
-_LIGHT: Final = {"parameters", "initial", "seed"}
+_LIGHT: Final = {"parameters", "initial", "seed"}  # need no declaration to be read anew: a run checks their values
 PLANT: Final = "plant"  # parameters of its model
 
 

@@ -23,17 +23,6 @@ from masking.lab.signals.waveforms import (
 )
 
 __all__ = [
-    "Excitation",
-    "Multisine",
-    "crest_factor",
-    "linear_chirp",
-    "logarithmic_chirp",
-    "minimise_crest",
-    "multisine",
-    "opposed_sines",
-    "ramp",
-    "sawtooth",
-    "schroeder_phases",
-    "steps",
-    "time_factor",
-]
+    "Excitation", "Multisine", "crest_factor", "linear_chirp", "logarithmic_chirp", "minimise_crest", "multisine",
+    "opposed_sines", "ramp", "sawtooth", "schroeder_phases", "steps", "time_factor",
+]  # fmt: skip

@@ -31,8 +31,7 @@ else:
 
 KIND: Final = "excitation"
 PREFIX: Final = "input."
-# The clock of a file may be off by this part of a sample, which is more than rounding and less than a slipped sample.
-UNEVEN: Final = 1e-3
+UNEVEN: Final = 1e-3  # of a sample, that the clock of a file may be off: more than rounding, less than a slipped one
 RATE_DIGITS: Final = 10  # of a rate that is read from a clock: beyond them is what rounding does
 _HEADER = re.compile(r"(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
@@ -41,24 +40,15 @@ _HEADER = re.compile(r"(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?
 class Excitation:
     """The samples of one or more channels at one rate.
 
-    Args:
-        name: of the signal, such as "multisine".
-        rate: samples per second, Hz.
-        values: (samples, channels), each in the unit of its channel; kept as read-only float64.
-        channels: names of the channels, such as the actuators of a plant file.
-        units: of the channels; one text for all of them, or one for each.
-        meta: how the signal was made, whatever JSON can hold.
-
-    Raises:
-        ModelError: a value is not finite, a name appears twice, or numbers of channels differ.
+    A ModelError where a value is not finite, a name appears twice, or numbers of channels differ.
     """
 
-    name: str
-    rate: float
-    values: Array
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    meta: Mapping[str, Any] = field(default_factory=dict)
+    name: str  # of the signal, such as "multisine"
+    rate: float  # samples per second, Hz
+    values: Array  # (samples, channels), each in the unit of its channel; kept as read-only float64
+    channels: tuple[str, ...]  # names, such as the actuators of a plant file
+    units: tuple[str, ...]  # of the channels; one text for all of them, or one for each
+    meta: Mapping[str, Any] = field(default_factory=dict)  # how the signal was made, whatever JSON can hold
 
     def __post_init__(self) -> None:
         channels = names("channel", self.channels)

@@ -6,21 +6,26 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import TYPE_CHECKING
 
+import lazy_loader as lazy
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.lab.signals.signal_arguments import positive, real, row
 
+if TYPE_CHECKING:
+    from scipy import fft
+else:
+    fft = lazy.load("scipy.fft", suppress_warning=True)
+
 TURN = 2.0 * math.pi
 # Samples for each period of the highest line where a peak is looked for. The curvature of a multisine is at most
 # (2 pi f)^2 times its peak (Bernstein), so that the highest sample is then within 0.5 % of the peak.
 DENSITY = 32
-# Local maxima above this part of the highest sample are followed to their top: twice what Bernstein asks for.
-FOLLOWED = 0.99
+FOLLOWED = 0.99  # of the highest sample: maxima above are followed to their top; twice what Bernstein asks for
 NEWTON_STEPS = 6
 # Lines are taken as harmonics of one period where the ratios to the lowest one are fractions with denominators up to
 # this, to this relative error, a thousand times what rounding does.
@@ -63,10 +68,8 @@ class Multisine:
         for what, unit, values in (("frequency", " Hz", lines), ("amplitude", "", sizes)):
             bad = np.flatnonzero(values <= 0.0)
             if len(bad):
-                remedy = "give numbers above 0; a line without power is left out"
-                raise ModelError(
-                    f"the {what} of line {bad[0]} (they count from 0) is {values[bad[0]]:g}{unit}; {remedy}"
-                )
+                message = f"the {what} of line {bad[0]} (they count from 0) is {values[bad[0]]:g}{unit}"
+                raise ModelError(f"{message}; give numbers above 0; a line without power is left out")
         if base is not None:
             positive("base", base, "Hz")
             with np.errstate(over="ignore"):

@@ -147,6 +147,7 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
     """Say that a file, whose content may be given as `node`, is of another kind, `found`, than is needed."""
     needed = f"{_ARTICLE[kind]} is needed here"
     entry = node.value.get(_NAMED_BY.get((kind, found), "")) if node and isinstance(node.value, dict) else None
+    remedy = needed
     if kind == "experiment" and found in {"plant", "model"}:
         plant, virtual = (shown, "duffing") if found == "plant" else ("ideal", shown)
         remedy = f"{needed}, which names a plant and a model: 'plant: {plant}', 'virtual: {virtual}'"
@@ -154,20 +155,15 @@ def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: No
         remedy = f"{needed}, which names a model: 'model: {shown}'"
     elif entry is not None and isinstance(entry.value, str):
         remedy = f"{needed}, such as the {found}'s own: {entry.value}"
-    else:
-        remedy = needed
     return Problem(reference.place, reference.path, f"{shown} is {_ARTICLE[found]}", remedy)
 
 
 def _not_found(kind: str | None, text: str, is_name: bool, candidates: list[Path], reference: Reference) -> Problem:
     """Say that there is no such file or name, and what was probably meant."""
-    message = (
-        f"there is no {kind or 'model, plant, experiment or dictionary'} '{text}'"
-        if is_name
-        else f"there is no file {text}"
-    )
+    message = f"there is no file {text}"
     remedy = f"{_ARTICLE[kind]} is a .yaml file"
     if is_name:
+        message = f"there is no {kind or 'model, plant, experiment or dictionary'} '{text}'"
         remedy = nearest(text, [name for some in ([kind] if kind else _FOLDERS) for name in names(some)])
     endings = [end for end in _ENDINGS if any(_is(Path(f"{c}{end}"), Path.is_file) for c in candidates)]
     if endings:

@@ -9,7 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from masking.errors import DeclarationError, Problem, nearest
 from masking.model.declaration import expansion_size
-from masking.model.declaration.couplings import driven_outputs, motions
+from masking.model.declaration.couplings import definitions_with, driven_outputs, motions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ModelDeclaration
 from masking.model.declaration.syntax import LARGEST
@@ -51,9 +51,8 @@ def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
 def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     """Yield every expression of a model with its path, the left-hand sides of equations included."""
     found = {p: getattr(model, p) for p in ("lagrangian", "dissipation", "energy")}
-    found |= {
-        f"{section}.{name}": x for section in ("definitions", "forces") for name, x in getattr(model, section).items()
-    }
+    for section in ("definitions", "forces"):
+        found |= {f"{section}.{name}": x for name, x in getattr(model, section).items()}
     for section, parts in _FORMULAS.items():
         for name, entry in getattr(model, section).items():
             found |= {f"{section}.{name}.{part}": getattr(entry, part) for part in parts}
@@ -84,19 +83,16 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     for anything.
     """
     problems = [*_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
-    problems += [
-        p for path, p in delayed(model) if path.partition(".")[0] not in {"equations", "forces", "definitions"}
-    ]
+    may_be_late = ("equations.", "forces.", "definitions.")
+    problems += [problem for path, problem in delayed(model) if not path.startswith(may_be_late)]
     if whole:
-        problems += [
-            *_structure(model),
-            *_elements(model),
-            *_events(model),
-            *_unused(model),
-            *_cycles(model, "definitions", model.definitions),
-            *_large(model),
-        ]
-        problems += parameter_values(model, {})[1]
+        problems += [*_structure(model), *_elements(model), *_events(model), *_unused(model)]
+        problems += _cycles(model, "definitions", model.definitions)
+        for path, size in expansion_size.oversized(formulas(model), model.definitions):
+            message = f"with its definitions written out it has {size} operations and operands"
+            remedy = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
+            problems.append(problem_at(model, path, message, remedy))
+        problems += check_parameters(model, {})
     return problems
 
 
@@ -114,15 +110,11 @@ def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
                 message = f"the name '{name}' is already used in {owner[name]}"
                 yield problem_at(model, f"{section}.{name}", message, "rename one of them", at_key=True)
             owner.setdefault(name, section)
-    for index, name in enumerate(model.oscillators or ()):
+    named = [(f"oscillators.{index}", name) for index, name in enumerate(model.oscillators or ())]
+    for path, name in (*named, *((f"forces.{name}", name) for name in model.forces)):
         if name not in model.coordinates and name not in lost:
-            yield problem_at(
-                model, f"oscillators.{index}", f"'{name}' is not a coordinate", nearest(name, model.coordinates)
-            )
-    for name in model.forces:
-        if name not in model.coordinates and name not in lost:
-            message = f"'{name}' is not a coordinate"
-            yield problem_at(model, f"forces.{name}", message, nearest(name, model.coordinates), at_key=True)
+            remedy = nearest(name, model.coordinates)
+            yield problem_at(model, path, f"'{name}' is not a coordinate", remedy, path.startswith("forces."))
     taken = {*model.coordinates, *model.states, *model.outputs}
     for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
         if name not in taken and name not in lost:
@@ -141,7 +133,7 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
     rest = [*coordinates, *velocities(coordinates), *model.states, *model.inputs, *model.parameters]
     rest += [*model.definitions, "t"]
     moving = [*rest, *accelerations(coordinates)]
-    accelerated = _definitions_with(model, accelerations(coordinates))
+    accelerated = definitions_with(model, accelerations(coordinates))
     steady = [symbol for symbol in moving if symbol not in model.inputs]
     own = [left for left in model.equations if model.state_of(left)]
     of_states = {f"equations.{left}" for left in own}
@@ -208,20 +200,6 @@ def check_symbols(
             yield expression.problem(expression.first(symbol), f"'{symbol}' may not be used here", remedy)
         else:
             yield problem
-
-
-def _definitions_with(model: ModelDeclaration, symbols: Collection[str]) -> set[str]:
-    """Give the definitions that contain one of some symbols, by way of other definitions too."""
-    found: set[str] = set()
-    grown = True
-    while grown:
-        more = {
-            name
-            for name, expression in model.definitions.items()
-            if any(symbol in symbols or symbol in found for symbol in expression.symbols)
-        }
-        grown, found = more != found, more
-    return found
 
 
 def _structure(model: ModelDeclaration) -> Iterator[Problem]:
@@ -293,7 +271,7 @@ def _elements(model: ModelDeclaration) -> Iterator[Problem]:
 def _events(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that every event has a condition that changes, and jumps of states."""
     states = [*model.coordinates, *velocities(model.coordinates), *model.states]
-    moving, driven = [*states, *model.definitions, "t"], _definitions_with(model, model.inputs)
+    moving, driven = [*states, *model.definitions, "t"], definitions_with(model, model.inputs)
     for name, event in model.events.items():
         for part, message, remedy in event.problems(states, moving):
             yield problem_at(model, f"events.{name}.{part}", message, remedy, at_key=part.startswith("jumps."))
@@ -360,10 +338,8 @@ def _determined(model: ModelDeclaration, present: Sequence[Collection[str]]) -> 
             message = f"the equations determine {_joined(names, 'and')} {often}{where} and {never} never"
             remedy = f"one of these must contain {never}"
         else:
-            message, remedy = (
-                f"the equation contains no acceleration, and none determines {never}",
-                f"write {never}: ...",
-            )
+            message = f"the equation contains no acceleration, and none determines {never}"
+            remedy = f"write {never}: ..."
         yield problem_at(model, f"equations.{lefts[equations[-1]].text}", message, remedy, at_key=True)
 
 
@@ -395,12 +371,11 @@ def _joined(words: Sequence[str], last: str) -> str:
 def _unused(model: ModelDeclaration) -> Iterator[Problem]:
     drawn = [formula for shape in model.drawing for formula in shape.formulas]
     used = set().union(*(expression.names for _, expression in [*formulas(model), *drawn]))
-    for section, what in (("parameters", "parameter"), ("definitions", "definition"), ("inputs", "input")):
+    for section in ("parameters", "definitions", "inputs"):
         for name in getattr(model, section):
             if name not in used:
-                yield problem_at(
-                    model, f"{section}.{name}", f"the {what} '{name}' is not used", "remove it or use it", at_key=True
-                )
+                message = f"the {section.removesuffix('s')} '{name}' is not used"
+                yield problem_at(model, f"{section}.{name}", message, "remove it or use it", at_key=True)
 
 
 def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Expression]) -> Iterator[Problem]:
@@ -418,27 +393,12 @@ def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Exp
         uses = {name: used for name, used in uses.items() if name not in loop}
 
 
-def _large(model: ModelDeclaration) -> Iterator[Problem]:
-    for path, size in expansion_size.oversized(formulas(model), model.definitions):
-        message = f"with its definitions written out it has {size} operations and operands"
-        remedy = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
-        yield problem_at(model, path, message, remedy)
-
-
-def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) -> tuple[dict[str, float], list[Problem]]:
-    """Give the values that can be found, and everything that is wrong with them."""
-    problems: list[Problem] = []
-    for name in overrides:
-        if name not in model.parameters:
-            problems.append(problem_at(model, "parameters", f"no parameter '{name}'", nearest(name, model.parameters)))
-    formulas = {
-        name: parameter.value
-        for name, parameter in model.parameters.items()
-        if isinstance(parameter.value, Expression) and name not in overrides
-    }
-    problems += _cycles(model, "parameters", formulas)
-    values: dict[str, float] = {name: overrides[name] for name in model.parameters if name in overrides}
-    values |= {n: p.value for n, p in model.parameters.items() if n not in values and isinstance(p.value, float)}
+def check_parameters(model: ModelDeclaration, overrides: Mapping[str, float]) -> list[Problem]:
+    """List everything that is wrong with the values of parameters, of which some may be replaced by name."""
+    given = {name: overrides.get(name, parameter.value) for name, parameter in model.parameters.items()}
+    formulas = {name: value for name, value in given.items() if isinstance(value, Expression)}
+    problems = [*_cycles(model, "parameters", formulas)]
+    values = {name: value for name, value in given.items() if not isinstance(value, Expression)}
     waiting = dict(formulas)
     while ready := [name for name, expression in waiting.items() if expression.names <= values.keys()]:
         for name in ready:
@@ -453,7 +413,7 @@ def parameter_values(model: ModelDeclaration, overrides: Mapping[str, float]) ->
         if name in values and (is_coherent or name not in formulas):
             shown = f"{name} = {values[name]:.12g}" + ("" if parameter.unit == "1" else f" {parameter.unit}")
             problems += bounded(model, f"parameters.{name}", shown, values[name], parameter.bounds)
-    return {name: values[name] for name in model.parameters if name in values}, problems
+    return problems
 
 
 def bounded(
@@ -464,8 +424,7 @@ def bounded(
     if value is not None and not math.isfinite(value):
         yield problem_at(declaration, f"{path}.value", f"{shown} is not finite")
     elif low is not None and high is not None and low > high:
-        message = f"the lower bound {low:g} is above the upper bound {high:g}"
-        yield problem_at(declaration, f"{path}.bounds", message)
+        yield problem_at(declaration, f"{path}.bounds", f"the lower bound {low:g} is above the upper bound {high:g}")
     elif value is not None and low is not None and value < low:
         yield problem_at(declaration, f"{path}.value", f"{shown} is below its lower bound {low:g}")
     elif value is not None and high is not None and value > high:

@@ -68,18 +68,18 @@ def _model(parts: list[Part]) -> dict[str, Any]:
         "inputs": lambda part, entry: entry,
         "parameters": _with("value"),
         "outputs": _with("expression"),
-        "definitions": lambda part, text: part.written(text),
+        "definitions": Part.written,
         "elements": _element,
-        "forces": lambda part, text: part.written(text),
+        "forces": Part.written,
     }
     for section, change in sections.items():
         made[section] = _joined(parts, section, {n: data.get(section, {}) for n, data in all_data.items()}, change)
-    equations = {}
-    for part in parts:
-        for left, right in all_data[part.name].get("equations", {}).items():
-            equations[part.written(left)] = part.written(right)
-    made["equations"] = equations
-    _check_kind(parts)
+    sides = [(part, both) for part in parts for both in all_data[part.name].get("equations", {}).items()]
+    made["equations"] = {part.written(left): part.written(right) for part, (left, right) in sides}
+    for part in parts:  # a Lagrangian is not joined to equations of motion
+        if (part.model.lagrangian is None) != (parts[0].model.lagrangian is None):
+            message = f"{part.model.name} and {parts[0].model.name}: one has a Lagrangian, one equations of motion"
+            raise DeclarationError(Problem(None, f"plants.{part.name}", message, "write both in the same way"))
     for key in _SUMMED:
         given = [(part, data[key]) for part in parts if key in (data := all_data[part.name])]
         if given and (key == "dissipation" or len(given) == len(parts)):
@@ -99,11 +99,16 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
         "parameters": lambda part, value: value,
         "sensors": _with("measures"),
         "actuators": lambda part, entry: entry,
-        "allocation": lambda part, text: part.written(text),
+        "allocation": Part.written,
     }
     for section, change in sections.items():
         made[section] = _joined(parts, section, {n: data.get(section, {}) for n, data in all_data.items()}, change)
-    _check_actuators(parts)
+    with_own = [part for part in parts if part.plant.actuators]
+    for part in parts if with_own else ():  # one that commands the inputs of its model is not joined to these
+        if not part.plant.actuators and part.model.inputs:
+            message = f"{part.plant.name} declares no actuators, {with_own[0].plant.name} does"
+            remedy = "write actuators and allocation into both"
+            raise DeclarationError(Problem(part.plant.place("name"), f"plants.{part.name}", message, remedy))
     limits = {name: data.get("limits", {}) for name, data in all_data.items()}
     inputs = _joined(parts, "limits.inputs", {n: x.get("inputs", {}) for n, x in limits.items()}, lambda _, x: x)
     made["limits"] = {"inputs": inputs}
@@ -120,27 +125,13 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
     return {key: value for key, value in made.items() if value}
 
 
-def _check_actuators(parts: list[Part]) -> None:
-    """Refuse a plant that commands the inputs of its model beside one that declares actuators."""
-    with_own = [part for part in parts if part.plant.actuators]
-    for part in parts if with_own else ():
-        if not part.plant.actuators and part.model.inputs:
-            message = f"{part.plant.name} declares no actuators, {with_own[0].plant.name} does"
-            remedy = "write actuators and allocation into both"
-            raise DeclarationError(Problem(part.plant.place("name"), f"plants.{part.name}", message, remedy))
-
-
 def _effects(parts: list[Part], given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Effects of all; those of the loop are shared, since a loop has one delay."""
-
-    def is_shared(entry: Mapping[str, Any]) -> bool:
-        return not entry.get("at")
-
-    loop = [{name: entry for name, entry in given[part.name].items() if is_shared(entry)} for part in parts]
+    """Effects of all; those of the loop, which have no place, are shared, since a loop has one delay."""
+    loop = [{name: entry for name, entry in given[part.name].items() if not entry.get("at")} for part in parts]
     made = dict(_shared(parts, "effects of the loop", loop))
     for part in parts:
         for name, entry in given[part.name].items():
-            if is_shared(entry):
+            if not entry.get("at"):
                 continue
             at = entry["at"] if isinstance(entry["at"], list | tuple) else [entry["at"]]
             own = {key: part.written(value) for key, value in entry.get("parameters", {}).items()}
@@ -192,15 +183,6 @@ def _shared(parts: list[Part], what: str, given: list[Any]) -> Any:  # noqa: ANN
             remedy = f"write the same into {part.plant.name} and {parts[0].plant.name}"
             raise DeclarationError(Problem(None, f"plants.{part.name}", message, remedy))
     return given[0]
-
-
-def _check_kind(parts: list[Part]) -> None:
-    """Refuse to join a Lagrangian to equations of motion."""
-    first = parts[0].model.lagrangian is None
-    for part in parts:
-        if (part.model.lagrangian is None) != first:
-            message = f"{part.model.name} and {parts[0].model.name}: one has a Lagrangian, one equations of motion"
-            raise DeclarationError(Problem(None, f"plants.{part.name}", message, "write both in the same way"))
 
 
 def _files(declarations: Iterable[Declaration]) -> dict[str, str]:

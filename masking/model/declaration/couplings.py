@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from masking.model.declaration.differentiate import rate_of
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Element, ModelDeclaration
@@ -55,11 +57,8 @@ def has_own_force(model: ModelDeclaration, element: Element) -> bool:
     """Whether an element declares a force that follows nothing but its own motion."""
     if element.force is None:
         return False
-    seen, pending = set[str](), {*element.force.names} & {*model.definitions}
-    while pending:
-        seen |= pending
-        pending = set().union(*(model.definitions[name].names for name in pending)) & {*model.definitions} - seen
-    return not set().union(*(model.definitions[name].names for name in seen)) & {*model.coordinates, *model.inputs, "t"}
+    moving = {name + primes for name in model.coordinates for primes in ("", "'", "''")}
+    return not element.force.names & definitions_with(model, {*moving, *model.inputs, "t"})
 
 
 def motion_rate(model: ModelDeclaration, element: Element) -> Expression | None:
@@ -91,8 +90,13 @@ def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
 def _fed_names(model: ModelDeclaration) -> set[str]:
     """Give inputs, accelerations, and the definitions that hold them."""
     direct = {*model.inputs, *(f"{name}''" for name in model.coordinates)}
-    grown = True
-    while grown:  # through definitions of definitions
-        more = {name for name, expression in model.definitions.items() if expression.symbols & direct} - direct
-        grown, direct = bool(more), direct | more
-    return direct
+    return direct | definitions_with(model, direct)
+
+
+def definitions_with(model: ModelDeclaration, symbols: Collection[str]) -> set[str]:
+    """Give the definitions that contain one of some symbols, by way of other definitions too."""
+    found, more = set[str](), {*symbols}
+    while more:
+        more = {name for name, expression in model.definitions.items() if expression.symbols & more} - found
+        found |= more
+    return found

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from masking.errors import Problem, nearest
 from masking.model.declaration import driven_coordinates
 from masking.model.declaration.checks import (
     accelerations,
     beyond_ordinary,
+    check_parameters,
     check_symbols,
-    parameter_values,
     problem_at,
     velocities,
 )
 from masking.model.declaration.couplings import is_commanded
-from masking.model.declaration.schema import (
-    Declaration,
-    ExperimentDeclaration,
-    ModelDeclaration,
-    PlantDeclaration,
-)
+from masking.model.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 
 LARGEST_RECORDING = 2**31  # bytes of one that is in memory
 LARGEST_ON_DISK = 2**36
@@ -42,10 +38,8 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
             problems.append(problem_at(plant, f"sensors.{name}.gain", "the gain is 0"))
         problems += check_symbols(sensor.measures, seen, model.coordinates)
         if sensor.range is not None and not sensor.range[0] < sensor.range[1]:
-            message = f"the range is {list(sensor.range)}"
-            problems.append(
-                problem_at(plant, f"sensors.{name}.range", message, "write [least, largest], such as [-10, 10]")
-            )
+            message, remedy = f"the range is {list(sensor.range)}", "write [least, largest], such as [-10, 10]"
+            problems.append(problem_at(plant, f"sensors.{name}.range", message, remedy))
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
     for name in plant.limits.inputs:
@@ -67,9 +61,8 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
 def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
     """Check that actuators are wired to every input of the model, and to nothing else."""
     if plant.allocation and not plant.actuators:
-        yield problem_at(
-            plant, "allocation", "an allocation needs actuators", "declare them under actuators", at_key=True
-        )
+        message, remedy = "an allocation needs actuators", "declare them under actuators"
+        yield problem_at(plant, "allocation", message, remedy, at_key=True)
         return
     for name in plant.actuators:
         if name in model.parameters:
@@ -108,14 +101,12 @@ def check_experiment(
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
     problems += _jumps(experiment, virtual_model, controller_model)
     problems += _initial(experiment, virtual_model, plant_model)
-    problems += _effects(experiment, plant)
-    problems += _sampling(experiment)
+    problems += [*_effects(experiment, plant), *_sampling(experiment)]
     if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
         message = f"the model {virtual_model.name} has no energy to balance"
         remedy = "declare its energy or a lagrangian, or leave energy_balance out"
         problems.append(problem_at(experiment, "controller.energy_balance", message, remedy, at_key=True))
-    problems += _record(experiment)
-    problems += _stop(experiment, virtual_model)
+    problems += [*_record(experiment), *_stop(experiment, virtual_model)]
     problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
     problems += _loop(experiment, plant, plant_model)
     if not virtual_model.coordinates:
@@ -129,15 +120,10 @@ def _jumps(
     experiment: ExperimentDeclaration, virtual: ModelDeclaration, assumed: ModelDeclaration | None
 ) -> Iterator[Problem]:
     """Check that in an event only internal states jump, and in the virtual system alone."""
+    remedy = "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
     for name, event in virtual.events.items():
-        moved = [state for state in event.jumps if state not in virtual.states]
-        if moved:
-            message = (
-                f"in the event '{name}' of {virtual.name}, {', '.join(moved)} jumps, and no force makes a rig jump"
-            )
-            remedy = (
-                "let internal states jump that make forces, or write a law of contact, as models/bouncing_ball.yaml"
-            )
+        if moved := ", ".join(state for state in event.jumps if state not in virtual.states):
+            message = f"in the event '{name}' of {virtual.name}, {moved} jumps, and no force makes a rig jump"
             yield problem_at(experiment, "virtual", message, remedy)
     if experiment.controller.model is not None and assumed is not None:
         for what in beyond_ordinary(assumed):
@@ -169,10 +155,8 @@ def check_size(
     if size <= largest:
         return []
     message = f"{_short(experiment.duration)} units are {_short(rows)} rows, {_short(size / 2**30)} GiB"
-    remedy = "shorten duration or " + (
-        "lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'"
-    )
-    return [problem_at(experiment, "duration", message, remedy)]
+    less = "lower record.rate" if experiment.record else "record less: 'record: {rate: ...}'"
+    return [problem_at(experiment, "duration", message, f"shorten duration or {less}")]
 
 
 def _short(number: float) -> str:
@@ -221,12 +205,12 @@ def _stop(experiment: ExperimentDeclaration, model: ModelDeclaration) -> Iterato
     if (wanted.of and len(wanted.of) != 2) or len(two) < 2 or two[0] == two[1]:
         message = f"two coordinates synchronise, not {', '.join(two) or 'none'}"
         yield problem_at(experiment, "stop", message, "name two, such as 'of: [x1, x2]'", at_key=True)
-    limits = {"eps": (wanted.eps, wanted.eps < 1.0, "less than 1: it is a part of the amplitude")}
-    limits["false_alarm"] = (wanted.false_alarm, wanted.false_alarm < 1.0, "less than 1: it is a probability")
-    limits["memory"] = (wanted.memory, wanted.memory >= 0.5, "at least 0.5 periods")
-    for name, (value, is_allowed, words) in limits.items():
+    limits = {"eps": (wanted.eps < 1.0, "less than 1: it is a part of the amplitude")}
+    limits["false_alarm"] = (wanted.false_alarm < 1.0, "less than 1: it is a probability")
+    limits["memory"] = (wanted.memory >= 0.5, "at least 0.5 periods")
+    for name, (is_allowed, words) in limits.items():
         if not is_allowed:
-            yield problem_at(experiment, f"stop.{name}", f"must be {words}, not {value:g}")
+            yield problem_at(experiment, f"stop.{name}", f"must be {words}, not {getattr(wanted, name):g}")
 
 
 def _hertz(rate: float) -> str:
@@ -243,11 +227,10 @@ def _overrides(
     for name in overrides.keys() - known.keys():
         path, message = f"{section}.{name}", f"'{name}' is not a parameter of {model.name}"
         yield problem_at(declaration, path, message, nearest(name, model.parameters), at_key=True)
-    for problem in parameter_values(model, known)[1]:
+    for problem in check_parameters(model, known):
         name = problem.path.split(".")[1] if "." in problem.path else ""
         path = f"{section}.{name}"
-        place = declaration.place(path) if name in known else problem.place
-        yield Problem(place, path if name in known else problem.path, problem.message, problem.remedy, problem.excerpt)
+        yield replace(problem, place=declaration.place(path), path=path) if name in known else problem
 
 
 def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iterator[Problem]:
@@ -289,10 +272,8 @@ def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
             remedy = "take 'observer: disturbance', or leave it out"
             yield problem_at(experiment, f"controller.{name}", message, remedy, at_key=True)
     if settings.rest is not None and settings.homing is None:
-        message, remedy = (
-            "offsets are measured before homing, and there is none",
-            "write 'homing: 3', or leave rest out",
-        )
+        message = "offsets are measured before homing, and there is none"
+        remedy = "write 'homing: 3', or leave rest out"
         yield problem_at(experiment, "controller.rest", message, remedy, at_key=True)
 
 
@@ -363,6 +344,5 @@ def _transform(
         if name in rig.coordinates:
             yield problem_at(experiment, path, f"the name '{name}' is already a coordinate of the rig", at_key=True)
         if name not in used:
-            yield problem_at(
-                experiment, path, f"the parameter '{name}' is not used", "remove it or use it", at_key=True
-            )
+            message = f"the parameter '{name}' is not used"
+            yield problem_at(experiment, path, message, "remove it or use it", at_key=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -178,10 +178,8 @@ class _Checker:
             yield from bounded(self.declaration, f"{self.path}.{path}", shown, parameter.value, parameter.bounds)
             if name in used - {*found} and parameter.value is None and not parameter.tried:
                 message = f"'{name}' is no factor of what the effect does"
-                remedy = (
-                    "give values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
-                )
-                yield self._problem(path, message, remedy, at_key=True)
+                values = "values that a discovery begins from, such as 'tried: [0.1, 0.3, 1]', or a 'value' to hold"
+                yield self._problem(path, message, f"give {values}", at_key=True)
         starts = math.prod(len(parameter.tried) for parameter in effect.parameters.values() if parameter.tried)
         if starts > MOST_STARTS:
             message, remedy = f"{starts} combinations of values to try are too many", f"try at most {MOST_STARTS}"
@@ -220,9 +218,8 @@ class _Checker:
         if template.symbols <= units.keys():
             return dimension_of(template.renamed(units))
         *first, last = units
-        remedy = (
-            f"units of {_A[self.effect.where]} are made of {', '.join(first)} and {last}, such as {_SUCH[first[0]]}"
-        )
+        made = f"made of {', '.join(first)} and {last}, such as {_SUCH[first[0]]}"
+        remedy = f"units of {_A[self.effect.where]} are {made}"
         step = template.first(min(template.symbols - units.keys()))
         raise DeclarationError(template.problem(step, f"'{step.value}' is no unit here", remedy))
 
@@ -234,10 +231,7 @@ class _Checker:
         try:
             found = dimension_in(expression, symbols)
         except DeclarationError as error:
-            for problem in error.problems:
-                yield Problem(
-                    problem.place, problem.path, self._shown(problem.message), problem.remedy, problem.excerpt
-                )
+            yield from (replace(problem, message=self._shown(problem.message)) for problem in error.problems)
             return
         if found is not None and found != wanted:
             is_number = "a number without unit" if found == NONE else self._shown(describe(found))

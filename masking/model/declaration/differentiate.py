@@ -25,6 +25,7 @@ _DERIVATIVES: dict[str, str] = {
     "sqrt": "(1/(2*sqrt{0}))",
 }
 _SUM, _PRODUCT, _ATOM = 1, 2, 3
+_LEVELS = dict.fromkeys(("+", "-", "negative"), _SUM) | dict.fromkeys(("*", "/", "**"), _PRODUCT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +67,7 @@ class _Rates:
         return self._text(step), None if all(rate is None for _, rate in args) else self._rate(step, args)
 
     def _text(self, step: Step) -> _Text:
-        level = _SUM if step.operation in {"+", "-", "negative"} else _ATOM
-        return _Text(
-            self.expression.text[step.start : step.end], _PRODUCT if step.operation in {"*", "/", "**"} else level
-        )
+        return _Text(self.expression.text[step.start : step.end], _LEVELS.get(step.operation, _ATOM))
 
     def _rate(self, step: Step, args: Sequence[tuple[_Text, _Text | None]]) -> _Text:
         (a, da), (b, db) = args[0], args[-1]

@@ -112,8 +112,7 @@ def displacement_dimension(element: Element, symbols: Mapping[str, Dimension | N
 
 def unit_problem(declaration: Declaration, path: str, error: DeclarationError) -> Problem:
     """Describe a unit that is none, at its place in a declaration, by what reading it raised."""
-    problem = error.problems[0]
-    return Problem(declaration.place(path), path, problem.message, problem.remedy, problem.excerpt)
+    return replace(error.problems[0], place=declaration.place(path), path=path)
 
 
 def _dimensions(model: ModelDeclaration) -> tuple[dict[str, Dimension], list[Problem]]:
@@ -157,19 +156,16 @@ class _Checker:
         """Find the dimensions of all symbols; gives that of time."""
         model, time = self.model, TIME if self.has_time() else NONE
         self.symbols["t"] = time
-        for name in model.coordinates:
-            for order in range(3):
-                self.symbols[name + "'" * order] = _times(self.units[f"coordinates.{name}.unit"], time, -order)
-        for name in model.states:
-            for order in range(2):
-                self.symbols[name + "'" * order] = _times(self.units[f"states.{name}.unit"], time, -order)
+        for section, orders in (("coordinates", 3), ("states", 2)):
+            for name in getattr(model, section):
+                unit = self.units[f"{section}.{name}.unit"]
+                self.symbols |= {name + "'" * order: _times(unit, time, -order) for order in range(orders)}
         for section in ("inputs", "parameters"):
             self.symbols |= {name: self.units[f"{section}.{name}.unit"] for name in getattr(model, section)}
         self.define()
         return time
 
     def check(self) -> list[Problem]:
-        """Walk every expression of the model."""
         model, time = self.model, self.start()
         for left, right in model.equations.items():
             self.same(self.of(left), right, "the left side is {}, the right side {}")
@@ -219,9 +215,8 @@ class _Checker:
             power = None if action is None else _times(action, time, -1)
             self.same(power, self.model.dissipation, "a dissipation must be {} as the lagrangian says, not {}")
         for name, force in self.model.forces.items():
-            self.same(
-                self.on(name, action), force, "a force on this coordinate must be {} as the lagrangian says, not {}"
-            )
+            message = "a force on this coordinate must be {} as the lagrangian says, not {}"
+            self.same(self.on(name, action), force, message)
 
     def element(self, name: str, action: Dimension | None, time: Dimension) -> None:
         """Check that the force of an element, times what it acts with, goes with the equations of motion."""
@@ -241,10 +236,7 @@ class _Checker:
             self.same(None if wanted is None else _times(wanted, force, -1), factor, message)
 
     def on(self, coordinate: str, action: Dimension | None) -> Dimension | None:
-        """Give the dimension of a force on a coordinate: of its equation, or L/q where L, the `action`, has it.
-
-        That on an internal state is of its rate, and that on an output of the output itself.
-        """
+        """Give the dimension of a force on a coordinate, as `force_dimensions` does; that of L is the `action`."""
         if coordinate in self.model.states:
             return self.symbols[f"{coordinate}'"]
         if coordinate in self.model.outputs and coordinate not in self.model.coordinates:
@@ -326,7 +318,11 @@ class _Dimensions:
         if name == "sqrt":
             return None if first is None else _times(NONE, first, Fraction(1, 2))
         if name in {"abs", "delay"}:
-            self._check_delay(step, dimensions)
+            late, time = dimensions[-1], self.symbols.get("t")
+            if name == "delay" and late is not None and time is not None and late != time:
+                message = f"the delay is {_shown(late)}, and time is {_shown(time)}"
+                remedy = "declare the delay as a parameter with a unit"
+                raise DeclarationError(self.expression.problem(step, message, remedy))
             return first
         if name == "where":
             return self._same(step, dimensions[1:])
@@ -337,13 +333,6 @@ class _Dimensions:
             message = f"takes {name} of {describe(first)}"
             raise DeclarationError(self.expression.problem(step, message, "its argument must be dimensionless"))
         return NONE
-
-    def _check_delay(self, step: Step, dimensions: Sequence[Dimension | None]) -> None:
-        late, time = dimensions[-1], self.symbols.get("t")
-        if step.operation == "delay" and late is not None and time is not None and late != time:
-            message = f"the delay is {_shown(late)}, and time is {_shown(time)}"
-            remedy = "declare the delay as a parameter with a unit"
-            raise DeclarationError(self.expression.problem(step, message, remedy))
 
     def _same(self, step: Step, dimensions: Sequence[Dimension | None]) -> Dimension | None:
         first: Dimension | None = None

@@ -173,19 +173,15 @@ class _Floats:
         if step.value not in self.values:
             return self.expression._unknown(step, self.values.keys())
         value = float(self.values[step.value])
-        return (
-            value if math.isfinite(value) else self.expression.problem(step, f"'{step.value}' is {value}, not finite")
-        )
+        message = f"'{step.value}' is {value}, not finite"
+        return value if math.isfinite(value) else self.expression.problem(step, message)
 
     def apply(self, step: Step, args: Sequence[float | Problem]) -> float | Problem:
         if step.operation == "where" and not isinstance(args[0], Problem):
             return args[1] if args[0] else args[2]
-        numbers: list[float] = []
-        for value in args:
-            if isinstance(value, Problem):
-                return value
-            numbers.append(value)
-        return _compute(self.expression, step, numbers)
+        numbers = [value for value in args if not isinstance(value, Problem)]
+        wrong = next((value for value in args if isinstance(value, Problem)), None)
+        return _compute(self.expression, step, numbers) if wrong is None else wrong
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,9 +131,8 @@ def _read_name(value: object) -> str:
     """Read a name that is free to use: of a coordinate, an input, a parameter, a definition or an output."""
     name = _read_text(value)
     if not re.match(NAME_PATTERN, name):
-        raise refuse(
-            f"'{name}' is not a name", "a name is made of ASCII letters, digits and _, and starts with a letter"
-        )
+        remedy = "a name is made of ASCII letters, digits and _, and starts with a letter"
+        raise refuse(f"'{name}' is not a name", remedy)
     if keyword.iskeyword(name) or name in RESERVED:
         what = "a Python keyword" if keyword.iskeyword(name) else "the time" if name == "t" else "built in"
         raise refuse(f"the name '{name}' is taken: it is {what}", "choose another")
@@ -150,10 +149,9 @@ def _read_rate(value: object) -> float:
     if match is None or math.isnan(number):
         raise refuse(f"must be a rate, not {_shown(value)}", "write a number and a unit, such as '1 kHz'")
     if match["unit"] not in _HERTZ and match["unit"] not in _SECONDS:
-        unit = (
-            f"the unit '{match['unit']}' is not one of a rate" if match["unit"] else f"the rate '{value}' has no unit"
-        )
-        raise refuse(unit, f"allowed: {', '.join([*_HERTZ, *_SECONDS])}")
+        wrong = f"the unit '{match['unit']}' is not one of a rate"
+        remedy = f"allowed: {', '.join([*_HERTZ, *_SECONDS])}"
+        raise refuse(wrong if match["unit"] else f"the rate '{value}' has no unit", remedy)
     if not (number > 0.0 and math.isfinite(number)):
         raise refuse(f"the rate must be greater than 0 and finite, not {number:g}")
     return number * _HERTZ[match["unit"]] if match["unit"] in _HERTZ else 1.0 / (number * _SECONDS[match["unit"]])
@@ -176,12 +174,8 @@ Natural = Annotated[int, _NATURAL, WithJsonSchema({"type": "integer", "minimum":
 Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
 Formula = Annotated[Expression, PlainValidator(_read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
 Value = Annotated[float | Expression, PlainValidator(_read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]
-Rate = Annotated[
-    float,
-    PlainValidator(_read_rate),
-    PlainSerializer(lambda hertz: f"{hertz!r} Hz"),
-    WithJsonSchema({"type": "string", "examples": ["1 kHz", "1 ms"]}),
-]
+_RATES = WithJsonSchema({"type": "string", "examples": ["1 kHz", "1 ms"]})
+Rate = Annotated[float, PlainValidator(_read_rate), PlainSerializer(lambda hertz: f"{hertz!r} Hz"), _RATES]
 ControllerRate = Annotated[
     float | None,
     PlainValidator(lambda value: None if value is None or value == "continuous" else _read_rate(value)),

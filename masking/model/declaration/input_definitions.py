@@ -40,17 +40,11 @@ def check_inputs(
         if source.expression is not None:
             yield from check_symbols(source.expression, ["t", *virtual.parameters], ())
         if source.sensor is not None and source.sensor not in plant.sensors:
-            message, remedy = (
-                f"'{source.sensor}' is not a sensor of {plant.name}",
-                nearest(source.sensor, plant.sensors),
-            )
-            yield problem_at(experiment, f"{path}.sensor", message, remedy)
+            message = f"'{source.sensor}' is not a sensor of {plant.name}"
+            yield problem_at(experiment, f"{path}.sensor", message, nearest(source.sensor, plant.sensors))
         if source.push is not None and source.push not in rig.coordinates:
-            message, remedy = (
-                f"'{source.push}' is not a coordinate of {rig.name}",
-                nearest(source.push, rig.coordinates),
-            )
-            yield problem_at(experiment, f"{path}.push", message, remedy)
+            message = f"'{source.push}' is not a coordinate of {rig.name}"
+            yield problem_at(experiment, f"{path}.push", message, nearest(source.push, rig.coordinates))
         yield from _live(experiment, name, source)
 
     live = [name for name, source in experiment.inputs.items() if source.is_live]
@@ -75,9 +69,8 @@ def _live(experiment: ExperimentDeclaration, name: str, source: InputSource) -> 
         yield problem_at(experiment, path, message, remedy, at_key=True)
     elif source.push is not None and kind not in {None, "disturbance"}:
         message = "a push is what a disturbance observer finds"
-        yield problem_at(
-            experiment, path, message, "write 'observer: disturbance', or take a force sensor", at_key=True
-        )
+        remedy = "write 'observer: disturbance', or take a force sensor"
+        yield problem_at(experiment, path, message, remedy, at_key=True)
 
 
 def cell(name: str, part: str) -> str:
@@ -105,7 +98,8 @@ def with_inputs(model: ModelDeclaration, sources: Mapping[str, InputSource]) -> 
     for name, source in given.items():
         unit = model.inputs[name].unit
         if source.expression is None:
-            units = [unit, *(_per_time(unit, power, is_plain) for power in (1, 2, 3)), "1" if is_plain else "s"]
+            above = unit if unit == "1" else f"({unit})"
+            units = ["1"] * len(CELLS) if is_plain else [unit, *(f"{above}/s**{power}" for power in (1, 2, 3)), "s"]
             for part, its in zip(CELLS, units, strict=True):
                 meaning = f"of the input {name}, set by the run"
                 parameters[cell(name, part)] = Parameter(value=0.0, unit=its, meaning=meaning)
@@ -127,9 +121,3 @@ def with_inputs(model: ModelDeclaration, sources: Mapping[str, InputSource]) -> 
         definitions[name] = Expression(f"{name}_unit*({text})", source.expression.place, source.expression.path)
     inputs = {name: entry for name, entry in model.inputs.items() if name not in given}
     return model.model_copy(update={"inputs": inputs, "parameters": parameters, "definitions": definitions})
-
-
-def _per_time(unit: str, power: int, is_plain: bool) -> str:
-    if is_plain:
-        return "1"
-    return f"1/s**{power}" if unit == "1" else f"({unit})/s**{power}"

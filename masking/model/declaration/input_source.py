@@ -66,8 +66,7 @@ class InputSource(BaseModel):
             yield "", f"a {kinds[0]} is known at points: it must say what it is between them", remedy
         if self.signal is not None and self.signal not in SIGNALS:
             yield "signal", f"there is no signal '{self.signal}'", nearest(self.signal, SIGNALS)
-        belong = {"column": "file", "arguments": "signal", "above": "push"}
-        for part, kind in belong.items():
+        for part, kind in {"column": "file", "arguments": "signal", "above": "push"}.items():
             if getattr(self, part) and kinds != [kind]:
                 yield part, f"{part} is for a {kind}", f"leave it out, or write {kind}"
         if self.interpolation is not None and not self.is_series:

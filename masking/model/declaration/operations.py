@@ -22,6 +22,8 @@ else:
     sp = lazy.load("sympy")
 
 _MANY = 1000
+# Functions of one argument that sympy calls as `math` does.
+_SAME_NAMES = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt")
 LARGEST_EXPONENT = 64
 
 
@@ -77,19 +79,8 @@ OPERATIONS: dict[str, Operation] = {
     "<=": Operation(operator.le, "LessThan", 2, 2),
     ">": Operation(operator.gt, "StrictGreaterThan", 2, 2),
     ">=": Operation(operator.ge, "GreaterThan", 2, 2),
-    "sin": Operation(math.sin, "sin"),
-    "cos": Operation(math.cos, "cos"),
-    "tan": Operation(math.tan, "tan"),
-    "asin": Operation(math.asin, "asin"),
-    "acos": Operation(math.acos, "acos"),
-    "atan": Operation(math.atan, "atan"),
+    **{name: Operation(getattr(math, name), name) for name in _SAME_NAMES},
     "atan2": Operation(math.atan2, "atan2", 2, 2),
-    "sinh": Operation(math.sinh, "sinh"),
-    "cosh": Operation(math.cosh, "cosh"),
-    "tanh": Operation(math.tanh, "tanh"),
-    "exp": Operation(math.exp, "exp"),
-    "log": Operation(math.log, "log"),
-    "sqrt": Operation(math.sqrt, "sqrt"),
     "abs": Operation(abs, "Abs"),
     "sign": Operation(_sign, "sign"),
     "floor": Operation(lambda x: float(math.floor(x)), "floor"),

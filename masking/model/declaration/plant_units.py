@@ -82,11 +82,8 @@ def _limits(plant: PlantDeclaration, model: ModelDeclaration, symbols: _Symbols)
             message = f"the {what} {name} is in {channel.unit}, the limit in {limit.unit}"
             yield problem_at(plant, f"limits.inputs.{name}.unit", message)
     second = dimension_of("s")
-    for key, declared, order in (
-        ("coordinates", plant.limits.coordinates, 0),
-        ("velocities", plant.limits.velocities, 1),
-    ):
-        for expression, limit in declared.items():
+    for order, key in enumerate(("coordinates", "velocities")):
+        for expression, limit in getattr(plant.limits, key).items():
             try:
                 found = dimension_in(expression, symbols)
             except DeclarationError as error:
@@ -155,22 +152,13 @@ def _sensor(
     shown = f"{sensor.gain.value:g}" + ("" if sensor.gain.unit == "1" else f" {sensor.gain.unit}")
     message = f"{shown} times {sensor.measures.text} [{unit}] is {product}, not {sensor.unit}"
     wanted = sensor.unit if unit == "1" else f"{sensor.unit}/{unit}" if unit.isalpha() else f"{sensor.unit}/({unit})"
-    remedy = (
-        instead_of(sensor.unit, made)
-        or f"measure another quantity, give the gain in {wanted} with its value in that unit, or correct the unit"
-    )
-    yield problem_at(plant, f"sensors.{name}", message, remedy)
+    other = f"measure another quantity, give the gain in {wanted} with its value in that unit, or correct the unit"
+    yield problem_at(plant, f"sensors.{name}", message, instead_of(sensor.unit, made) or other)
 
 
 def _unit_of(expression: Expression, dimension: Dimension, model: ModelDeclaration) -> str:
     """Give the unit in which an expression is written: a declared one where it fits, else SI base units."""
-    declared: list[str] = []
-    for name in expression.names:
-        for section in (model.coordinates, model.states, model.inputs, model.parameters, model.outputs):
-            if name in section:
-                declared.append(section[name].unit)
-    for unit in sorted(declared):
-        for candidate in (unit, f"{unit}/s"):
-            if dimension_of(candidate) == dimension:
-                return candidate
-    return describe(dimension)
+    sections = (model.coordinates, model.states, model.inputs, model.parameters, model.outputs)
+    declared = sorted(section[name].unit for name in expression.names for section in sections if name in section)
+    candidates = (candidate for unit in declared for candidate in (unit, f"{unit}/s"))
+    return next((one for one in candidates if dimension_of(one) == dimension), describe(dimension))

@@ -191,11 +191,8 @@ def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Ass
 
 def parts(experiment: ExperimentDeclaration) -> list[Part]:
     """Load the plants that an experiment runs together, each with its model."""
-    made = []
-    for name, file in experiment.plants.items():
-        plant = load_plant(file, refer(experiment, f"plants.{name}"))
-        made.append(Part(name, plant, load_model(plant.model, refer(plant, "model"))))
-    return made
+    plants = ((name, load_plant(file, refer(experiment, f"plants.{name}"))) for name, file in experiment.plants.items())
+    return [Part(name, plant, load_model(plant.model, refer(plant, "model"))) for name, plant in plants]
 
 
 def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDeclaration, ModelDeclaration]:
@@ -262,8 +259,7 @@ def _read_alone(kind: type[D], node: Node, data: Mapping[str, Any], refused: lis
         read(kind, data, places, {}, lambda *_: [])
     except DeclarationError as error:
         known = {problem.place for problem in refused}
-        fresh = [problem for problem in error.problems if problem.place not in known]
-        if fresh:
+        if fresh := [problem for problem in error.problems if problem.place not in known]:
             raise DeclarationError(in_order([*refused, *fresh])) from None
 
 

@@ -100,12 +100,9 @@ class _Repetition:
         if isinstance(node.value, dict):
             return self.mapping(node, known, path)
         if isinstance(node.value, list):
-            items = [
-                (child, {**known, **more}) for child in node.value for more in self.values(self.free(child, known))
-            ]
-            return replace(
-                node, path=path, value=[self.made(child, more, f"{path}.{i}") for i, (child, more) in enumerate(items)]
-            )
+            every = [(child, more) for child in node.value for more in self.values(self.free(child, known))]
+            items = [self.made(child, {**known, **more}, f"{path}.{i}") for i, (child, more) in enumerate(every)]
+            return replace(node, path=path, value=items)
         if not isinstance(node.value, str):
             return replace(node, path=path)
         return self.scalar(node, known, path)
@@ -200,7 +197,6 @@ class _Repetition:
         return made + self.indexed(text[end:], known, node)
 
     def indexed(self, text: str, known: Mapping[str, int], node: Node) -> str:
-        """Text without sums, with numbers in place of indices."""
         return _BRACKET.sub(lambda match: self.index(match, known, node), text)
 
     def sum(self, index: str, body: str, known: Mapping[str, int], node: Node) -> str:

@@ -477,10 +477,5 @@ class BatchDeclaration(Declaration):
     budget: BatchBudget = BatchBudget()
 
 
-KINDS: dict[str, type[Declaration]] = {
-    "model": ModelDeclaration,
-    "plant": PlantDeclaration,
-    "experiment": ExperimentDeclaration,
-    "dictionary": DictionaryDeclaration,
-    "batch": BatchDeclaration,
-}
+_EACH = (ModelDeclaration, PlantDeclaration, ExperimentDeclaration, DictionaryDeclaration, BatchDeclaration)
+KINDS: dict[str, type[Declaration]] = {kind.kind_name: kind for kind in _EACH}

@@ -25,30 +25,14 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same events,
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _LEADING_ZERO = re.compile(r"[-+]?0\d")
 # y, n and N are truth values in YAML 1.1 too, though not in PyYAML; they are names here, and N is the newton.
-_AMBIGUOUS: tuple[tuple[re.Pattern[str], str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
-    (re.compile(r"on|off|yes|no", re.IGNORECASE), "is true or false in YAML 1.1", "quote it or write true/false"),
-    (re.compile(r"[-+]?\.?(?:inf(?:inity)?|nan)", re.IGNORECASE), "is not a finite number", "write a finite number"),
-    (
-        re.compile(r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+"),
-        "is an octal number in YAML",
-        "leave the leading zero away",
-    ),
-    (
-        re.compile(r"[-+]?0(?:x[0-9a-fA-F_]+|b[01_]+)"),
-        "is a hexadecimal or binary number in YAML 1.1",
-        "write it in decimals",
-    ),
-    (
-        re.compile(r"[-+]?\d[\d_]*(?::[0-5]?\d)+(?:\.\d*)?"),
-        "is a number to base 60 in YAML 1.1",
-        "write it in decimals",
-    ),
-    (re.compile(r"\d{4}-\d\d?-\d\d?(?:[Tt ].*)?"), "is a date in YAML 1.1", "quote it"),
-    (
-        re.compile(r"[-+]?\d[\d_]*_[\d_]*(?:\.[\d_]*)?(?:[eE].*)?"),
-        "is a number in YAML 1.1",
-        "leave the underscores away",
-    ),
+_AMBIGUOUS: tuple[tuple[str, str, str], ...] = (  # what YAML 1.1 makes of it, and what to write instead
+    (r"(?i:on|off|yes|no)", "is true or false in YAML 1.1", "quote it or write true/false"),
+    (r"(?i:[-+]?\.?(?:inf(?:inity)?|nan))", "is not a finite number", "write a finite number"),
+    (r"[-+]?0[0-9_]+(?:\.\d*)?(?:[eE].*)?|0o[0-7]+", "is an octal number in YAML", "leave the leading zero away"),
+    (r"[-+]?0(?:x[0-9a-fA-F_]+|b[01_]+)", "is a hexadecimal or binary number in YAML 1.1", "write it in decimals"),
+    (r"[-+]?\d[\d_]*(?::[0-5]?\d)+(?:\.\d*)?", "is a number to base 60 in YAML 1.1", "write it in decimals"),
+    (r"\d{4}-\d\d?-\d\d?(?:[Tt ].*)?", "is a date in YAML 1.1", "quote it"),
+    (r"[-+]?\d[\d_]*_[\d_]*(?:\.[\d_]*)?(?:[eE].*)?", "is a number in YAML 1.1", "leave the underscores away"),
 )
 _NO_SPACE = re.compile(r"[\w)]['\"]*:[^\s:/]")
 _CONTENT = re.compile(r"\s*[^\s#]")
@@ -255,7 +239,6 @@ class _Builder:
         return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", remedy)
 
     def take(self, event: yaml.Event) -> None:
-        """Add one event to the tree."""
         if isinstance(event, yaml.AliasEvent):
             self.stop(event, "an alias is not allowed", "write the value out")
         if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
@@ -305,7 +288,7 @@ class _Builder:
                 value = self.number(text, event)
             else:
                 for pattern, meaning, remedy in _AMBIGUOUS:
-                    if pattern.fullmatch(text):
+                    if re.fullmatch(pattern, text):
                         self.report(self.place(event), f"'{text}' {meaning}", remedy)
                         break
         return Node(value, self.place(event), self.path(), text, pieces=self.pieces(event))

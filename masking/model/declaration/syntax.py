@@ -27,10 +27,11 @@ Refuse = Callable[[int, int, str, str], DeclarationError]
 
 _SPLIT = "split it into definitions"
 _DEEP = f"nested deeper than {DEEPEST_NESTING}"
+_PRIMES = "write x1' or x1''"
+_SECOND = "write x1'' with two single quotes for a second derivative"
 _COMPARE_REMEDY = f"the comparisons are {' '.join(sorted(COMPARISONS))}"
-_PRIME = (
-    "\N{MODIFIER LETTER PRIME}"  # stands for ' in Python identifiers, once every other non-ASCII character is refused
-)
+# It stands for ' in Python identifiers, once every other non-ASCII character is refused.
+_PRIME = "\N{MODIFIER LETTER PRIME}"
 _OPERATORS: dict[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
     ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
@@ -52,16 +53,8 @@ _FOREIGN: tuple[tuple[str, str, str], ...] = (  # Python that people try, what i
     (">>", "'>>' is not an operator", ""),
     (":=", "an assignment is not allowed in an expression", ""),
     ("=", "'=' is not allowed in an expression", _COMPARE_REMEDY),
-    (
-        "'",
-        "a prime stands right after the name of a coordinate, and text in quotes is not allowed",
-        "write x1' or x1''",
-    ),
-    (
-        '"',
-        "text in quotes is not allowed in an expression",
-        "write x1'' with two single quotes for a second derivative",
-    ),
+    ("'", "a prime stands right after the name of a coordinate, and text in quotes is not allowed", _PRIMES),
+    ('"', "text in quotes is not allowed in an expression", _SECOND),
     (".", "a dot is allowed only in a number", "write sin(x) without a prefix, and a*b for a product"),
     ("[", "square brackets are not allowed", "use parentheses"),
     ("]", "square brackets are not allowed", "use parentheses"),
@@ -151,9 +144,8 @@ def _juxtaposed(text: str, start: int, end: int, before: str, refuse: Refuse) ->
     if keyword.iskeyword(after):
         return refuse(start, end, f"'{after}' is a Python keyword", "the only choice is where(condition, a, b)")
     left, right = "(...)" if before == ")" else before, "(...)" if after == "(" else after
-    return refuse(
-        start, end, f"{left} is followed by {right} without an operator", f"write {left}*{right} for a product"
-    )
+    message = f"{left} is followed by {right} without an operator"
+    return refuse(start, end, message, f"write {left}*{right} for a product")
 
 
 def _check_name(text: str, start: int, end: int, refuse: Refuse) -> int:
@@ -165,7 +157,7 @@ def _check_name(text: str, start: int, end: int, refuse: Refuse) -> int:
     if keyword.iskeyword(name):
         raise refuse(start, end, f"'{name}' is a Python keyword", "")
     if last - end > 2:
-        raise refuse(start, last, f"'{name}' has {last - end} primes, at most two are allowed", "write x1' or x1''")
+        raise refuse(start, last, f"'{name}' has {last - end} primes, at most two are allowed", _PRIMES)
     if last > end and (name in FUNCTIONS or name in CONSTANTS or name == "t"):
         raise refuse(start, last, f"'{name}' has no derivative", "primes are for coordinates")
     called = bool(call and call["open"])

@@ -31,35 +31,20 @@ else:
 Dimension = tuple[Fraction, ...]
 
 BASES: dict[str, str] = {
-    "mass": "kg",
-    "length": "m",
-    "time": "s",
-    "current": "A",
-    "temperature": "K",
-    "substance": "mol",
+    "mass": "kg", "length": "m", "time": "s", "current": "A", "temperature": "K", "substance": "mol",
     "luminosity": "cd",
-}
+}  # fmt: skip
 ANGLES = dict.fromkeys(("deg", "degree", "degrees", "turn", "rev", "revolution"), "rad") | {"rpm": "rad/s"}
 GRAM, GRAVITY = "g", "gravity"  # one that is often written for the other
 PLURALS = {"rads": "rad"}  # angles, which pint would read as doses of radiation
 # Units that files use most, which are read without pint: factor to SI, and powers of `BASES`.
 USUAL: dict[str, tuple[float, dict[str, int]]] = {
-    "m": (1.0, {"length": 1}),
-    "mm": (0.001, {"length": 1}),
-    "kg": (1.0, {"mass": 1}),
-    "g": (0.001, {"mass": 1}),
-    "s": (1.0, {"time": 1}),
-    "ms": (0.001, {"time": 1}),
-    "Hz": (1.0, {"time": -1}),
-    "kHz": (1000.0, {"time": -1}),
-    "rad": (1.0, {}),
-    "A": (1.0, {"current": 1}),
-    "V": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -1}),
-    "N": (1.0, {"mass": 1, "length": 1, "time": -2}),
-    "J": (1.0, {"mass": 1, "length": 2, "time": -2}),
-    "W": (1.0, {"mass": 1, "length": 2, "time": -3}),
-    "ohm": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -2}),
-}
+    "m": (1.0, {"length": 1}), "mm": (0.001, {"length": 1}), "kg": (1.0, {"mass": 1}), "g": (0.001, {"mass": 1}),
+    "s": (1.0, {"time": 1}), "ms": (0.001, {"time": 1}), "Hz": (1.0, {"time": -1}), "kHz": (1000.0, {"time": -1}),
+    "rad": (1.0, {}), "A": (1.0, {"current": 1}), "V": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -1}),
+    "N": (1.0, {"mass": 1, "length": 1, "time": -2}), "J": (1.0, {"mass": 1, "length": 2, "time": -2}),
+    "W": (1.0, {"mass": 1, "length": 2, "time": -3}), "ohm": (1.0, {"mass": 1, "length": 2, "time": -3, "current": -2}),
+}  # fmt: skip
 _PLAIN = ("N", "J", "W", "V", "ohm", "Pa")  # that SI values are given in, rather than in products of base units
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NONE: Dimension = (Fraction(0),) * len(BASES)
@@ -165,8 +150,7 @@ def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     if not scales:
         return Conversion(factor, {}, si)
     columns = [dimension_of(scale) for scale in scales.values()]
-    exponents = _solve(columns, wanted)
-    if exponents is None:
+    if (exponents := _solve(columns, wanted)) is None:
         absent = [base for base, w, *c in zip(BASES, wanted, *columns, strict=True) if w != 0 and not any(c)]
         what = f"no scale for {' and '.join(absent)}" if absent else "no product of the scales"
         message = f"the unit {unit} cannot be made dimensionless: {what}"

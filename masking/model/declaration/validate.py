@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
@@ -29,19 +29,11 @@ def read(
     *,
     refused: Sequence[Problem] = (),
 ) -> D:
-    """Make a declaration of plain data, read from `files` with their SHA-256.
+    """Make a declaration of plain data, read from `files` with their SHA-256, of which the reader `refused` some.
 
-    Args:
-        kind: of the declaration.
-        data: plain mappings, lists and scalars.
-        places: of the data.
-        files: that were read, with their SHA-256.
-        check: lists what is wrong beyond the schema; it gets the declaration, whether it is whole (one that is not has
-            lost the entries that the schema refuses) and the names in sections whose keys are not known.
-        refused: what the reader of YAML refused.
-
-    Raises:
-        DeclarationError: lists the problems in the order of the file, of keys and values the first `MOST_LISTED`.
+    `check` lists what is wrong beyond the schema; it gets the declaration, whether it is whole (one that is not has
+    lost the entries that the schema refuses) and the names in sections whose keys are not known. A `DeclarationError`
+    lists the problems in the order of the file, of keys and values the first `MOST_LISTED`.
     """
     problems: list[Problem] = []
     whole, errors = _validate(kind, data)
@@ -64,9 +56,7 @@ def read(
 
 def in_order(problems: Iterable[Problem]) -> list[Problem]:
     """Sort problems by file, line and column."""
-    return sorted(
-        problems, key=lambda problem: (problem.place is not None, astuple(problem.place) if problem.place else ())
-    )
+    return sorted(problems, key=lambda one: (one.place is not None, astuple(one.place) if one.place else ()))
 
 
 def _validate(kind: type[D], data: Mapping[str, Any]) -> tuple[D | None, list[ErrorDetails]]:
@@ -116,9 +106,7 @@ def _translate(kind: type[Declaration], errors: Iterable[ErrorDetails], places: 
         match details["type"]:
             case "expression":
                 problem: Problem = context["problem"]
-                yield (
-                    problem if problem.place else Problem(place, path, problem.message, problem.remedy, problem.excerpt)
-                )
+                yield problem if problem.place else replace(problem, place=place, path=path)
             case "masking":
                 yield Problem(place, path, context["message"], context["remedy"])
             case "extra_forbidden":

@@ -9,15 +9,7 @@ Imports: declaration.
 `unit_of` give the parts from which those of a sensor or an actuator are compiled.
 """
 
-from masking.model.effects.attachment import (
-    Attachment,
-    Setting,
-    attach,
-    attach_all,
-    expressions,
-    parameters,
-    unit_of,
-)
+from masking.model.effects.attachment import Attachment, Setting, attach, attach_all, expressions, parameters, unit_of
 from masking.model.effects.dictionary import (
     CROSS_DAMPING,
     DELAY,
@@ -31,40 +23,10 @@ from masking.model.effects.dictionary import (
     load,
     own,
 )
-from masking.model.effects.entry import (
-    FAMILIES,
-    SATURATION,
-    Directed,
-    Effect,
-    EffectParameter,
-    Span,
-    Trial,
-)
+from masking.model.effects.entry import FAMILIES, SATURATION, Directed, Effect, EffectParameter, Span, Trial
 
 __all__ = [
-    "CROSS_DAMPING",
-    "DELAY",
-    "EFFECTS",
-    "FAMILIES",
-    "FORCE",
-    "GAINS_AND_ZEROS",
-    "LATE",
-    "OFFSET",
-    "ROUNDING",
-    "SATURATION",
-    "Attachment",
-    "Directed",
-    "Effect",
-    "EffectParameter",
-    "Setting",
-    "Span",
-    "Trial",
-    "attach",
-    "attach_all",
-    "dictionary",
-    "expressions",
-    "load",
-    "own",
-    "parameters",
-    "unit_of",
-]
+    "CROSS_DAMPING", "DELAY", "EFFECTS", "FAMILIES", "FORCE", "GAINS_AND_ZEROS", "LATE", "OFFSET", "ROUNDING",
+    "SATURATION", "Attachment", "Directed", "Effect", "EffectParameter", "Setting", "Span", "Trial", "attach",
+    "attach_all", "dictionary", "expressions", "load", "own", "parameters", "unit_of",
+]  # fmt: skip

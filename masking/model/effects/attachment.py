@@ -72,14 +72,13 @@ def parameters(
     `DeclarationError` lists all parameters that are not known, are missing or have a wrong unit or value.
     """
     effect = find(name)
-    problems = [
-        Problem(None, label, f"the effect '{effect.name}' has no parameter '{key}'", nearest(key, effect.parameters))
-        for key in given
-        if key not in effect.parameters
-    ]
+    known = effect.parameters
+    none = f"the effect '{effect.name}' has no parameter"
+    unknown = [key for key in given if key not in known]
+    problems = [Problem(None, label, f"{none} '{key}'", nearest(key, known)) for key in unknown]
     found = {f"{label}_on": Parameter(value=1.0, meaning=f"switch of {label}: 1 is on, 0 is off", bounds=(0.0, 1.0))}
     missing = []
-    for key, entry in effect.parameters.items():
+    for key, entry in known.items():
         unit = unit_of(entry.unit, units)
         setting = given.get(key, entry.value)
         if setting is None:
@@ -179,20 +178,15 @@ def _with_effect(
         )
         for state, e in entry.states.items()
     }
-    new_equations = {
-        Expression(f"{names[state]}'", path=label): Expression(rate.renamed(names), path=label)
-        for state, rate in rates.items()
-    }
-    all_parameters = parameters(entry, label, given, units)
-    _check_free(declaration, label, [*new_states, *all_parameters, *definitions])
-    return changed.model_copy(
-        update={
-            "states": {**declaration.states, **new_states},
-            "parameters": {**declaration.parameters, **all_parameters},
-            "definitions": {**declaration.definitions, **definitions},
-            "equations": {**changed.equations, **new_equations},
-        }
-    )
+    sides = [(f"{names[state]}'", rate.renamed(names)) for state, rate in rates.items()]
+    added: dict[str, dict[Any, Any]] = {"states": new_states, "parameters": parameters(entry, label, given, units)}
+    added["definitions"] = definitions
+    for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
+        known = getattr(declaration, section)
+        if clash := [name for new in added.values() for name in new if name in known]:
+            raise _refusal(label, f"the name '{clash[0]}' is already used in {section}", "give another label")
+    added["equations"] = {Expression(left, path=label): Expression(right, path=label) for left, right in sides}
+    return changed.model_copy(update={key: {**getattr(changed, key), **more} for key, more in added.items()})
 
 
 def _in_series(declaration: ModelDeclaration, effect: Effect, at: str, label: str) -> Element:
@@ -245,9 +239,8 @@ def _motion(
 def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
     if effect.where != "element":
         place = {"sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}[effect.where]
-        raise _refusal(
-            at, f"the effect '{effect.name}' sits in {place}, not in an element of a model", "declare it in a plant"
-        )
+        message = f"the effect '{effect.name}' sits in {place}, not in an element of a model"
+        raise _refusal(at, message, "declare it in a plant")
     if at not in declaration.elements:
         remedy = nearest(at, declaration.elements) if declaration.elements else "declare it under elements"
         raise _refusal(at, f"{declaration.name} has no element '{at}'", remedy)
@@ -260,13 +253,6 @@ def _check_label(declaration: ModelDeclaration, label: str) -> None:
         raise _refusal(label, f"'{label}' is not a label", remedy)
     if f"{label}_on" in declaration.parameters:
         raise _refusal(label, f"there is already an effect '{label}'", "give this one another label")
-
-
-def _check_free(declaration: ModelDeclaration, label: str, names: Iterable[str]) -> None:
-    for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
-        taken = [name for name in names if name in getattr(declaration, section)]
-        if taken:
-            raise _refusal(label, f"the name '{taken[0]}' is already used in {section}", "give another label")
 
 
 def _units(

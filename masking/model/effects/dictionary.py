@@ -51,13 +51,9 @@ def dictionary(declarations: Iterable[DictionaryDeclaration]) -> Mapping[str, Ef
     found = EFFECTS
     for declaration in declarations:
         more = own(declaration)
-        problems = [
-            _taken(declaration, name, f"the effect '{name}' is in another dictionary, too")
-            for name in more
-            if name in found
-        ]
-        if problems:
-            raise DeclarationError(problems)
+        if both := [name for name in more if name in found]:
+            message = "the effect '{}' is in another dictionary, too"
+            raise DeclarationError([_taken(declaration, name, message.format(name)) for name in both])
         found = {**found, **more}
     return found
 
@@ -66,8 +62,7 @@ def _problems(declaration: DictionaryDeclaration, name: str) -> Iterator[Problem
     """Give what is wrong with an effect beside those that come with the package."""
     effect, path = declaration.dictionary[name], f"dictionary.{name}"
     if name in EFFECTS:
-        message = f"the effect '{name}' comes with the package, see 'masking show {name}'"
-        yield _taken(declaration, name, message)
+        yield _taken(declaration, name, f"the effect '{name}' comes with the package, see 'masking show {name}'")
     if effect.family not in {"", *FAMILIES}:
         message = f"there is no family '{effect.family}'"
         yield problem_at(declaration, f"{path}.family", message, nearest(effect.family, FAMILIES))

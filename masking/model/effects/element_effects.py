@@ -20,10 +20,18 @@ _STATIC = EffectParameter("F", "force that breaks it loose", (1e-3, 3.0), 0.15, 
 _STRIBECK = EffectParameter(
     "D/s", "rate at which the force has fallen most of the way", (1e-3, 0.1), 1e-2, 1e-2, POSITIVE
 )
+_DRAG = EffectParameter("D/s", "rate at which the drag is largest", (1e-2, 10.0), 1.0, None, POSITIVE, (0.3, 0.7, 1.5))
 _CONTACT = EffectParameter("F/D", "stiffness of the contact", (1e3, 1e6), 2e4, None, NOT_NEGATIVE)
 _REVERSAL = EffectParameter("F/D", "stiffness at reversals", (0.0, 1e4), 100.0, None, NOT_NEGATIVE)
-_HALF_DECADES = (0.003, 0.01, 0.03, 0.1, 0.3)  # from nearly dry friction to nearly a spring
+_REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)  # from nearly dry friction to nearly a spring, in half-decades
 _YIELDS = (0.01, 0.03, 0.08, 0.2, 0.4, 0.8)  # beyond 1 it never yields and is a spring
+_LOOPS = (-1.3, 0.0)  # one that opens, one that yields
+_BENDS = (0.15, 0.6, 2.4)  # bends soon, within the motion, or hardly
+_GAPS = (0.05, 0.15, 0.3, 0.5, 0.8, 1.2)  # from a play that hardly shows up to one in which contact is rare
+_TURNS = (0.12, 0.2, 0.35, 0.6, 1.2, 3.0)  # from several turns within the travel to nearly a cubic spring
+_REACH = EffectParameter("D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE, _REACHES)
+_YIELD = EffectParameter("D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE, _YIELDS)
+_SHAPE = EffectParameter("1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0, tried=_LOOPS)
 _SLIPPING = "joints that slip a little, material damping of rubber or bonded springs, magnetic materials"
 _CLAMPED = "clamp joints tighter and avoid rubber; the force can be cancelled once the model holds it"
 _SIDE = EffectParameter("1", "1: it is beyond the edge upwards, -1: downwards", (-1.0, 1.0), 1.0, 1.0, (-1.0, 1.0))
@@ -41,6 +49,9 @@ _HELD = {
     "hold": EffectParameter("1/s", "rate at which its memory follows", (0.0, 1e5), 1e3, 0.0, NOT_NEGATIVE),
 }
 _FALLING = "fc + (fs - fc)*exp(-(d_rate/vst)**2)"
+_BENDING = f"d_rate - s0*abs(d_rate)*z/({_FALLING})"  # rate of a bristle
+_WEN = "d_rate - (beta*abs(d_rate)*sign(z) + (1 - beta)*d_rate)*abs(z/zmax)**n"
+_BOUC_WEN = "d_rate - (abs(d_rate)*sign(z) + delta*d_rate)*abs(z/x0)**n"
 _BEYOND = "(1 + tanh(side*(d - edge)/width))"
 _HOLDING = "0.55*mobility*step"  # inverse of the resistance
 _BY_STEP = {"c": f"1/({_HOLDING})", "hold": "1/(1.75*step)"}
@@ -155,9 +166,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "c*d_rate/(1 + (d_rate/vc)**2)",
         {
             "c": EffectParameter("F*s/D", "damping at small rates", (0.0, 10.0), 0.5, None, NOT_NEGATIVE),
-            "vc": EffectParameter(
-                "D/s", "rate at which the drag is largest", (1e-2, 10.0), 1.0, None, POSITIVE, (0.3, 0.7, 1.5)
-            ),
+            "vc": _DRAG,
         },
         cause="a conductor that moves through the field of a magnet, an eddy current brake",
         remedy="remove conductors from the field, or let the controller cancel the force",
@@ -261,7 +270,7 @@ ELEMENTS: tuple[Effect, ...] = (
     _friction(
         "lugre_friction",
         "Friction of bristles that bend before they slip: stiction, presliding displacement and hysteresis.",
-        "s0*z + s1*(d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))) + s2*d_rate",
+        f"s0*z + s1*({_BENDING}) + s2*d_rate",
         {
             "fc": replace(_COULOMB, bounds=POSITIVE),
             "fs": replace(_STATIC, bounds=POSITIVE),
@@ -273,14 +282,7 @@ ELEMENTS: tuple[Effect, ...] = (
         cause="dry contacts that stick between reversals, such as a guide or a rubbing cable",
         remedy="remove the contact; small motions need this model, large ones only dry friction",
         source="Canudas de Wit, Olsson, Astrom and Lischinsky (1995), IEEE Trans. Autom. Control 40(3), (1)-(4)",
-        states={
-            "z": EffectState(
-                "d_rate - s0*abs(d_rate)*z/(fc + (fs - fc)*exp(-(d_rate/vst)**2))",
-                "D",
-                "deflection of the bristles",
-                "max(fc, fs)/s0",
-            )
-        },
+        states={"z": EffectState(_BENDING, "D", "deflection of the bristles", "max(fc, fs)/s0")},
         label="LuGre friction",
         trials=_BRISTLES,
         nested=("dry_friction", "stribeck_friction"),
@@ -290,12 +292,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "dahl_friction",
         "Dry friction that builds up over a short displacement after each reversal.",
         "fc*z",
-        {
-            "fc": _COULOMB,
-            "x0": EffectParameter(
-                "D", "displacement over which it builds up", (1e-6, 1e-2), 1e-4, None, POSITIVE, _HALF_DECADES
-            ),
-        },
+        {"fc": _COULOMB, "x0": _REACH},
         cause="rolling bearings, preloaded contacts, cables that bend",
         remedy="a guide without contact; small motions need this model, large ones only dry friction",
         source="Dahl (1976), AIAA Journal 14(12), 1675-1682, with exponent 1",
@@ -308,23 +305,14 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*z",
         {
             "k": _REVERSAL,
-            "zmax": EffectParameter(
-                "D", "displacement at which it yields", (1e-5, 1e-2), 1e-3, None, POSITIVE, _YIELDS
-            ),
+            "zmax": _YIELD,
             "beta": EffectParameter("1", "shape: 1/2 unloads in a straight line", (0.5, 2.0), 0.5, 0.5, (0.5, None)),
             "n": EffectParameter("1", "sharpness of yielding", (1.0, 10.0), 2.0, 2.0, (1.0, None)),
         },
         cause=_SLIPPING,
         remedy=_CLAMPED,
         source="Wen (1976), J. Eng. Mech. Div. 102; Ikhouane and Rodellar (2007), Systems with Hysteresis, (2.15)",
-        states={
-            "z": EffectState(
-                "d_rate - (beta*abs(d_rate)*sign(z) + (1 - beta)*d_rate)*abs(z/zmax)**n",
-                "D",
-                "elastic part of the displacement",
-                "zmax",
-            )
-        },
+        states={"z": EffectState(_WEN, "D", "elastic part of the displacement", "zmax")},
         calibrated=("k", "zmax"),
     ),
     _hysteresis(
@@ -333,27 +321,14 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*z",
         {
             "k": _REVERSAL,
-            # bends soon, within the motion, or hardly
-            "x0": EffectParameter(
-                "D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, (0.15, 0.6, 2.4)
-            ),
-            # one loop that opens, one that yields
-            "delta": EffectParameter(
-                "1", "shape: above -1 it yields, below it opens", (-2.0, 2.0), 1.0, 1.0, tried=(-1.3, 0.0)
-            ),
+            "x0": EffectParameter("D", "displacement over which it bends", (1e-5, 1e-1), 1e-3, None, POSITIVE, _BENDS),
+            "delta": _SHAPE,
             "n": EffectParameter("1", "sharpness of the bend", (1.0, 4.0), 1.0, 1.0, (1.0, None)),
         },
         cause=_SLIPPING,
         remedy=_CLAMPED,
         source="Wen (1976), J. Eng. Mech. Div. 102; Ismail et al. (2009), Arch. Comput. Methods Eng. 16",
-        states={
-            "z": EffectState(
-                "d_rate - (abs(d_rate)*sign(z) + delta*d_rate)*abs(z/x0)**n",
-                "D",
-                "elastic part of the displacement",
-                "x0",
-            )
-        },
+        states={"z": EffectState(_BOUC_WEN, "D", "elastic part of the displacement", "x0")},
         label="Bouc-Wen hysteresis",
         nested=("hysteresis", "dahl_friction"),
     ),
@@ -363,10 +338,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "k*(d - min(max(d, -gap/2), gap/2))",
         {
             "k": EffectParameter("F/D", "stiffness beyond the gap", (1.0, 1e6), 1e3, None, NOT_NEGATIVE),
-            # from a play that hardly shows up to one in which contact is rare
-            "gap": EffectParameter(
-                "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
-            ),
+            "gap": EffectParameter("D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, _GAPS),
         },
         cause="gears, couplings, loose screws, pins in slotted holes",
         remedy="preload the joint or replace it by a flexure",
@@ -417,10 +389,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "a*sin(d/r)",
         {
             "a": EffectParameter("F", "largest force", (-20.0, 20.0), 0.1),
-            # from several turns within the travel to nearly a cubic spring
-            "r": EffectParameter(
-                "D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, (0.12, 0.2, 0.35, 0.6, 1.2, 3.0)
-            ),
+            "r": EffectParameter("D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, _TURNS),
         },
         cause="a mass off the axis, magnets that cog, a thread that runs out",
         remedy="balance it, or let the controller cancel the force",

@@ -22,6 +22,9 @@ _LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
 _ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
 _LAGS = (0.02, 0.1, 0.4)  # of the time of the motion: a filter or amplifier, a coil under voltage, and a slow drive
 _ANY = "1e3"  # a record may begin in motion
+_LOST = EffectParameter("1", "part of the reading that has lost its sign", (0.0, 1.0), 1.0, None, (0.0, 1.0), (1.0,))
+_SILENT = EffectParameter("U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, _ZONES)
+_HEAT = "(where(P < limit, r*u**2, min(r*u**2, limit)) - P)/tau"
 
 INSTRUMENTS: tuple[Effect, ...] = (
     _sensor(
@@ -86,11 +89,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_magnitude",
         "The sensor counts without the sign: at r = 1 the reading is the magnitude.",
         "(1 - r)*s + r*abs(s)",
-        {
-            "r": EffectParameter(
-                "1", "part of the reading that has lost its sign", (0.0, 1.0), 1.0, None, (0.0, 1.0), (1.0,)
-            )
-        },
+        {"r": _LOST},
         cause="a pulse counter, an encoder with one track, a rectifier",
         remedy="use a sensor of direction, too, such as a second track",
         source="Wigren and Schoukens (2013), European Control Conference, 2933-2938",
@@ -175,11 +174,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "dead_zone",
         "The actuator does nothing for small values.",
         "u - min(max(u, -width), width)",
-        {
-            "width": EffectParameter(
-                "U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, _ZONES
-            )
-        },
+        {"width": _SILENT},
         cause="the crossover of an amplifier, a valve that overlaps",
         remedy="a bias current, or add the width in the direction of the command",
         source=_TAO,
@@ -241,9 +236,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="the resistance of the coil turns current into heat faster than it is carried away",
         remedy="run for shorter or at smaller amplitude, cool the coil",
         source="Incropera and DeWitt (2002), Fundamentals of Heat and Mass Transfer, section 5.1",
-        states={
-            "P": EffectState("(where(P < limit, r*u**2, min(r*u**2, limit)) - P)/tau", "W", "mean power of the coil")
-        },
+        states={"P": EffectState(_HEAT, "W", "mean power of the coil")},
         family=SATURATION,
         is_searched=False,
     ),

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, EffectState, Span, Start, Trial
 
-# From a play that hardly shows up to one in which contact is rare.
-_GAP = EffectParameter(
-    "D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)
-)
+_GAPS = (0.02, 0.05, 0.15, 0.3, 0.5, 0.8, 1.2)  # from a play that hardly shows up to one in which contact is rare
+_GAP = EffectParameter("D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NEGATIVE, _GAPS)
 SOFT = 0.02  # of the largest displacement
 _TIMES = (0.06, 0.2, 0.6, 2.0, 6.0, 20.0)  # of the time of the motion, half-decades
 _REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"  # how far a pin is beyond the gap of its slider
+_DRAGGED = f"hold*({_REACH} - min(max({_REACH}, -x0), x0))"
 
 
 def _reaches(span: Span) -> list[Start]:
@@ -47,9 +46,7 @@ SERIES: tuple[Effect, ...] = (
         cause="a brush, seal or cable that is taken along by a worn pin, a carriage on a loose spindle nut",
         remedy="take up the play, or remove what rubs",
         source="Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 2",
-        states={
-            "z": EffectState(f"hold*({_REACH} - min(max({_REACH}, -x0), x0))", "D", "where the slider is", "gap/2")
-        },
+        states={"z": EffectState(_DRAGGED, "D", "where the slider is", "gap/2")},
         family="friction",
         trials=(Trial(_reaches, ("gap",), ("fc",), True), Trial(_reaches, ("gap", "x0"), ("fc",), True)),
         nested=("dahl_friction",),

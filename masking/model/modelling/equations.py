@@ -7,7 +7,7 @@ dissipation and generalised forces.
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -93,18 +93,12 @@ class Equations:
     def symbols(self) -> Symbols:
         """Sympy symbols; all are real."""
 
-        def make(names: Sequence[str], primes: str = "") -> tuple[sp.Symbol, ...]:
+        def make(names: Iterable[str], primes: str = "") -> tuple[sp.Symbol, ...]:
             return tuple(sp.Symbol(name + primes, real=True) for name in names)
 
-        return Symbols(
-            sp.Symbol("t", real=True),
-            make(self.coordinates),
-            make(self.coordinates, "'"),
-            make(self.coordinates, "''"),
-            make(tuple(self.declaration.inputs)),
-            make(tuple(self.declaration.parameters)),
-            make(tuple(self.declaration.states)),
-        )
+        q, v, a = (make(self.coordinates, primes) for primes in ("", "'", "''"))
+        d = self.declaration
+        return Symbols(sp.Symbol("t", real=True), q, v, a, make(d.inputs), make(d.parameters), make(d.states))
 
     @cached_property
     def definitions(self) -> dict[str, sp.Expr]:
@@ -177,13 +171,9 @@ class Equations:
 
     def measured(self, expression: Expression) -> sp.Expr:
         """Return what a sensor measures in symbols of the model: outputs may stand in it by their names."""
-        named = self.symbols.by_name | self.definitions
-        outputs = {
-            name: self.output(name)
-            for name in self.declaration.outputs
-            if name in expression.names and name not in named
-        }
-        return expression.to_sympy(named | outputs)
+        known = self.symbols.by_name | self.definitions
+        held = [name for name in self.declaration.outputs if name in expression.names and name not in known]
+        return expression.to_sympy(known | {name: self.output(name) for name in held})
 
     @cached_property
     def _system(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
@@ -220,13 +210,10 @@ class Equations:
         """Events; none where none are declared."""
         declared, s = self.declaration.events, self.symbols
         states = [symbol.name for symbol in (*s.q, *s.v, *s.s)]
+        conditions = tuple(self.symbolic(event.when) for event in declared.values())
         jumps = [(i, states.index(n), x) for i, e in enumerate(declared.values()) for n, x in e.jumps.items()]
-        return Events(
-            tuple(declared),
-            tuple(self.symbolic(event.when) for event in declared.values()),
-            tuple(self.symbolic(value) for _, _, value in jumps),
-            tuple((event, state) for event, state, _ in jumps),
-        )
+        values = tuple(self.symbolic(value) for _, _, value in jumps)
+        return Events(tuple(declared), conditions, values, tuple((event, state) for event, state, _ in jumps))
 
     @cached_property
     def energy(self) -> sp.Expr | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -87,31 +87,24 @@ class LoweredEquations:
         """Node of an expression in symbols of the model, accelerations included."""
         return self.graph.lower(expression, self.symbols)
 
-    def loads(self, q: str, v: str, u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """How each symbol is read, by texts of q and v with `{i}` for an index, and names of inputs and parameters.
+    def loads(self, q: str, v: str, offset: int = 0, first: int = 0) -> dict[str, str]:
+        """How each symbol is read from `u`, `p` and texts of q and v with `{i}` for an index.
 
-        The first parameter has the index `offset`.
+        The first parameter has the index `offset`, the first velocity the index `first`.
         """
-        s = self.equations.symbols
-        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
-        parts = ((s.q, q, 0), (s.v, v, 0), (behind, v, len(s.v)), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
-        return self._read(parts)
-
-    def joined(self, y: str = "y", u: str = "u", p: str = "p", offset: int = 0) -> dict[str, str]:
-        """How each symbol is read where `y` names the state vector [q, v, s] and what is delayed; else as `loads`."""
-        s, n, y = self.equations.symbols, len(self.equations.symbols.q), y + "[{i}]"
-        behind = (*s.s, *(lag.symbol for lag in self.equations.lags))
-        parts = ((s.q, y, 0), (s.v, y, n), (behind, y, 2 * n), (s.u, u + "[{i}]", 0), (s.p, p + "[{i}]", offset))
-        return self._read(parts)
-
-    def _read(self, parts: Iterable[tuple[Sequence[sp.Symbol], str, int]]) -> dict[str, str]:
-        texts = {}
-        for symbols, pattern, first in parts:
-            for i, symbol in enumerate(symbols, first):
+        s, texts = self.equations.symbols, dict[str, str]()
+        behind = (*s.v, *s.s, *(lag.symbol for lag in self.equations.lags))
+        parts = ((s.q, q, 0), (behind, v, first), (s.u, "u[{i}]", 0), (s.p, "p[{i}]", offset))
+        for symbols, pattern, begin in parts:
+            for i, symbol in enumerate(symbols, begin):
                 operation = self.graph.operations[self.symbols[symbol]]
                 if operation[0] == "symbol":
                     texts[str(operation[1])] = pattern.format(i=i)
         return texts
+
+    def joined(self, offset: int = 0) -> dict[str, str]:
+        """How each symbol is read from the state vector `y` = [q, v, s] and what is delayed behind; else as `loads`."""
+        return self.loads("y[{i}]", "y[{i}]", offset, len(self.equations.symbols.q))
 
 
 def module(equations: Equations) -> Module:
@@ -155,22 +148,16 @@ def module(equations: Equations) -> Module:
     joined = lowered.joined()
     results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
     module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
-    module.add(
-        "derivative(t: float, y, u, p, dy)",
-        graph,
-        [(f"dy[{i}]", d) for i, d in enumerate(derivatives)],
-        joined,
-        returns=lowered.health,
-    )
+    slopes = [(f"dy[{i}]", d) for i, d in enumerate(derivatives)]
+    module.add("derivative(t: float, y, u, p, dy)", graph, slopes, joined, returns=lowered.health)
     lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
     module.add("outputs(t: float, q, v, u, p, out)", graph, lowered_outputs, split)
     if energy is not None:
         module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
-        module.add_factory(
-            "solve_taylor", taylor_integrator.taylor, "coefficients", order, size, work=(order + 1, size)
-        )
+        made = (taylor_integrator.taylor, "coefficients", order, size)
+        module.add_factory("solve_taylor", *made, work=(order + 1, size))
         counts = (order, size, inputs, len(s.p), LANES)
         linked = ("lane_coefficients", "lane_terms", "lane_states")
         module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))

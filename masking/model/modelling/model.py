@@ -77,18 +77,14 @@ class Model:
     def _repr_html_(self) -> str:
         e, d = self.equations, self.declaration
         left = [*(e.mass * sp.Matrix(e.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
-        pairs = [
-            *zip(left, map(e.written, [*e.force, *e.rates]), strict=True),
-            *((sp.Symbol(n), e.output(n)) for n in d.outputs),
-        ]
+        pairs = [*zip(left, map(e.written, [*e.force, *e.rates]), strict=True)]
+        pairs += [(sp.Symbol(name), e.output(name)) for name in d.outputs]
         pairs += [(sp.Symbol("E"), e.energy)] if e.energy is not None else []
         parts = [typeset.equations(pairs)]
         units = Units.of(d)  # without compiling the model
         values = units.parameter_values(self.overrides, dimensionless=False)
-        rows = []
-        for name, p in d.parameters.items():
-            value, unit = values[name] / units.conversions[p.unit].factor, pretty(p.unit)
-            rows.append((symbols.markup(name), f"{value:.6g}", unit, p.meaning))
+        shown = {name: f"{values[name] / units.conversions[p.unit].factor:.6g}" for name, p in d.parameters.items()}
+        rows = [(symbols.markup(name), shown[name], pretty(p.unit), p.meaning) for name, p in d.parameters.items()]
         parts.append(fragments.table(("parameter", "value", "unit", "meaning"), rows, numbers=(1,)))
         if d.events:
             said = [(name, event.when.text, event.written, event.meaning) for name, event in d.events.items()]
@@ -247,11 +243,9 @@ class Model:
     def structure(self) -> dict[str, object]:
         """All that the compiled functions depend on: the equations, but no values."""
         d = self.declaration
+        with_units = ("coordinates", "states", "inputs", "parameters")
         return {
-            **{
-                kind: {n: x.unit for n, x in getattr(d, kind).items()}
-                for kind in ("coordinates", "states", "inputs", "parameters")
-            },
+            **{kind: {n: x.unit for n, x in getattr(d, kind).items()} for kind in with_units},
             **{kind: {n: x.text for n, x in getattr(d, kind).items()} for kind in ("definitions", "forces")},
             "equations": [[left.text, right.text] for left, right in d.equations.items()],
             **{kind: getattr(getattr(d, kind), "text", None) for kind in ("lagrangian", "dissipation", "energy")},
@@ -457,9 +451,8 @@ class Model:
             if not self.outputs:
                 return np.array(x[:n], float)
             found = np.empty(len(outputs))
-            kernels.outputs(
-                float(t), np.array(x[:n], float), np.array(x[n:], float), np.array(u, float), array(params), found
-            )
+            q, v, inputs = (np.array(part, float) for part in (x[:n], x[n:], u))
+            kernels.outputs(float(t), q, v, inputs, array(params), found)
             return found
 
         names = {"states": self.state_names, "inputs": [*self.inputs], "outputs": outputs, "name": self.name}

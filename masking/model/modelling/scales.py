@@ -72,15 +72,12 @@ class Units:
 
         Raises a `DeclarationError` where an override names no parameter, or a value is out of its bounds.
         """
+        parameters = self.declaration.parameters
         values = self._si_values(overrides)
-        values = {name: values[name] for name in self.declaration.parameters}
         if not dimensionless:
-            return values
+            return {name: values[name] for name in parameters}
         scales = self.scale_values(overrides)
-        return {
-            name: value / self.conversions[self.declaration.parameters[name].unit].scale(scales)
-            for name, value in values.items()
-        }
+        return {name: values[name] / self.conversions[p.unit].scale(scales) for name, p in parameters.items()}
 
     def exact_values(self, overrides: Mapping[str, float], *, dimensionless: bool) -> dict[str, sp.Expr]:
         """Every parameter exactly: as the decimals that are written, and expressions of these."""

@@ -22,14 +22,9 @@ _TABLE: Final = Markup(
 
 def equations(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> Markup:
     """Equations, given by both sides, aligned at their equals signs; derivatives of coordinates carry dots."""
-    rows = [
-        Markup("<mtr>{}{}{}</mtr>").format(
-            _CELL.format("right", side(left)),
-            _CELL.format("center", Markup("<mo>=</mo>")),
-            _CELL.format("left", side(right)),
-        )
-        for left, right in pairs
-    ]
+    equals = _CELL.format("center", Markup("<mo>=</mo>"))
+    cells = [(_CELL.format("right", side(left)), equals, _CELL.format("left", side(right))) for left, right in pairs]
+    rows = [Markup("<mtr>{}{}{}</mtr>").format(*row) for row in cells]
     return _TABLE.format(Markup().join(rows)) if rows else Markup()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.unit_kernels import COUNTERS
 from masking.lab.runs.experiment import Experiment
 from tests.control.exports.test_controllers import EXACT, by_kernel, by_unit, sampled
 from tests.support import cortex_m4
@@ -59,7 +60,7 @@ def test_the_loop_of_a_controller_on_a_cortex_m4_is_that_of_the_kernel(tmp_path)
     assert np.max(np.abs(states - ours)[:, :3]) <= 1e-12 * np.max(np.abs(ours[:, :3]))
     assert 100 < stack < 4096
     words = sum(math.prod(shape) for shape in unit.memory.values())
-    assert memory == 8 * math.ceil((8 * words + 4 * unit.counters) / 8)
+    assert memory == 8 * math.ceil((8 * words + 4 * COUNTERS) / 8)
     with CortexM4(tmp_path, unit, "float") as exported:
         single, _, _ = by_unit(experiment, exported, 300)
         assert exported.measured()[1] < 20_000
