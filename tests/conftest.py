@@ -1,5 +1,7 @@
 """What all tests share: one cache of compiled models, and models declared in place."""
 
+import base64
+import functools
 import os
 import shutil
 import signal
@@ -10,6 +12,7 @@ import pytest
 
 from masking.model.declaration.schema import ModelDeclaration
 from masking.model.modelling.model import Model
+from masking.reports.style import CaptionedFigure
 from tests.processor_time import ProcessorTime
 
 # The gate draws the same examples every time; `HYPOTHESIS_PROFILE=explore` draws new ones.
@@ -19,6 +22,7 @@ hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
 
 
 PRIORITY = pytest.StashKey[str]()
+PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg==")
 
 
 def pytest_addoption(parser):
@@ -63,3 +67,21 @@ def declare(**parts) -> Model:
 def declared():
     """Return a function that makes a model of the parts of a declaration."""
     return declare
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pictures_drawn_once():
+    """Draw a figure of each name once in a file of tests; later ones are a pixel. Drawing took a tenth of the gate."""
+    drawn, draw = set(), CaptionedFigure.png.func
+
+    def png(figure):
+        if figure.figure is None or figure.name not in drawn:
+            drawn.add(figure.name)
+            return draw(figure)
+        return PIXEL
+
+    once = functools.cached_property(png)
+    once.__set_name__(CaptionedFigure, "png")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CaptionedFigure, "png", once)
+        yield

@@ -1,6 +1,7 @@
 """An effect that unseen data alone show is found in these; motion by scipy."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import masking
@@ -18,6 +19,7 @@ elements: {spring: {displacement: x, unit: N, force: k*d + c*d_rate, acts: {x: -
 STIFFNESS, EDGE = 3e3, 0.02
 
 
+@pytest.mark.search
 def test_a_stop_that_is_touched_at_the_end_alone_is_found_there(tmp_path):
     rng, t = np.random.default_rng(5), np.arange(3000) / 200.0
     f = np.interp(t, t[::20], rng.standard_normal(150)) * np.where(t < 10.6, 1.0, 12.0)
