@@ -25,6 +25,7 @@ QUICK := project/test_architecture project/test_vocabulary project/test_document
 
 # A file is one worker's, the longest first (tests/processor_time.py).
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
+REALTIME = $(shell grep -rl --include='test_*.py' 'mark\.realtime' tests)
 
 .PHONY: demo test quick searches soak docs docs-check dist bench bench-discovery clean
 
@@ -40,7 +41,7 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest $(BY_FILE) -m "not search and not realtime"
-	$(BIN)/pytest -m "realtime and not search"
+	$(BIN)/pytest -m "realtime and not search" $(REALTIME)
 
 searches: $(READY)
 	$(BIN)/pytest $(BY_FILE) -m search
