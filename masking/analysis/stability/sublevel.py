@@ -168,10 +168,7 @@ class _Landscape:
         return None, -np.inf
 
     def _reach(self, here: _Rest, rest: Sequence[_Rest], pivots: Sequence[Bound]) -> tuple[Array, Array]:
-        """How far the box goes below and above, so that the potential on its faces is large.
-
-        Of several coordinates all grow in proportion; a single one has an end on either side of its own.
-        """
+        """How far the box, whose coordinates grow in proportion, goes so that the potential on its faces is large."""
         usual, n = default_box(self.motion, {}), len(self.motion.q)
         away = np.array([np.abs(x.middle - here.middle) for x in rest]).reshape(-1, n)
         sides = np.array([max(1.5 * float(away[:, i].max()), usual[q.name][1]) for i, q in enumerate(self.motion.q)])

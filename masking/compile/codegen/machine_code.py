@@ -77,15 +77,13 @@ class NativeFunction:
     # returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet
     assembled: Callable[[], Any]
     stem: Path  # path of its machine code, which the processor and an ending follow
+    least: Mapping[str, Sequence[int]] = field(default_factory=dict)  # sizes that arrays have at least
     # functions whose machine code it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     _call: Any = field(default=None, repr=False)
 
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
-        """Call the machine code; arrays are read and written in place.
-
-        Raises a `TypeError` where an array is not C-contiguous, of the right type and dimension, or one is missing.
-        """
+        """Call the machine code, on arrays in place; a `TypeError` where one is missing or not as it takes them."""
         call, values, found = self.prepare(), self._completed(given), (ctypes.c_double * RESULTS)()
         call(*self._passed(values), found)
         read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
@@ -169,6 +167,9 @@ class NativeFunction:
                 f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
                 f"{dimension}, not {value.dtype} of shape {value.shape}"
             )
+        least, shape = self.least.get(name, ()), value.shape[dimension - DIMENSIONS.get(kind, 1) :]
+        if any(have < wanted for have, wanted in zip(shape, least, strict=False)):
+            raise TypeError(f"{self.name}: {name} must have a shape of at least {tuple(least)}, not {shape}")
 
     def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""

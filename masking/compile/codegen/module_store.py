@@ -26,6 +26,7 @@ from typing import Any
 import platformdirs
 
 from masking.compile.codegen import llvm_text, machine_code, trusted_files
+from masking.compile.codegen.argument_sizes import least_sizes
 from masking.compile.codegen.content_hashes import contents, digest, sources, versions
 from masking.compile.codegen.kernel_templates import size_symbol, template
 from masking.compile.codegen.machine_code import NativeFunction
@@ -73,7 +74,8 @@ class Generated:
         types = described["arguments"], described["results"]
         work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
-        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, self.links)
+        least = described.get("least", {})
+        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, least, self.links)
 
     def _assembled(self, name: str) -> Any:  # noqa: ANN401  (llvmlite has no types)
         """LLVM code of a function behind its C interface, not optimised yet."""
@@ -171,6 +173,8 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
     _forget(directory())
     text = made.text()
     objects, kernels, templates = described(made)
+    for function, sizes in least_sizes(made).items():
+        made.meta["functions"][function]["least"] = sizes
     for one in (*templates, text):
         if trusted_files.find(_text_path(digest(one))) is None:  # those of templates are the same for many models
             trusted_files.keep(_text_path(digest(one)), one.encode())

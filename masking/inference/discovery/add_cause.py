@@ -35,10 +35,7 @@ class Addition:
         return partial(self._or_with_less, tuple(scores), begin)
 
     def _or_with_less(self, scores: Sequence[Score], begin: Job, rival: float) -> Explanation:
-        """Fit; where that ends worse than without the effects, it begins again with less of them.
-
-        A resonance may be so sharp.
-        """
+        """Fit; where that ends worse than without the effects, as at a sharp resonance, it begins again with less."""
         found, now = begin(rival), self.now.hypothesis
         if found.hypothesis.cost <= now.cost:
             return found

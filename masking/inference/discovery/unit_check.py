@@ -174,10 +174,7 @@ def _best(tried: Sequence[tuple[UnitDoubt, float]]) -> tuple[UnitDoubt | None, f
 
 
 def _others(problem: EstimationProblem) -> Iterator[UnitDoubt]:
-    """Other signs and units: of each channel, and units of those alike, of all sensors, and of the clock.
-
-    A channel whose unit is not declared has another sign only.
-    """
+    """Other signs and declared units: of each channel, and units of those alike, of all sensors, and of the clock."""
     twin, known = problem.rig.twin, problem.rig.twin.declaration
     sensors = {name: known.sensors[name] for name in twin.sensors}
     actuators = {name: (known.actuators or twin.base.inputs)[name] for name in twin.actuators}

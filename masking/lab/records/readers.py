@@ -209,10 +209,7 @@ def _named(file: Path, columns: Mapping[str, Column], name: str) -> Column:
 def _of_one_length(
     file: Path, columns: Mapping[str, Column], wanted: Collection[str], names: Mapping[str, str]
 ) -> dict[str, Column]:
-    """Leave out columns of another length than those that are wanted, such as settings, or other groups of a file.
-
-    Where none is wanted, the longest are kept.
-    """
+    """Leave out columns of another length than those that are wanted, or than the longest where none is."""
     lengths = {name: len(column) for name, column in columns.items() if name in wanted}
     if len({*lengths.values()}) > 1:
         listed = ", ".join(

@@ -291,8 +291,8 @@ class Experiment:
         """Refuse what can be refused without running.
 
         Raises:
-            MaskingError: a model is wrong, the rig's inputs cannot accelerate every virtual coordinate, or no rig
-                position gives the initial state.
+            MaskingError: a model is wrong, the controller's is of another rig, the rig's inputs cannot accelerate every
+                virtual coordinate, or no rig position gives the initial state.
         """
         for model in (self.plant, self.law.model, self.virtual):
             model.validate()
@@ -302,6 +302,7 @@ class Experiment:
         problems = [*registry.check_units(self.assembly), *self._check_size(largest)]
         if problems:
             raise DeclarationError(problems)
+        _ = self.sampled_loop if self.has_observer else self.loop  # refuse a controller's model of another rig
         check_actuation(self.law.model, self.law.transform)
         _ = self.passive.initial() if self.passive else self.virtual_start
         if self.has_observer:

@@ -50,10 +50,13 @@ def _fastest(virtual: Model, state: Array) -> float:
     """Largest angular frequency of the motion about a state; 0 where it has none."""
     size, p, u = len(state), virtual.values(), np.zeros(len(virtual.inputs))
     lengths = np.ones(size) if virtual.is_dimensionless else np.resize(virtual.lengths, size)
+    past = np.zeros(virtual.kernels.meta["lags"])
+    if len(past):  # what depends on the past is held as it is at the state
+        virtual.kernels.lagged(0.0, np.concatenate([state, past]), p, past)
 
     def rate(y: Array) -> Array:
         out = np.empty(size)
-        virtual.kernels.derivative(0.0, y, u, p, out)
+        virtual.kernels.derivative(0.0, np.concatenate([y, past]), u, p, out)
         return out
 
     slope = jacobian(rate, state, _STEP * lengths)

@@ -156,10 +156,7 @@ class _Builder:
             row[safety_tables.OFF] = OFF * row[safety_tables.NOISE]
 
     def _motion(self) -> tuple[Array, Array]:
-        """Second derivatives of readings, and the largest that commands make in each (sensors,).
-
-        Says in the table which of them are known, and what they may be off.
-        """
+        """Second derivatives of readings, noted where known, and the largest that commands make (sensors,)."""
         sensors, channels = len(self.table), len(self.commands)
         motion, pushed, n = np.zeros((sensors, sensors + channels)), np.zeros(sensors), self.count
         if not self.known:
