@@ -11,8 +11,9 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import eq, ge, gt, le, lt, ne
 from types import ModuleType
 from typing import Any
 
@@ -25,6 +26,8 @@ from masking.compile.codegen.source import Module
 Sizes = dict[str, list[int]]
 Range = tuple[int, int]  # least and greatest value of an index
 _ELEMENT = re.compile(r"^(\w+)\[(\d+)(?:, (\d+))?\]$")
+_COMPARED: Mapping[type[ast.cmpop], Callable[[int, int], bool]]
+_COMPARED = {ast.Lt: lt, ast.LtE: le, ast.Gt: gt, ast.GtE: ge, ast.Eq: eq, ast.NotEq: ne}
 
 
 def least_sizes(module: Module) -> dict[str, Sizes]:
@@ -39,6 +42,7 @@ class _Reader:
 
     module: Module
     known: dict[object, Sizes] = field(default_factory=dict)
+    parts: dict[object, Expressions | Closure] = field(default_factory=dict)
 
     def of(self, callee: Any) -> Sizes:  # noqa: ANN401  (a function of numba, or one of a module by its name)
         if callee not in self.known:
@@ -48,7 +52,10 @@ class _Reader:
         return self.known[callee]
 
     def part(self, callee: Any) -> Expressions | Closure:  # noqa: ANN401
-        return part_of(self.module, callee.name) if isinstance(callee, Named) else Closure.of(callee)
+        if callee not in self.parts:
+            own = isinstance(callee, Named)
+            self.parts[callee] = part_of(self.module, callee.name) if own else Closure.of(callee)
+        return self.parts[callee]
 
     def arguments(self, callee: Any) -> Sequence[str]:  # noqa: ANN401
         part = self.part(callee)
@@ -95,16 +102,16 @@ class _Kernel:
         for statement in statements:
             match statement:
                 case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=given)):
-                    self.loop(name, [self.value(one) for one in given], statement.body)
+                    self.loop(name, [self.number(one) for one in given], statement.body)
                 case ast.For() | ast.While():
                     self.block(statement.body)
-                case ast.If():
-                    decided = self.value(statement.test)
-                    self.visit(statement.test)
-                    if decided is not None and decided[0] == decided[1]:
-                        self.block(statement.body if decided[0] else statement.orelse)
-                    else:
+                case ast.If(test=test, body=body, orelse=other):
+                    self.visit(test)
+                    decided = self.number(test)
+                    if decided is None:
                         self.forget(statement)
+                    else:
+                        self.block(body if decided else other)
                 case ast.Assign(targets=[target], value=value):
                     self.visit(value)
                     self.visit(target)
@@ -119,11 +126,12 @@ class _Kernel:
                 self.arrays.pop(node.id, None)
                 self.numbers.pop(node.id, None)
 
-    def loop(self, name: str, given: Sequence[Range | None], body: Sequence[ast.stmt]) -> None:
+    def loop(self, name: str, given: Sequence[int | None], body: Sequence[ast.stmt]) -> None:
         """Read a loop over a range, whose index is known where the ends of the range are."""
         self.numbers.pop(name, None)
-        if given and all(one is not None and one[0] == one[1] for one in given):
-            indices = range(*(one[0] for one in given if one is not None))
+        known = [one for one in given if one is not None]
+        if len(known) == len(given):
+            indices = range(*known)
             if not indices:
                 return
             self.numbers[name] = min(indices), max(indices)
@@ -152,9 +160,8 @@ class _Kernel:
         match node:
             case ast.IfExp(test=test, body=body, orelse=other):
                 self.visit(test)
-                decided = self.value(test)
-                if decided is not None and decided[0] == decided[1]:
-                    self.visit(body if decided[0] else other)
+                if (decided := self.number(test)) is not None:
+                    self.visit(body if decided else other)
                 return
             case ast.BoolOp(values=values):
                 self.visit(values[0])  # the others are looked at only sometimes
@@ -215,6 +222,11 @@ class _Kernel:
         found = self.value(index)
         return 0 if found is None or found[1] < 0 else found[1] + 1
 
+    def number(self, node: ast.expr) -> int | None:
+        """A whole number or a condition that is the same in every run; None where it is not."""
+        found = self.value(node)
+        return None if found is None or found[0] != found[1] else found[0]
+
     def value(self, node: ast.expr) -> Range | None:  # noqa: PLR0911  # one for each kind of expression
         """Least and greatest value of a whole number or a condition; None where a run decides it."""
         match node:
@@ -230,10 +242,11 @@ class _Kernel:
             case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() as operation, right=right):
                 return _combined(operation, self.value(left), self.value(right))
             case ast.Compare(left=left, ops=[operation], comparators=[right]):
-                return _compared(operation, self.value(left), self.value(right))
+                x, y, test = self.number(left), self.number(right), _COMPARED.get(type(operation))
+                return None if x is None or y is None or test is None else _number(test(x, y))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                found = self.value(operand)
-                return None if found is None or found[0] != found[1] else (int(not found[0]),) * 2
+                found = self.number(operand)
+                return None if found is None else _number(not found)
         return None
 
 
@@ -254,12 +267,3 @@ def _combined(operation: ast.operator, left: Range | None, right: Range | None) 
         products = [x * y for x in left for y in right]
         return min(products), max(products)
     return left[0] + right[0], left[1] + right[1]
-
-
-def _compared(operation: ast.cmpop, left: Range | None, right: Range | None) -> Range | None:
-    if left is None or right is None or left[0] != left[1] or right[0] != right[1]:
-        return None
-    x, y = left[0], right[0]
-    truths: Mapping[type[ast.cmpop], bool]
-    truths = {ast.Lt: x < y, ast.LtE: x <= y, ast.Gt: x > y, ast.GtE: x >= y, ast.Eq: x == y, ast.NotEq: x != y}
-    return (int(truths[type(operation)]),) * 2 if type(operation) in truths else None

@@ -336,7 +336,7 @@ def _keep_inside(module: Any, entry: str) -> None:  # noqa: ANN401
 def template_bitcode(module: Any) -> bytes:  # noqa: ANN401
     """LLVM bitcode of a template, in its simplest form; loops stay as they are.
 
-    measured: a quarter of the size, and each model's machine code takes 0.6 of the time to make, with the same bits.
+    measured: a quarter of the size; optimising a model's kernels takes 0.7 to 0.9 of the time, with the same results.
     """
     _keep_inside(module, ENTRY)
     passes = llvm.create_new_module_pass_manager()
