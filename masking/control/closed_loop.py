@@ -14,6 +14,7 @@ from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
+from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.control.actuation import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
@@ -197,11 +198,13 @@ def module(loop: ClosedLoop) -> Module:
     health = graph.mul(law.health, driven.health)
     happening, moved = controller.virtual.equations.events, size - len(law.remembered) - 2 * len(law.eta)
     targets = tuple((event, state + moved) for event, state in happening.targets)
+    switching = TimeSwitches.of(graph, [*derivatives, *law.lagged, *law.conditions], rig.t, joined)
     meta = {
         "kind": "closed loop",
         "coordinates": list(loop.plant.coordinates),
         "states": list(loop.internal),
         "lags": len(law.lagged),
+        "time_switches": switching.to_meta(),
         "events": list(happening.names),
         "targets": list(targets),
         "inputs": list(loop.plant.inputs),

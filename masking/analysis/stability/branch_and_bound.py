@@ -14,8 +14,8 @@ import sympy as sp
 
 from masking.analysis.stability.equilibria import halves
 from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError

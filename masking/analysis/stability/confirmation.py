@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from mpmath.ctx_iv import MPIntervalContext
 
-from masking.analysis.stability.graph_values import values_of
-from masking.analysis.stability.intervals import Interval
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph_values import values_of
+from masking.compile.codegen.intervals import Interval
 from masking.errors import ModelError
 
 _REACH = 1e-12  # of a root, the least half side of the box in which it is confirmed

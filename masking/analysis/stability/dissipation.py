@@ -19,10 +19,10 @@ from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.free_equations import Motion, jumps_of
 from masking.analysis.stability.growth import SAMPLES, Growth
 from masking.analysis.stability.hypotheses import factors
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import state_matrix
 from masking.analysis.stability.sums_of_squares import Square, squares
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 

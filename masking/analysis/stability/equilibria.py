@@ -20,9 +20,9 @@ import sympy as sp
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.confirmation import enclosed_again, has_root
 from masking.analysis.stability.free_equations import check_continuous
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import eigenvalues, is_smooth, state_matrix
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, nearest

@@ -12,8 +12,8 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero, normal
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.intervals import Interval
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.intervals import Interval
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 

@@ -14,9 +14,9 @@ import sympy as sp
 
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.graph_values import function_of, values_of
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph_values import function_of, values_of
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import lazy_loader as lazy
 import numpy as np
 
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.json_text import Result

@@ -25,9 +25,9 @@ from masking.analysis.stability.dissipation import default_box
 from masking.analysis.stability.equilibria import Equilibria, equilibria
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.intervals import Interval
 from masking.analysis.stability.lasalle import invariant_set
 from masking.analysis.stability.sums_of_squares import squares
+from masking.compile.codegen.intervals import Interval
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.model.modelling.model import Model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from masking.compile.codegen.event_jumps import Jumps
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
 from masking.compile.codegen.source import Module
+from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.stop_codes import EVENT, MESSAGES, REACHED, SINGULAR
 from masking.errors import IntegrationError, SingularityError, nearest
@@ -134,30 +136,52 @@ class Kernels:
             message = "what depends on the past by a delay is integrated forwards only: let times increase"
             raise IntegrationError(message)
         jumps = Jumps(self, times, state, parameters) if self.meta.get("events") else None
-        y = np.concatenate([np.array(state, dtype=float), np.zeros(lags)]) if jumps is None else jumps.state
-        out = np.empty((len(times), len(state) + lags))
+        instants = self.instants(*_span(times), inputs, parameters)
+        spans = Spans.of(times, NO_INSTANTS if lags else instants)  # the past is that of one call
+        past = np.concatenate([np.zeros(lags), instants.ravel()]) if lags else ()
+        y = np.concatenate([np.array(state, dtype=float), past]) if jumps is None else jumps.state
+        grid, out = spans.grid, np.empty((len(spans.grid), len(state) + lags))
         t, steps = float(times[0]), 0
-        count = 1 if lags else max(1, min(pieces.count, len(times)))  # the past is that of one call
-        for piece in range(count):
-            first, last = (len(times) * i // count for i in (piece, piece + 1))
-            status = EVENT
+        for first, last in spans.ranges(1 if lags else pieces.count):
+            t, status = spans.begins.get(first, t), EVENT
             while status == EVENT:
                 rows = slice(first, last)
-                status, t, taken = solve(t, y, times[rows], inputs, parameters, tolerance, fixed_step, out[rows])
+                status, t, taken = solve(t, y, grid[rows], inputs, parameters, tolerance, fixed_step, out[rows])
                 steps += taken
                 if jumps is not None and jumps.follow(status, t):
-                    first = max(first, int(np.searchsorted(times[:last], t, side="right")))
+                    first = max(first, int(np.searchsorted(grid[:last], t, side="right")))  # noqa: PLW2901
             if status != REACHED:
                 self.stop(status, t, y[: len(state)])
             if pieces.progress is not None:
-                pieces.progress(last / len(times))
+                pieces.progress(last / len(grid))
         names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
-        return Trajectory(times, out, tuple(names), steps, tuple(self.meta.get("states", ())), log)
+        return Trajectory(times, out[spans.rows], tuple(names), steps, tuple(self.meta.get("states", ())), log)
+
+    @cached_property
+    def _switching(self) -> TimeSwitches | None:
+        meta = self.meta.get("time_switches")
+        return None if meta is None else TimeSwitches.from_meta(meta)
+
+    def instants(self, begin: float, end: float, inputs: Array, parameters: Array) -> Array:
+        """Last time before and first time behind each instant (b, 2) at which the dynamics switch with time."""
+        if self._switching is None:
+            return NO_INSTANTS
+        delays = np.empty(self.meta.get("lags", 0))
+        if len(delays):
+            self.delays(parameters, delays)
+        return self._switching.instants(begin, end, inputs, parameters, delays)
+
+    def may_switch(self, times: Array, inputs: Array, parameters: Array) -> bool:
+        """Whether dynamics may switch with time between times (m,), with parameters (runs, k) of any run."""
+        switching = self._switching
+        return switching is not None and bool(switching.may_be(*_span(times), inputs, parameters).any())
 
     def integrate_each(
         self, times: Array, states: Array, inputs: Array, parameters: Array, *, tolerance: float, threads: int
     ) -> Trajectory:
-        """Integrate dynamics without delays and events over times (m,), each run from its own state at the first.
+        """Integrate dynamics over times (m,), each run from its own state at the first, without delays and events.
+
+        Nothing may switch with time.
 
         States are (runs, 2 n + k), inputs (k,), held constant, and parameters (runs, parameters); `tolerance` is the
         local relative error of a step, and `threads` share the runs. Raises an `IntegrationError` where times are none,
@@ -200,6 +224,10 @@ class Kernels:
             raise SingularityError(MESSAGES[status], time, at, remedy)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
         raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+
+
+def _span(times: Array) -> tuple[float, float]:
+    return float(min(times[0], times[-1])), float(max(times[0], times[-1]))
 
 
 def in_order(times: Array) -> Array:

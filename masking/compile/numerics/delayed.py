@@ -4,19 +4,21 @@ The method of steps: no step is longer than the shortest delay, so that all that
 end where the kink at the initial time comes back, until it is as smooth as the integrator can see. Before the initial
 time everything was as it is then. Source: Hairer, Norsett and Wanner (1993), section II.17.
 
-The state is followed by the values of the delayed expressions, y = [q, v, s, w], which are read and not integrated.
+The state is followed by the values of the delayed expressions, y = [q, v, s, w], which are read and not integrated, and
+by the instants at which something switches with time, of each the last time before it and the first behind it.
 """
-# ruff: noqa: ANN001, ANN202, PLR0917
+# ruff: noqa: ANN001, ANN202, PLR0915, PLR0917
 # The types are numba's to infer.
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.kernel_arguments import Accuracy
-from masking.compile.numerics.runge_kutta import copy, embedded_steps, no_event
+from masking.compile.numerics.runge_kutta import SMALLEST_STEP, copy, embedded_steps, no_event
 
 STEPS = 4096  # that are kept: as many as fit into the longest delay
 KINKS = 9  # derivatives of the solution in which the kink at the initial time comes back
@@ -24,6 +26,13 @@ KINKS = 9  # derivatives of the solution in which the kink at the initial time c
 # of the latest steps: its beginning and its length, the state there, and the seven coefficients of its dense output.
 HEAD, DELAYS, BEFORE, THEN, VALUES, INPUTS, FIRST = range(7)
 ROWS = 9
+
+
+class Past(NamedTuple):
+    """What is known of a run besides its state: the steps that it has taken, and instants of switches, in pairs."""
+
+    history: Matrix
+    instants: Vector
 
 
 def history_shape(size: int, lags: int, inputs: int) -> tuple[int, int]:
@@ -63,7 +72,8 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
             y[i] = past[at + 1, i] + x * value
 
     @compiled
-    def filled(t, y, past, p, dy):
+    def filled(t, y, known, p, dy):
+        past = known.history
         for j in range(lags):
             then = t - past[DELAYS, j]
             state_at(then, past, past[THEN])
@@ -72,8 +82,15 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
         return derivative(t, y, past[INPUTS], p, dy)
 
     @compiled
-    def bound(t, past):
-        limit = math.inf
+    def bound(t, known):
+        past, limit = known.history, math.inf
+        for k in range(0, known.instants.size, 2):
+            before, behind = known.instants[k], known.instants[k + 1]
+            if t < behind and t >= before - SMALLEST_STEP * abs(t):
+                return t - behind
+            if t < before:
+                limit = before - t
+                break
         for j in range(lags):
             time = past[DELAYS, j]
             limit = min(limit, time)
@@ -83,7 +100,8 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
         return limit
 
     @compiled
-    def keep(t, y, f, length, past):
+    def keep(t, y, f, length, known):
+        past = known.history
         count, longest = int(past[HEAD, 1]), 0.0
         at = FIRST + ROWS * (count % STEPS)
         oldest = past[at, 0]
@@ -107,6 +125,7 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
         past[HEAD, 0], past[HEAD, 1] = t, 0.0
         delays(p, past[DELAYS])
         copy(y, past[BEFORE], size)
-        return solve_with(t, y, times, past, p, accuracy, states, work[:24])
+        known = Past(past, y[size + lags :])
+        return solve_with(t, y, times, known, p, accuracy, states, work[:24])
 
     return solve

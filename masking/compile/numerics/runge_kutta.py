@@ -27,6 +27,7 @@ SINGULAR_PART = 1e-9
 # Where the health vanishes like the root of the time left, steps vanish before it has fallen that far.
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
+ROUNDED = 1e-15  # part of a time, or of the largest state so far, that rounding on the way may make
 MOST_STEPS = 100_000_000
 
 
@@ -102,7 +103,7 @@ def embedded_steps(
 
     Args:
         derivative: writes the derivatives, and what of y is not integrated.
-        bound: `bound(t, u)` gives the longest step at a time.
+        bound: `bound(t, u)` gives the longest step at a time; below 0, over how long the state is carried as it is.
         keep: `keep(t, y, f, h, u)` keeps a step of length h from y with the coefficients f of its dense output; false
             where it cannot.
         size: number n of states that are integrated.
@@ -140,7 +141,14 @@ def embedded_steps(
         return min(length, 0.1 * largest / rate * tolerance**0.125 + 1e-6 * length)
 
     @compiled
-    def local_error(y, new, k, h, tolerance):
+    def change_of_rate(k, i):
+        low, high = k[0, i], k[0, i]
+        for q in range(1, STAGES + 1):
+            low, high = min(low, k[q, i]), max(high, k[q, i])
+        return high - low
+
+    @compiled
+    def local_error(y, new, k, h, tolerance, of_time, of_states):
         largest = 0.0
         for i in range(size):
             largest = max(largest, abs(y[i]), abs(new[i]))
@@ -151,6 +159,8 @@ def embedded_steps(
             for q in range(STAGES + 1):
                 a3 += E3[q] * k[q, i]
                 a5 += E5[q] * k[q, i]
+            if of_time > 0.0:
+                scale += of_time * change_of_rate(k, i) + of_states
             e3 += (a3 / scale) ** 2
             e5 += (a5 / scale) ** 2
         total = e5 + 0.01 * e3
@@ -183,7 +193,7 @@ def embedded_steps(
         k, new, f = work[:16], work[16], work[17:]
         end = times[m - 1]
         direction = 1.0 if end >= t else -1.0
-        j, steps, met = 0, 0, REACHED
+        j, steps, met, widest = 0, 0, REACHED, 0.0
         while j < m and times[j] == t:
             copy(y, states[j], size)
             if keeps:
@@ -192,8 +202,13 @@ def embedded_steps(
         first = derivative(t, y, u, p, k[0])
         h = fixed_step if fixed_step > 0.0 else first_step(y, k[0], abs(end - t), tolerance)
         while j < m:
+            limit = bound(t, u)
+            if limit < 0.0:
+                t -= limit
+                derivative(t, y, u, p, k[0])
+                continue
             remaining = abs(end - t)
-            wanted = min(h, bound(t, u))
+            wanted = min(h, limit)
             is_last = wanted >= remaining * (1.0 - 1e-12)
             length = direction * (remaining if is_last else wanted)
             if not is_last and wanted <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
@@ -208,7 +223,10 @@ def embedded_steps(
                     met = fault(health, first)
             steps += 1
             if fixed_step <= 0.0:
-                error = local_error(y, new, k, abs(length), tolerance)
+                error = local_error(y, new, k, abs(length), tolerance, 0.0, 0.0)
+                if error > 1.0:  # no step makes the error smaller than rounding is, of the time where rates change
+                    of_time = ROUNDED * (abs(t) + abs(length))
+                    error = local_error(y, new, k, abs(length), tolerance, of_time, ROUNDED * widest)
                 if not error <= 1.0:  # also where it is not a number
                     if not math.isfinite(error) and abs(length) <= 1e-10 * (abs(t) + remaining):
                         return (SINGULAR if met == SINGULAR else NOT_FINITE), t, steps
@@ -243,6 +261,7 @@ def embedded_steps(
                 return EVENT, reached, steps
             t = reached
             for i in range(size):
+                widest = max(widest, abs(new[i]))
                 y[i] = new[i]
                 k[0, i] = k[STAGES, i]
         return REACHED, t, steps

@@ -19,6 +19,7 @@ from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels, steps_between
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
+from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import equilibrium
 from masking.control.rig.allocation import allocation
@@ -397,6 +398,9 @@ class Twin:
         """
         module.meta["factors"] = {unit: units.factor_of(unit) for unit in _units(self.declaration, self.base)}
         nodes = LoweredTwin(self)
+        fixed = {symbol: text for symbol, text in nodes.loads.items() if text.startswith("p[")}  # commands vary
+        slopes, time = [node for _, node in nodes.derivatives], nodes.equations.symbols[self.model.equations.symbols.t]
+        module.meta["time_switches"] = TimeSwitches.of(nodes.graph, slopes, time, fixed).to_meta()
         module.add("sense_under(t: float, y, u, p, noise, s)", nodes.graph, nodes.readings, nodes.loads)
         if not any(couplings.is_commanded(self.base, sensor.measures) for sensor in self.declaration.sensors.values()):
             module.add("sense(t: float, y, p, noise, s)", nodes.graph, nodes.readings, nodes.loads)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol, TypeVar
@@ -28,6 +29,8 @@ from masking.model.modelling.input_series import Schedule, integrate
 Progress = Callable[[float], None]
 
 PIECES = 100
+STEPS_AT_A_SWITCH = 2**16  # of a sample: what is lost is 1e-5 of what the plant makes of a step in one sample
+MOST_AT_SWITCHES = 2**24  # in all samples: some seconds
 CHUNK: Final = 2**16  # rows after which an integrator with step size control begins anew, in whatever chunks it runs
 
 
@@ -146,9 +149,10 @@ def sampled_chunks(
     substeps, samples = _substeps(loop, state, rate), samples_until(duration, rate)
     y, u, p, first = np.array(state, dtype=float), np.zeros(len(loop.plant.inputs)), loop.values(), 0.0
     changes = [] if schedule is None else np.ceil(schedule.instants * rate * (1.0 - 1e-12)).astype(int).tolist()
+    steps = _steps_at_switches(loop.kernels.instants(0.0, duration, u, p), rate, substeps)
     span = every * (most or samples)
     remedy = f"sampled at {rate:g} Hz, inputs are held and act late; raise controller.rate, or try 'rate: continuous'"
-    for begin, end in itertools.pairwise(_bounds(0, samples, span, changes)):
+    for begin, end in itertools.pairwise(_bounds(0, samples, span, {*changes, *_around(steps)})):
         if begin % span == 0:
             rows = np.arange(begin, min(begin + span, samples), every)
             out_y, out_u = np.empty((len(rows), len(y))), np.empty((len(rows), len(u)))
@@ -157,8 +161,9 @@ def sampled_chunks(
         if schedule is not None:
             schedule.set(begin / rate * (1.0 + 1e-12), p)
         status, done, first = loop.kernels.run_sampled(
-            Samples(begin, count, 1.0 / rate, substeps, every), y, u, p, first, States(out_y[row:], out_u[row:])
-        )
+            Samples(begin, count, 1.0 / rate, steps[begin], every),
+            y, u, p, first, States(out_y[row:], out_u[row:]),
+        )  # fmt: skip
         check_status(loop.kernels, status, (begin + done) / rate, y, remedy)
         if progress is not None:
             progress(end / samples)
@@ -167,10 +172,21 @@ def sampled_chunks(
             yield Run(found.times, found.rig, found.virtual, out_u)
 
 
+def _steps_at_switches(instants: Array, rate: float, substeps: int) -> defaultdict[int, int]:
+    """Integration steps of each sample, more where a plant switches with time: one of them goes over the switch."""
+    samples = np.unique(np.floor(instants * rate).astype(int)).tolist()
+    fine = max(substeps, min(STEPS_AT_A_SWITCH, MOST_AT_SWITCHES // max(1, len(samples))))
+    return defaultdict(lambda: substeps, dict.fromkeys(samples, fine))
+
+
+def _around(samples: Iterable[int]) -> set[int]:
+    return {cut for sample in samples for cut in (sample, sample + 1)}
+
+
 def _bounds(first: int, samples: int, span: int, cuts: Iterable[int] = ()) -> list[int]:
     """Where the pieces of a run begin and end: those of progress, of chunks of a span, and cuts besides."""
     pieces = {first + (samples - first) * piece // PIECES for piece in range(PIECES + 1)}
-    return sorted(pieces | {*range(0, samples, span)} | {cut for cut in cuts if 0 < cut < samples})
+    return sorted(pieces | {*range(0, samples, span)} | {cut for cut in cuts if first < cut < samples})
 
 
 def run_twin(
@@ -214,7 +230,8 @@ def twin_chunks(
     widths = (len(y), len(memory.x), len(twin.sensors), sizes.actuators, sizes.actuators)
     lasting = np.empty((1, 0))
     remedy = "lower controller.observer.bandwidth, correct controller.model, or raise controller.rate"
-    for begin, end in itertools.pairwise(_bounds(-before, samples, span)):
+    steps = _steps_at_switches(kernels.instants(-before / rate, duration, np.empty(0), p), rate, substeps)
+    for begin, end in itertools.pairwise(_bounds(-before, samples, span, _around(steps))):
         if begin == -before or begin % span == 0:
             rows = np.arange(max(0, begin), min(max(0, begin) + span, samples), every)
             out = [np.empty((len(rows), width)) for width in widths]
@@ -224,7 +241,8 @@ def twin_chunks(
         more = generator.standard_normal((count - len(noise), len(twin.sensors)))
         noise = np.concatenate([noise, more]) if len(noise) else more
         row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
-        piece, kept = Samples(begin, count, 1.0 / rate, substeps, every), Recorded(*(table[row:] for table in out))
+        piece = Samples(begin, count, 1.0 / rate, steps[begin], every)
+        kept = Recorded(*(table[row:] for table in out))
         status, done, first = kernels.run(piece, rig, unit, noise, first, kept)
         check_status(kernels, status, (begin + done) / rate, y, remedy)
         noise = noise[:0]

@@ -41,16 +41,18 @@ def simulate(
     states = {name: values for name, values in columns.items() if name not in model.parameters}
     for _, error in refused(model, columns):
         raise error
+
+    def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
+        return changed.simulate(times, {**initial, **start}, inputs, tolerance)
+
     if isinstance(inputs, Mapping) or not _is_separable(model, parameters):
-
-        def one(changed: Simulated, start: Mapping[str, float]) -> Trajectory:
-            return changed.simulate(times, {**initial, **start}, inputs, tolerance)
-
         return _one_by_one(model, times, parameters, states, one)
     y = np.broadcast_to(model.initial_state({**initial, **states}), (runs, len(model.state_names)))
     u = np.zeros(len(model.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
     share = max(1, min(threads or os.cpu_count() or 1, runs))
     p = _parameters(model, parameters, runs)
+    if model.kernels.may_switch(times, u, p):
+        return _one_by_one(model, times, parameters, states, one)
     return model.kernels.integrate_each(times, y, u, p, tolerance=tolerance, threads=share)
 
 
@@ -112,7 +114,7 @@ def _one_by_one(
     states: Mapping[str, Array],
     run: Callable[..., Trajectory],
 ) -> Trajectory:
-    """Integrate runs that need Python on their way: events, delays, inputs that are series."""
+    """Integrate runs that need Python on their way: events, delays, switches with time, inputs that are series."""
     meta, runs = model.kernels.meta, len(next(iter({**parameters, **states}.values())))
     out = np.full((runs, len(times), len(model.state_names) + meta["lags"]), np.nan)
     steps, errors = 0, dict[int, str]()

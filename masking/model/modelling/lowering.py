@@ -12,6 +12,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
 from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
 from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
+from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
 from masking.compile.numerics.rig_sizes import LANES
 from masking.model.modelling.equations import Equations
@@ -127,6 +128,8 @@ def module(equations: Equations) -> Module:
         and products <= LARGEST_TAYLOR_COST
         and degree(graph, derivatives) < order
     )
+    joined = lowered.joined()
+    switching = TimeSwitches.of(graph, [*derivatives, *lowered.lagged, *lowered.conditions], time, joined)
     energy = equations.energy
     outputs = {name: equations.output(name) for name in equations.declaration.outputs}
     meta = {
@@ -139,13 +142,13 @@ def module(equations: Equations) -> Module:
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,
+        "time_switches": switching.to_meta(),
         "events": list(equations.events.names),
         "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
     }
     module = Module(equations.name, meta)
     split = lowered.loads("q[{i}]", "v[{i}]")
-    joined = lowered.joined()
     results = [(f"out[{i}]", a) for i, a in enumerate(lowered.accelerations)]
     module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
     slopes = [(f"dy[{i}]", d) for i, d in enumerate(derivatives)]

@@ -12,9 +12,9 @@ from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.equilibria import equilibria, stability_of
 from masking.analysis.stability.free_equations import Motion, jumps
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import eigenvalues
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.intervals import Interval, enclose
 
 X = sp.Symbol("x", real=True)
 FUNCTIONS = {

@@ -12,7 +12,6 @@ from scipy.optimize import minimize_scalar
 
 from masking.analysis.stability.basins import LABELS, basins
 from masking.analysis.stability.equilibria import equilibria
-from masking.analysis.stability.intervals import Interval, enclose
 from masking.analysis.stability.modes import frequency_response, modes, state_matrix, sum_matrix, sweep, upsilon
 from masking.analysis.stability.orbits import orbit
 from masking.analysis.stability.settling import settling_time
@@ -20,6 +19,7 @@ from masking.analysis.stability.transverse import anti_phase, in_phase, transver
 from masking.analysis.synchronisation import synchronisation_time
 from masking.app import cli
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.intervals import Interval, enclose
 from masking.errors import DeclarationError, IntegrationError, ModelError
 from masking.model.modelling.model import load_model
 

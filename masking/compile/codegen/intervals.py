@@ -17,8 +17,8 @@ import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
-from masking.analysis.stability.graph_values import values_of
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph_values import values_of
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 
@@ -109,7 +109,7 @@ def enclose(graph: Graph, nodes: Sequence[Node], given: Mapping[Node, Interval])
     Raises:
         ModelError: an operation has no enclosure here, such as `floor`, or a symbol is not given.
     """
-    return values_of(graph, nodes, given, _RULES, "enclosure by intervals")
+    return values_of(graph, nodes, given, RULES, "enclosure by intervals")
 
 
 def _outward(low: Array | float, high: Array | float, ulps: int = 1) -> Interval:
@@ -120,7 +120,9 @@ def _outward(low: Array | float, high: Array | float, ulps: int = 1) -> Interval
     return Interval(a, b)
 
 
-def _growing(function: Callable[[Array], Array]) -> Callable[[Interval], Interval]:
+def growing(function: Callable[[Array], Array]) -> Callable[[Interval], Interval]:
+    """Rule of a function that grows."""
+
     def rule(x: Interval) -> Interval:
         with np.errstate(over="ignore"):
             return _outward(function(x.low), function(x.high), ulps=_ULPS)
@@ -170,7 +172,7 @@ def _either(condition: Interval, x: Interval, y: Interval) -> Interval:
     return Interval(low, high)
 
 
-_RULES: dict[str, Callable[..., Interval]] = {
+RULES: dict[str, Callable[..., Interval]] = {
     "number": lambda x: Interval.of(x) if x.is_integer() else _outward(x, x, ulps=_ULPS),
     "square": _square,
     "neg": lambda x: -x,
@@ -179,16 +181,16 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "mul": lambda x, y: x * y,
     "div": lambda x, y: x / y,
     "sqrt": _root,
-    "pow": lambda x, exponent: _growing(np.exp)(exponent * _logarithm(x)),
-    "exp": _growing(np.exp),
+    "pow": lambda x, exponent: growing(np.exp)(exponent * _logarithm(x)),
+    "exp": growing(np.exp),
     "log": _logarithm,
     "sin": _sine,
     "cos": lambda x: _sine(x, np.pi / 2),
     "tan": lambda x: _sine(x) / _sine(x, np.pi / 2),
-    "atan": _growing(np.arctan),
-    "sinh": _growing(np.sinh),
-    "cosh": lambda x: _growing(np.cosh)(abs(x)),
-    "tanh": _growing(np.tanh),
+    "atan": growing(np.arctan),
+    "sinh": growing(np.sinh),
+    "cosh": lambda x: growing(np.cosh)(abs(x)),
+    "tanh": growing(np.tanh),
     "abs": abs,
     "sign": lambda x: Interval(np.sign(x.low), np.sign(x.high)),
     "lt": lambda x, y: Interval(1.0 * (x.high < y.low), 1.0 * (x.low < y.high)),
