@@ -9,14 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen import machine_code, module_store
+from masking.compile.codegen import chattering, machine_code, module_store
 from masking.compile.codegen.event_jumps import Jumps
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.stop_codes import EVENT, MESSAGES, REACHED, SINGULAR
+from masking.compile.numerics.stop_codes import (
+    EVENT,
+    MESSAGES,
+    MOST_STEPS,
+    REACHED,
+    SINGULAR,
+    TOO_MANY_STEPS,
+    TOO_SMALL_STEP,
+)
 from masking.errors import IntegrationError, SingularityError, nearest
 
 # The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
@@ -144,11 +152,13 @@ class Kernels:
         t, steps = float(times[0]), 0
         for first, last in spans.ranges(1 if lags else pieces.count):
             t, status = spans.begins.get(first, t), EVENT
-            while status == EVENT:
+            while status == EVENT or (status == TOO_MANY_STEPS and steps < MOST_STEPS and not lags):
                 rows = slice(first, last)
                 status, t, taken = solve(t, y, grid[rows], inputs, parameters, tolerance, fixed_step, out[rows])
                 steps += taken
-                if jumps is not None and jumps.follow(status, t):
+                if status in {TOO_MANY_STEPS, TOO_SMALL_STEP}:
+                    self._refuse_chattering(t, y[: len(state)], inputs, parameters, abs(float(times[-1] - times[0])))
+                if (jumps is not None and jumps.follow(status, t)) or status == TOO_MANY_STEPS:
                     first = max(first, int(np.searchsorted(grid[:last], t, side="right")))  # noqa: PLW2901
             if status != REACHED:
                 self.stop(status, t, y[: len(state)])
@@ -156,6 +166,28 @@ class Kernels:
                 pieces.progress(last / len(grid))
         names, log = self.meta["coordinates"], () if jumps is None else tuple(jumps.log)
         return Trajectory(times, out[spans.rows], tuple(names), steps, tuple(self.meta.get("states", ())), log)
+
+    def _refuse_chattering(self, t: float, y: Array, inputs: Array, parameters: Array, span: float) -> None:
+        """Refuse to go on where the motion slides along a switch."""
+        texts = self.meta.get("switches", ())
+
+        def filled(function: NativeFunction, size: int) -> Callable[[float, Array], Array]:
+            def call(at: float, state: Array) -> Array:
+                out = np.empty(size)
+                function(at, np.append(state, np.zeros(self.meta.get("lags", 0))), inputs, parameters, out)
+                return out
+
+            return call
+
+        if texts and span > 0.0:
+            values, slope = filled(self.switching, len(texts)), filled(self.derivative, len(y))
+            number = chattering.sliding(values, slope, t, y, span)
+            if number >= 0:
+                raise IntegrationError(
+                    f"chattering at t = {t:.6g} along {texts[number]} = 0: both sides lead back to it, so that it "
+                    "switches without end. Make the switch smooth: for sign(x) write tanh(x/w) with a width w, and for "
+                    "dry friction a law with a state, such as LuGre's"
+                )
 
     @cached_property
     def _switching(self) -> TimeSwitches | None:
@@ -202,12 +234,13 @@ class Kernels:
         else:
             solve = getattr(self, f"solve_{self.meta['method']}")
             found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
-        for run in np.flatnonzero(found[:, 0] != REACHED).tolist():
+        for run in np.flatnonzero(found[:, 0] != REACHED).tolist():  # alone it goes on, or says why it cannot
             try:
-                self.stop(int(found[run, 0]), found[run, 1], y[run])
+                alone = self.integrate(times, states[run], inputs, p[run], tolerance=tolerance)
             except (IntegrationError, SingularityError) as error:
-                errors[run] = str(error)
-            out[run] = np.nan
+                errors[run], out[run] = str(error), np.nan
+            else:
+                out[run], found[run, 2] = alone.states, alone.steps
         names, internal = tuple(self.meta["coordinates"]), tuple(self.meta.get("states", ()))
         return Trajectory(times, out, names, int(found[:, 2].sum()), internal, errors=errors)
 

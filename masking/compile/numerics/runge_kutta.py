@@ -20,7 +20,16 @@ from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.dop853_coefficients import E3, E5, STAGES, A, C, D
 from masking.compile.numerics.kernel_arguments import Accuracy, Samples, States, UnderWay
-from masking.compile.numerics.stop_codes import EVENT, NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
+from masking.compile.numerics.stop_codes import (
+    EVENT,
+    MOST_STEPS,
+    NOT_FINITE,
+    REACHED,
+    SINGULAR,
+    STEPS_AT_ONCE,
+    TOO_MANY_STEPS,
+    TOO_SMALL_STEP,
+)
 
 # A matrix counts as singular where its health has fallen to this part of its first value.
 SINGULAR_PART = 1e-9
@@ -28,7 +37,6 @@ SINGULAR_PART = 1e-9
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
 ROUNDED = 1e-15  # part of a time, or of the largest state so far, that rounding on the way may make
-MOST_STEPS = 100_000_000
 
 
 @compiled
@@ -56,7 +64,7 @@ def runge_kutta(derivative: Kernel, size: int) -> Kernel:
     """Make the Runge-Kutta integrator of order 8(5, 3), with step size control and dense output of order 7.
 
     For dynamics that have no Taylor series: friction, stops, backlash. The local error is measured relative to
-    each state plus a thousandth of the largest.
+    each state plus a thousandth of the largest. After `STEPS_AT_ONCE` it returns, and may be called to go on.
     Source: Hairer, Norsett and Wanner (1993), Solving Ordinary Differential Equations I, section II.10, DOP853.
 
     Returns `solve`, for n = `size` states, with arguments and results as those of `taylor`, and `work` (24, n).
@@ -213,7 +221,7 @@ def embedded_steps(
             length = direction * (remaining if is_last else wanted)
             if not is_last and wanted <= SMALLEST_STEP * max(abs(t), 1e-3 * remaining):
                 return (SINGULAR if met == SINGULAR else TOO_SMALL_STEP), t, steps
-            if steps >= MOST_STEPS:
+            if steps >= (MOST_STEPS if keeps else STEPS_AT_ONCE):
                 return TOO_MANY_STEPS, t, steps
             met = fault(first, first)
             for s in range(1, STAGES + 1):

@@ -7,6 +7,9 @@ REACHED, TOO_SMALL_STEP, SINGULAR, NOT_FINITE, TOO_MANY_STEPS = 0, 1, 2, 3, 4
 NOT_POSITIVE, LINEARISE = 5, 6
 EVENT = 8  # not an end: what jumps there, jumps; 7 is that of an exported unit's watchdog
 
+MOST_STEPS = 100_000_000  # of an integration
+STEPS_AT_ONCE = 200_000  # after which somebody looks whether a motion gets on
+
 MESSAGES = {
     SINGULAR: "the matrix that gives the accelerations or the inputs became singular",
     TOO_SMALL_STEP: "the step fell below what time can resolve: the solution ends in finite time or jumps",

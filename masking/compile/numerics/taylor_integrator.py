@@ -12,8 +12,15 @@ import math
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined
 from masking.compile.numerics.kernel_arguments import Accuracy
-from masking.compile.numerics.runge_kutta import MOST_STEPS, NEARLY_SINGULAR_PART, SMALLEST_STEP, copy, fault
-from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED, SINGULAR, TOO_MANY_STEPS, TOO_SMALL_STEP
+from masking.compile.numerics.runge_kutta import NEARLY_SINGULAR_PART, SMALLEST_STEP, copy, fault
+from masking.compile.numerics.stop_codes import (
+    MOST_STEPS,
+    NOT_FINITE,
+    REACHED,
+    SINGULAR,
+    TOO_MANY_STEPS,
+    TOO_SMALL_STEP,
+)
 
 ALL_BUT_ROUNDING = 1.0 - 1e-12  # a step of this part of what remains is the last
 

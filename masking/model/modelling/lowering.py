@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
 
+from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
 from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
@@ -130,6 +131,7 @@ def module(equations: Equations) -> Module:
     )
     joined = lowered.joined()
     switching = TimeSwitches.of(graph, [*derivatives, *lowered.lagged, *lowered.conditions], time, joined)
+    jumping = chattering.switches(graph, derivatives)
     energy = equations.energy
     outputs = {name: equations.output(name) for name in equations.declaration.outputs}
     meta = {
@@ -143,6 +145,7 @@ def module(equations: Equations) -> Module:
         "has_energy": energy is not None,
         "lags": lags,
         "time_switches": switching.to_meta(),
+        "switches": [text for _, text in jumping],
         "events": list(equations.events.names),
         "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
@@ -153,6 +156,9 @@ def module(equations: Equations) -> Module:
     module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
     slopes = [(f"dy[{i}]", d) for i, d in enumerate(derivatives)]
     module.add("derivative(t: float, y, u, p, dy)", graph, slopes, joined, returns=lowered.health)
+    if jumping:
+        results = [(f"w[{i}]", node) for i, (node, _) in enumerate(jumping)]
+        module.add("switching(t: float, y, u, p, w)", graph, results, joined)
     lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
     module.add("outputs(t: float, q, v, u, p, out)", graph, lowered_outputs, split)
     if energy is not None:
