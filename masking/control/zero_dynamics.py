@@ -32,14 +32,29 @@ class ZeroDynamics:
 
     names: tuple[str, ...]  # of the passive coordinates
     rest: Array  # where they rest (m,), SI units
-    eigenvalues: Array  # of the motion about it (2 m,), 1/s
+    matrix: Array  # of the linear motion of coordinates and rates about it (2 m, 2 m), SI units
+
+    @cached_property
+    def eigenvalues(self) -> Array:
+        """Eigenvalues of the matrix (2 m,), 1/s."""
+        return np.linalg.eigvals(self.matrix).astype(np.complex128)
+
+    @property
+    def drifts(self) -> bool:
+        """Whether a small motion grows in proportion to the time: an eigenvalue counts more often than its vectors."""
+        values, size = self.eigenvalues, MARGINAL * float(np.linalg.norm(self.matrix, 2))
+        for value in values[np.abs(values.real) <= size]:
+            vectors = np.linalg.svd(self.matrix - value * np.eye(len(values)), compute_uv=False) <= size
+            if np.sum(np.abs(values - value) <= size) > np.sum(vectors):
+                return True
+        return False
 
     @property
     def verdict(self) -> Literal["stable", "marginal", "unstable"]:
         """Whether a small motion decays, goes on, or grows."""
         largest, size = float(self.eigenvalues.real.max()), float(np.abs(self.eigenvalues).max())
         if abs(largest) <= MARGINAL * size or size == 0.0:
-            return "marginal"
+            return "unstable" if self.drifts else "marginal"
         return "unstable" if largest > 0.0 else "stable"
 
     @property
@@ -52,6 +67,8 @@ class ZeroDynamics:
         """How a small motion decays, goes on or grows, in words."""
         at, verdict = self.slowest, self.verdict
         frequency = abs(at)
+        if verdict == "unstable" and self.drifts:
+            return "drifts away in proportion to the time"
         if verdict == "unstable":
             return f"grows like exp({at.real:.3g} t), t in s"
         if at.imag == 0.0:
@@ -154,4 +171,4 @@ class Held:
         fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
         damping = jacobian(lambda rates: self.accelerations(rest, rates), still, fastest * lengths)
         matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
-        return ZeroDynamics(names, rest, np.linalg.eigvals(matrix).astype(np.complex128))
+        return ZeroDynamics(names, rest, matrix)

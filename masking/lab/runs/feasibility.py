@@ -374,10 +374,15 @@ def _digits(value: float) -> str:
 def _problem(experiment: Experiment, error: MaskingError) -> Problem:
     """Fault of an experiment whose ideal motion cannot be followed, and its place."""
     declaration = experiment.declaration
-    if isinstance(error, SingularityError) or _can_follow_virtual(experiment):
+    if isinstance(error, SingularityError):
         path = "transform"
         message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
         remedy = INVERTIBLE
+    elif _can_follow_virtual(experiment):
+        path, passive = "transform", experiment.passive
+        words = f" ({passive.words})" if passive else ""
+        message = f"the rig cannot be held on the way, although the virtual motion goes on{words}: {error}"
+        remedy = "map the virtual coordinates to others of the rig, so that those that are passive return to rest"
     else:
         path = "initial"
         message = f"the virtual motion cannot be followed to its end: {error}"

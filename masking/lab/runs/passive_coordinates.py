@@ -44,6 +44,14 @@ class Passive:
         law = self.law
         return Held(self.plant, law.transform, law.transform_parameters, law.lengths, self.eta).zero_dynamics()
 
+    @property
+    def words(self) -> str:
+        """How they move with the virtual coordinates held, or why that is not known."""
+        try:
+            return str(self.zero_dynamics)
+        except ModelError as error:
+            return str(error)
+
     def initial(self) -> Array:
         """Their values, then their velocities, at the start (2 m,), SI units: as given, else at rest."""
         declared = self.plant.declaration.coordinates

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from masking.app.workflows.show import show
 from masking.control.zero_dynamics import ZeroDynamics
@@ -96,9 +97,51 @@ def test_an_unstable_pendulum_is_told(tmp_path):
 
 
 def test_real_eigenvalues_in_words():
-    found = ZeroDynamics(("z",), np.zeros(1), np.array([-2.0 + 0j, -0.5 + 0j]))
+    found = ZeroDynamics(("z",), np.zeros(1), np.diag([-2.0, -0.5]))
     assert str(found) == "z passive, zero dynamics stable: decays in 2 s"
-    assert "neither returns nor grows" in ZeroDynamics(("z",), np.zeros(1), np.zeros(2, complex)).how
+    assert "neither returns nor grows" in ZeroDynamics(("z",), np.zeros(1), np.zeros((2, 2))).how
+
+
+@pytest.mark.parametrize("turn", [np.zeros((2, 2)), np.array([[0.0, 3.0], [-3.0, 0.0]])])
+def test_jordan_blocks_decide_whether_a_marginal_motion_grows(turn):
+    """Two equal pairs side by side stay bounded; with one that drives the other, exp(A t) grows like t."""
+    beside, driven = np.kron(np.eye(2), turn), np.kron(np.eye(2), turn) + np.kron(np.eye(2, k=1), np.eye(2))
+    for matrix, verdict in ((beside, "marginal"), (driven, "unstable")):
+        found = ZeroDynamics(("y", "z"), np.zeros(2), matrix)
+        late, later = (np.linalg.norm(expm(matrix * t), 2) for t in (100.0, 200.0))
+        assert found.verdict == verdict
+        assert bool(later > 1.9 * late) == found.drifts == (verdict == "unstable")
+    assert found.how == "drifts away in proportion to the time"
+
+
+def two_carts(tmp_path, force, duration):
+    """Experiment on two carts, of which the second is passive under a force."""
+    (tmp_path / "carts.yaml").write_text(
+        "name: carts\ncoordinates: {x: {unit: m, initial: 0}, z: {unit: m, initial: 0}}\ninputs: {F: {unit: N}}\n"
+        "parameters: {m: {value: 1, unit: kg}, k: {value: 4, unit: N/m}}\n"
+        f"equations: {{m*x'': F, m*z'': {force}}}\n"
+    )
+    (tmp_path / "rig.yaml").write_text(
+        "name: rig\nmodel: carts.yaml\nsensors: {sx: {measures: x, unit: m}, sz: {measures: z, unit: m}}\n"
+        "limits: {inputs: {F: {max: 100, unit: N}}}\n"
+    )
+    (tmp_path / "one.yaml").write_text("name: one\ncoordinates: {x: {initial: 0.1}}\nequations: {x'': -x}\n")
+    (tmp_path / "e.yaml").write_text(
+        f"name: e\nplant: rig.yaml\nvirtual: one.yaml\ncontroller: {{rate: continuous}}\nduration: {duration}\n"
+    )
+    return Experiment.load(tmp_path / "e.yaml")
+
+
+def test_a_free_cart_drifts(tmp_path):
+    """No spring holds the passive cart: nothing brings it back."""
+    found = two_carts(tmp_path, "0*k*z", 10).passive.zero_dynamics
+    assert str(found) == "z passive, zero dynamics unstable: drifts away in proportion to the time"
+
+
+def test_a_passive_cart_that_runs_away_is_named_as_the_cause(tmp_path):
+    """z'' = 4 z: a growth by exp(2 t), which leaves the numbers by t = 355 whatever the decoupling matrix is."""
+    with pytest.raises(DeclarationError, match=r"cannot be held .*grows like exp\(2 t\).* passive return to rest"):
+        feasibility(two_carts(tmp_path, "k*(z - x)", 1000))
 
 
 def test_sampled_on_the_imperfect_rig():
