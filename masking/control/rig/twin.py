@@ -23,7 +23,7 @@ from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import equilibrium
 from masking.control.rig.allocation import allocation
-from masking.errors import DeclarationError, Problem, RootError, nearest
+from masking.errors import DeclarationError, Problem, RecordError, RootError, nearest
 from masking.model.declaration import couplings, registry, schema, units
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Attachment, Effect, attach_all, dictionary, expressions
@@ -39,6 +39,7 @@ else:
     sp = lazy.load("sympy")
 
 
+MOST_STEPS = 10_000  # per sample: thirty turns of an undamped motion, of which no record tells
 FEWEST_STEPS = 2  # per sample: the linearisation at rest sees neither contact nor friction
 
 
@@ -341,6 +342,16 @@ class Twin:
         state, derivative = self.rest(np.zeros(len(lengths))), self.kernels.twin_derivative
         sizes = np.resize(lengths, len(state)) if len(lengths) else np.ones(len(state))
         return max(FEWEST_STEPS, steps_between(lambda y, out: derivative(0.0, y, u, p, out), state, sizes, rate))
+
+    def resolving(self, rate: float) -> int:
+        """Integration steps between samples of a record, as `substeps`; a RecordError where they are too far apart."""
+        steps = self.substeps(rate)
+        if steps > MOST_STEPS:
+            raise RecordError(
+                f"samples are {1.0 / rate:.4g} s apart: between two, the motion of {self.declaration.name} takes {steps} "
+                f"integration steps; if the clock is not in seconds, give its unit: --map t=time:ms, or us, ns"
+            )
+        return steps
 
     def size(self, unit: str) -> float:
         """Size in SI units of a unit that the plant file uses."""

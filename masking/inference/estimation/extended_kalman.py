@@ -276,7 +276,7 @@ class _Run:
         )
         theta = np.clip(theta, low, high)
         acting, readings = np.ascontiguousarray(record.acting), np.ascontiguousarray(record.readings)
-        substeps, is_linear = sensing.twin.substeps(record.rate), is_first_order(record.hold)
+        substeps, is_linear = sensing.twin.resolving(record.rate), is_first_order(record.hold)
         derivatives = np.zeros((COLUMN_ROWS * sensing.states, whole_lanes(len(theta) + sensing.states)))
         p, basis = self._basis(theta)
         affected, at = np.array(sensing.affected or (0,), dtype=np.int64), 0

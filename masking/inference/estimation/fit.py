@@ -233,7 +233,7 @@ class _Problem:
                 f"{self.k} parameters, and {len(self.free)} of the initial state of each record or interval; give "
                 "longer records, or fewer parameters"
             )
-        self.substeps = [sensitivity.twin.substeps(piece.rate) for piece in pieces]
+        self.substeps = [sensitivity.twin.resolving(piece.rate) for piece in pieces]
         self.starts = [first_start(sensitivity, piece) for piece in pieces]
         noise = np.array([piece.noise for piece in pieces])
         declared = np.array([sensitivity.twin.noise().get(name, 0.0) for name in sensitivity.twin.sensors])

@@ -112,7 +112,7 @@ def simulate(
     beginning = record if initial is None else record.first(initial)
     if np.isfinite(beginning.counted()).sum() < len(twin.free):  # the first commands have acted before, too
         beginning = replace(beginning, commands=beginning.acting, late=NOT_LATE)
-    theta, basis, least = sensing.start(), sensing.basis(sensing.start()), twin.substeps(record.rate)
+    theta, basis, least = sensing.start(), sensing.basis(sensing.start()), twin.resolving(record.rate)
 
     @cache
     def reproduced(number: int) -> tuple[Array, NormalEquations]:
@@ -242,7 +242,7 @@ def _nearest(
     free = np.array(sorted({*twin.free, *sized}), dtype=int)
     reach = np.array([sized.get(i, np.inf) for i in free])
     first, basis = start.copy(), sensing.basis(theta)
-    substeps, at = steps or twin.substeps(record.rate), len(theta) + free
+    substeps, at = steps or twin.resolving(record.rate), len(theta) + free
 
     def linearised(x: Array) -> Linearised[NormalEquations]:
         first[free] = x

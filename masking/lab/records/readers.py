@@ -37,6 +37,8 @@ else:
 Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+_UNIT = re.compile(r"(.*\S)?\s*[\[(]\s*(" + "|".join(SECONDS) + r")\s*[\])]\s*")  # in a column's name: time [ms]
 _LARGEST_JSON = 2**27  # bytes; in memory they are some ten times as many
 _TEXT = {".csv", ".txt", ".tsv", ".dat"}
 _KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
@@ -53,7 +55,8 @@ def read(
         names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
             groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`, and
             `run/*/1` joins all that it fits, in the order of the file. For a text without a line of names: the names
-            of all its columns, in order.
+            of all its columns, in order. The clock may be given with its unit, `{"t": "time:ms"}`; one that stands in a
+            column's name, `time [ms]`, is read there.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
             are not finite, or of another length than these, are left out.
@@ -75,8 +78,10 @@ def read(
     heading = tuple(names) if names and not isinstance(names, Mapping) else ()
     is_timed = dt is None and not (isinstance(names, Mapping) and CLOCK in names)
     columns, text = _columns(file, heading, part if is_timed else None)
-    names = names if isinstance(names, Mapping) else {}
+    names, second = _timed(file, columns, names if isinstance(names, Mapping) else {})
     columns = _renamed(file, columns, names)
+    if second != 1.0 and CLOCK in columns:
+        columns[CLOCK] = columns[CLOCK] * second
     if dt is not None:
         columns.pop(CLOCK, None)
     wanted = {CLOCK, *needed, *names, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
@@ -187,6 +192,20 @@ def _nested(file: Path, held: object) -> dict[str, Column]:
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found
+
+
+def _timed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> tuple[dict[str, str], float]:
+    """Names of columns by those that they get, with that of the clock, and the seconds in a unit of it."""
+    inferred = next((n for n in columns if (found := _UNIT.fullmatch(n)) and found[1] == CLOCK), CLOCK)
+    name = names.get(CLOCK, CLOCK if CLOCK in columns else inferred)
+    column, colon, unit = name.rpartition(":")
+    if name in columns or not colon:
+        in_name = _UNIT.fullmatch(name)
+        column, unit = name, in_name[2] if in_name else "s"
+    elif unit not in SECONDS:
+        raise RecordError(f"{file}: the clock is given in '{unit}'; give one of {', '.join(SECONDS)}: t={column}:ms")
+    is_renamed = CLOCK in names or (column != CLOCK and column in columns)
+    return {**names, **({CLOCK: column} if is_renamed else {})}, SECONDS[unit]
 
 
 def _renamed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> dict[str, Column]:

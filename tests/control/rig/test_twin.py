@@ -9,7 +9,7 @@ from scipy import linalg
 from scipy.integrate import solve_ivp
 
 from masking.control.rig.twin import Twin
-from masking.errors import DeclarationError
+from masking.errors import DeclarationError, RecordError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import run_twin
 from masking.model.declaration import registry, schema
@@ -455,3 +455,11 @@ def test_a_change_of_a_parameter_that_is_not_there_is_refused(tmp_path):
         error.value
     )
     assert "effects.nois: bench rig has no effect 'nois'; did you mean 'noise'?" in str(error.value)
+
+
+def test_samples_between_which_no_motion_is_seen_are_refused():
+    """A clock in microseconds that is taken for one in seconds."""
+    twin = Twin.load("linear_rig")
+    assert twin.resolving(1000.0) == twin.substeps(1000.0)
+    with pytest.raises(RecordError, match=r"1000 s apart: .* --map t=time:ms"):
+        twin.resolving(1e-3)

@@ -461,3 +461,30 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     assert made.origin.records == {"record": (f"{path}@:6", digest), "validation": (f"{path}@6:", digest)}
     with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
         discovery_inputs.read(mass, f"{path}@:2", DiscoverySettings(columns=names))
+
+
+@pytest.mark.parametrize(
+    ("unit", "second"), [("ms", 1e3), ("us", 1e6), ("µs", 1e6), ("ns", 1e9), ("min", 1.0 / 60.0), ("h", 1.0 / 3600.0)]
+)
+def test_the_unit_of_a_clock_stands_in_the_map_or_in_its_name(unit, second, tmp_path):
+    def written(heading):
+        rows = [f"{t * second!r},{x!r}" for t, x in zip(T.tolist(), np.sin(T).tolist(), strict=True)]
+        (tmp_path / "r.csv").write_text("\n".join([f"{heading},x", *rows]) + "\n", encoding="utf-8")
+        return tmp_path / "r.csv"
+
+    read = [
+        readers.read(written("time"), {"t": f"time:{unit}"}),
+        readers.read(written("t"), {"t": f"t:{unit}"}),
+        readers.read(written(f"t [{unit}]")),
+        readers.read(written(f"time ({unit})"), {"t": f"time ({unit})"}),
+        readers.read(f"{written(f't [{unit}]')}@2.005:5.005"),
+    ]
+    for found in read[:4]:
+        assert found.t == pytest.approx(T, abs=1e-12)
+    assert read[4].t == pytest.approx(T[201:501], abs=1e-12)
+
+
+def test_a_unit_of_a_clock_that_is_none_is_refused_and_a_colon_in_a_name_is_none(tmp_path):
+    (tmp_path / "r.csv").write_text("a:ms,x\n" + "\n".join(f"{t!r},0.5" for t in T.tolist()) + "\n")
+    assert "the clock is given in 'mm'; give one of s, ms" in refusal(tmp_path / "r.csv", {"t": "a:mm"})
+    assert readers.read(tmp_path / "r.csv", {"t": "a:ms"}).t == pytest.approx(T)
