@@ -93,7 +93,7 @@ class TimeSwitches:
         nothing switches.
 
         Raises:
-            IntegrationError: there are more switches than can be told apart.
+            IntegrationError: there are too many switches.
         """
         given = tuple(float({"u": u, "p": p}[array][index]) for array, index in self.reads.values())
         found = _instants(self, begin, end, given)

@@ -348,8 +348,8 @@ class Twin:
         steps = self.substeps(rate)
         if steps > MOST_STEPS:
             raise RecordError(
-                f"samples are {1.0 / rate:.4g} s apart: between two, the motion of {self.declaration.name} takes {steps} "
-                f"integration steps; if the clock is not in seconds, give its unit: --map t=time:ms, or us, ns"
+                f"samples are {1.0 / rate:.4g} s apart: between two, the motion of {self.declaration.name} takes "
+                f"{steps} integration steps; if the clock is not in seconds, give its unit: --map t=time:ms, or us, ns"
             )
         return steps
 
