@@ -36,6 +36,7 @@ SINGULAR_PART = 1e-9
 # Where the health vanishes like the root of the time left, steps vanish before it has fallen that far.
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
+SHORT_STEP = 1e-6  # part of the time; errors of longer ones are larger than those of rounding
 ROUNDED = 1e-15  # part of a time, or of the largest state so far, that rounding on the way may make
 
 
@@ -232,9 +233,11 @@ def embedded_steps(
             steps += 1
             if fixed_step <= 0.0:
                 error = local_error(y, new, k, abs(length), tolerance, 0.0, 0.0)
-                if error > 1.0:  # no step makes the error smaller than rounding is, of the time where rates change
+                if error > 1.0 and abs(length) <= SHORT_STEP * (abs(t) + remaining):
+                    # No step makes the error smaller than rounding is, of the time where rates change.
                     of_time = ROUNDED * (abs(t) + abs(length))
-                    error = local_error(y, new, k, abs(length), tolerance, of_time, ROUNDED * widest)
+                    rounded = local_error(y, new, k, abs(length), tolerance, of_time, ROUNDED * widest)
+                    error = 1.0 if rounded <= 1.0 else error
                 if not error <= 1.0:  # also where it is not a number
                     if not math.isfinite(error) and abs(length) <= 1e-10 * (abs(t) + remaining):
                         return (SINGULAR if met == SINGULAR else NOT_FINITE), t, steps
