@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import chattering, module_store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.control.actuation import check_actuation
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
@@ -198,15 +197,11 @@ def module(loop: ClosedLoop) -> Module:
     health = graph.mul(law.health, driven.health)
     happening, moved = controller.virtual.equations.events, size - len(law.remembered) - 2 * len(law.eta)
     targets = tuple((event, state + moved) for event, state in happening.targets)
-    switching = TimeSwitches.of(graph, [*derivatives, *law.lagged, *law.conditions], rig.t, joined)
-    jumping = chattering.switches(graph, derivatives)
     meta = {
         "kind": "closed loop",
         "coordinates": list(loop.plant.coordinates),
         "states": list(loop.internal),
         "lags": len(law.lagged),
-        "time_switches": switching.to_meta(),
-        "switches": [text for _, text in jumping],
         "events": list(happening.names),
         "targets": list(targets),
         "inputs": list(loop.plant.inputs),
@@ -229,9 +224,7 @@ def module(loop: ClosedLoop) -> Module:
     by_plant = [*rig.v, *plant.accelerations, *plant.rates, *law.remembered]
     add("plant_derivative(t: float, y, u, p, dy)", "dy", by_plant, plant.health)
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)
-    if jumping:
-        add("switching(t: float, y, u, p, w)", "w", [node for node, _ in jumping])
-    added = Added(law.lagged, law.delays, law.conditions, targets)
+    added = Added(rig.t, derivatives, law.lagged, law.delays, law.conditions, targets)
     add_runge_kutta(made, graph, added, joined, (size, len(loop.plant.inputs)))
     made.add_factory("run_sampled", runge_kutta.sampled, "step", "plant_derivative", size, n, work=(5, size))
     made.add_factory("along", sampled_loop.along, "transform", "step", n)

@@ -174,12 +174,12 @@ class Kernels:
         def filled(function: NativeFunction, size: int) -> Callable[[float, Array], Array]:
             def call(at: float, state: Array) -> Array:
                 out = np.empty(size)
-                function(at, np.append(state, np.zeros(self.meta.get("lags", 0))), inputs, parameters, out)
+                function(at, state, inputs, parameters, out)
                 return out
 
             return call
 
-        if texts and span > 0.0:
+        if texts and span > 0.0 and not self.meta.get("lags"):  # the past is known in the integrator alone
             values, slope = filled(self.switching, len(texts)), filled(self.derivative, len(y))
             number = chattering.sliding(values, slope, t, y, span)
             if number >= 0:
@@ -190,22 +190,22 @@ class Kernels:
                 )
 
     @cached_property
-    def _switching(self) -> TimeSwitches | None:
+    def _time_switches(self) -> TimeSwitches | None:
         meta = self.meta.get("time_switches")
         return None if meta is None else TimeSwitches.from_meta(meta)
 
     def instants(self, begin: float, end: float, inputs: Array, parameters: Array) -> Array:
         """Last time before and first time behind each instant (b, 2) at which the dynamics switch with time."""
-        if self._switching is None:
+        if self._time_switches is None:
             return NO_INSTANTS
         delays = np.empty(self.meta.get("lags", 0))
         if len(delays):
             self.delays(parameters, delays)
-        return self._switching.instants(begin, end, inputs, parameters, delays)
+        return self._time_switches.instants(begin, end, inputs, parameters, delays)
 
     def may_switch(self, times: Array, inputs: Array, parameters: Array) -> bool:
         """Whether dynamics may switch with time between times (m,), with parameters (runs, k) of any run."""
-        switching = self._switching
+        switching = self._time_switches
         return switching is not None and bool(switching.may_be(*_span(times), inputs, parameters).any())
 
     def integrate_each(

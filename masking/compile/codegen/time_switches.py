@@ -24,7 +24,8 @@ from masking.compile.codegen.printers import arguments, needed
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
 
-IN_PIECES = [name for name in NOT_ANALYTIC if name != "atan2"]
+SWITCHING = [name for name in NOT_ANALYTIC if name != "where"]  # where a condition does, which is a node of its own
+IN_PIECES = [name for name in NOT_ANALYTIC if name != "atan2"]  # polynomials of polynomials, between switches
 TIME: Node = 0  # in the graph of `TimeSwitches`
 CONSTANT = ("u[", "p[")  # beginnings of the texts that read inputs and parameters
 MOST_PARTS = 400_000  # of a span in which something may switch
@@ -45,8 +46,8 @@ class TimeSwitches:
     """Expressions of the time alone in some dynamics.
 
     `graph` has them, with the time as its first node; `switches` change their sign where an operation switches,
-    `pulses` are what the rest of the dynamics sees. `reads` has for each further symbol its array, "u" or "p", and its
-    index there.
+    `pulses` are terms that may rise and fall between two looks. `reads` has for each further symbol its array, "u" or
+    "p", and its index there.
     """
 
     graph: Graph
@@ -57,18 +58,15 @@ class TimeSwitches:
     @classmethod
     def of(cls, graph: Graph, nodes: Sequence[Node], time: Node, loads: Mapping[str, str]) -> TimeSwitches:
         """Of the dynamics that nodes are; `loads` says how the text of each symbol that is constant is read."""
-        kept = _Kept(graph, time, loads)
-        order = needed(graph, nodes)
+        kept, order = _Kept(graph, time, loads), needed(graph, nodes)
         timed = [node for node in order if kept.is_timed(node)]
-        switches = list[Node]()
-        for node in timed:  # in computable order, so that nothing is copied deeply
-            kept.copied(node)
-            name, inner = str(graph.operations[node][0]), arguments(graph, node)
-            if name in NOT_ANALYTIC and name != "where":
-                switches += kept.switch(name, inner)
+        switching = [node for node in timed if graph.operations[node][0] in SWITCHING]
         seen = {a for n in order if not kept.is_timed(n) for a in arguments(graph, n)} | {*nodes}
-        pulses = [kept.copied(node) for node in timed if node in seen and not kept.is_polynomial(node)]
-        return cls(kept.graph, tuple(switches), tuple(pulses), kept.reads)
+        hiding = kept.hiding(node for node in timed if node in seen)
+        for node in needed(graph, [*hiding, *(a for n in switching for a in arguments(graph, n))]):
+            kept.copied(node)  # in computable order, so that nothing is copied deeply
+        switches = [one for node in switching for one in kept.switch(node)]
+        return cls(kept.graph, tuple(switches), tuple(map(kept.copied, hiding)), kept.reads)
 
     def to_meta(self) -> dict[str, Any] | None:
         """What `from_meta` takes, for json; None where there is neither a switch nor a pulse."""
@@ -176,8 +174,21 @@ class _Kept:
     def is_timed(self, node: Node) -> bool:
         return self.degree(node) > 0.0
 
-    def is_polynomial(self, node: Node) -> bool:
-        return bool(np.isfinite(self.degree(node)))
+    def hiding(self, nodes: Iterable[Node]) -> list[Node]:
+        """Terms of nodes in which a pulse may be: neither polynomials between switches, nor harmonic."""
+        found, stack = set[Node](), list(nodes)
+        while stack:
+            node = stack.pop()
+            name, inner = str(self.source.operations[node][0]), arguments(self.source, node)
+            degrees = [self.degree(a) for a in inner]
+            if not self.is_timed(node) or np.isfinite(self.degree(node)):
+                continue
+            is_scaled = (name == "mul" and 0.0 in degrees) or (name == "div" and degrees[1] == 0.0)
+            if name in {"add", "sub", "neg"} or is_scaled:
+                stack += inner
+            elif name not in {"sin", "cos"} or degrees[0] > 1.0:
+                found.add(node)
+        return sorted(found)
 
     def copied(self, node: Node) -> Node:
         if node not in self.copies:
@@ -193,10 +204,10 @@ class _Kept:
             self.copies[node] = found
         return self.copies[node]
 
-    def switch(self, name: str, inner: Sequence[Node]) -> list[Node]:
-        """Nodes that change sign where an operation on nodes switches."""
-        first, *rest = (self.copied(a) for a in inner)
-        match name:
+    def switch(self, node: Node) -> list[Node]:
+        """Nodes that change sign where an operation switches."""
+        first, *rest = map(self.copied, arguments(self.source, node))
+        match self.source.operations[node][0]:
             case "min" | "max" | "lt" | "le":
                 return [self.graph.sub(first, rest[0])]
             case "floor":

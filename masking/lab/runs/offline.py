@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Protocol, TypeVar
@@ -161,7 +160,7 @@ def sampled_chunks(
         if schedule is not None:
             schedule.set(begin / rate * (1.0 + 1e-12), p)
         status, done, first = loop.kernels.run_sampled(
-            Samples(begin, count, 1.0 / rate, steps[begin], every),
+            Samples(begin, count, 1.0 / rate, steps.get(begin, substeps), every),
             y, u, p, first, States(out_y[row:], out_u[row:]),
         )  # fmt: skip
         check_status(loop.kernels, status, (begin + done) / rate, y, remedy)
@@ -172,11 +171,11 @@ def sampled_chunks(
             yield Run(found.times, found.rig, found.virtual, out_u)
 
 
-def _steps_at_switches(instants: Array, rate: float, substeps: int) -> defaultdict[int, int]:
-    """Integration steps of each sample, more where a plant switches with time: one of them goes over the switch."""
+def _steps_at_switches(instants: Array, rate: float, substeps: int) -> dict[int, int]:
+    """Integration steps of the samples in which a plant switches with time: one of them goes over the switch."""
     samples = np.unique(np.floor(instants * rate).astype(int)).tolist()
     fine = max(substeps, min(STEPS_AT_A_SWITCH, MOST_AT_SWITCHES // max(1, len(samples))))
-    return defaultdict(lambda: substeps, dict.fromkeys(samples, fine))
+    return dict.fromkeys(samples, fine)
 
 
 def _around(samples: Iterable[int]) -> set[int]:
@@ -241,7 +240,7 @@ def twin_chunks(
         more = generator.standard_normal((count - len(noise), len(twin.sensors)))
         noise = np.concatenate([noise, more]) if len(noise) else more
         row = max(0, -(-(begin % span) // every)) if begin > 0 else 0
-        piece = Samples(begin, count, 1.0 / rate, steps[begin], every)
+        piece = Samples(begin, count, 1.0 / rate, steps.get(begin, substeps), every)
         kept = Recorded(*(table[row:] for table in out))
         status, done, first = kernels.run(piece, rig, unit, noise, first, kept)
         check_status(kernels, status, (begin + done) / rate, y, remedy)

@@ -130,8 +130,6 @@ def module(equations: Equations) -> Module:
         and degree(graph, derivatives) < order
     )
     joined = lowered.joined()
-    switching = TimeSwitches.of(graph, [*derivatives, *lowered.lagged, *lowered.conditions], time, joined)
-    jumping = chattering.switches(graph, derivatives)
     energy = equations.energy
     outputs = {name: equations.output(name) for name in equations.declaration.outputs}
     meta = {
@@ -144,8 +142,6 @@ def module(equations: Equations) -> Module:
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,
-        "time_switches": switching.to_meta(),
-        "switches": [text for _, text in jumping],
         "events": list(equations.events.names),
         "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
@@ -156,9 +152,6 @@ def module(equations: Equations) -> Module:
     module.add("accelerations(t: float, q, v, u, p, out)", graph, results, split, returns=lowered.health)
     slopes = [(f"dy[{i}]", d) for i, d in enumerate(derivatives)]
     module.add("derivative(t: float, y, u, p, dy)", graph, slopes, joined, returns=lowered.health)
-    if jumping:
-        results = [(f"w[{i}]", node) for i, (node, _) in enumerate(jumping)]
-        module.add("switching(t: float, y, u, p, w)", graph, results, joined)
     lowered_outputs = [(f"out[{i}]", lowered.lower(e)) for i, e in enumerate(outputs.values())]
     module.add("outputs(t: float, q, v, u, p, out)", graph, lowered_outputs, split)
     if energy is not None:
@@ -170,15 +163,17 @@ def module(equations: Equations) -> Module:
         counts = (order, size, inputs, len(s.p), LANES)
         linked = ("lane_coefficients", "lane_terms", "lane_states")
         module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))
-    added = Added(lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
+    added = Added(time, derivatives, lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module
 
 
 @dataclass(frozen=True)
 class Added:
-    """What stands beside the derivatives: nodes of delays and of events."""
+    """Nodes of the time and of derivatives, and what stands beside these: nodes of delays and of events."""
 
+    time: Node
+    derivatives: Sequence[Node]
     lagged: Sequence[Node]  # what the delayed expressions are now
     delays: Sequence[Node]  # by how long they are delayed
     conditions: Sequence[Node]  # conditions of events, and values that jump
@@ -193,7 +188,7 @@ class Added:
 def add_runge_kutta(
     module: Module, graph: Graph, added: Added, loads: Mapping[str, str], sizes: tuple[int, int]
 ) -> None:
-    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for delays and events, if there are any.
+    """Add `solve_runge_kutta` to a module with `derivative`, and what it needs for switches, delays and events.
 
     `loads` says how symbols are read from the state vector; `sizes` are the numbers of integrated states and of inputs.
     """
@@ -202,6 +197,14 @@ def add_runge_kutta(
     def add(signature: str, nodes: Sequence[Node]) -> None:
         module.add(signature, graph, [(f"w[{i}]", node) for i, node in enumerate(nodes)], loads)
 
+    every, jumping = (
+        [*added.derivatives, *added.lagged, *added.conditions],
+        chattering.switches(graph, added.derivatives),
+    )
+    module.meta["time_switches"] = TimeSwitches.of(graph, every, added.time, loads).to_meta()
+    module.meta["switches"] = [text for _, text in jumping]
+    if jumping:
+        add("switching(t: float, y, u, p, w)", [node for node, _ in jumping])
     if added.conditions:
         add("conditions(t: float, y, p, w)", added.conditions)
         module.add_factory("jump", events.jumps, "conditions", added.events, added.targets, events.AT_ONCE)

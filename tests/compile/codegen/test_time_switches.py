@@ -151,6 +151,7 @@ def test_a_harmonic_drive_is_integrated_in_one_span(tmp_path):
     path.write_text("name: driven\nstates: {z: {initial: 0}}\nparameters: {a: 2, w: 3}\nequations: {z': a*cos(w*t)}\n")
     model = load_model(path)
     u, p = np.zeros(0), model.values()
+    assert model.kernels.meta["time_switches"] is None
     assert not len(model.kernels.instants(0.0, 1e4, u, p))
     assert not model.kernels.may_switch(TIMES, u, p * np.linspace(0.5, 2.0, 7)[:, None])
     assert model.simulate(TIMES)["z"] == pytest.approx(2.0 / 3.0 * np.sin(3.0 * TIMES), abs=1e-8)
