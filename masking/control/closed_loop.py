@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,11 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.actuation import check_actuation
-from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols, check_same_rig
+from masking.control.blocks import Transform
+from masking.control.coordinate_match import CoordinateMatch
+from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.errors import ModelError
+from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.lowering import Added, LoweredEquations, add_runge_kutta
 from masking.model.modelling.model import Model
 
@@ -64,15 +67,16 @@ class ClosedLoop:
 
     Args:
         controller: the control law.
-        plant: what the rig really is, in SI units; its coordinates and inputs are those of the controller's model.
+        plant: what the rig really is, in SI units; its inputs are those of the controller's model.
+        sensors: of the plant, after which coordinates of the controller's model may be named.
     """
 
     controller: Controller
     plant: Model
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        assumed = self.controller.model
-        check_same_rig(assumed, self.plant)
+        assumed, _ = self.controller.model, self.match
         unknown = [name for name in assumed.declaration.states if name not in self.plant.declaration.states]
         if unknown:
             raise ModelError(
@@ -80,6 +84,21 @@ class ClosedLoop:
                 f"{self.plant.name} does not have: a controller that knows the true state needs them there; let it "
                 "estimate them with an observer, or take another controller.model"
             )
+
+    @cached_property
+    def match(self) -> CoordinateMatch:
+        """Coordinates of the controller's model among the plant's."""
+        return CoordinateMatch(self.controller, self.plant, self.sensors)
+
+    @property
+    def mapping(self) -> Transform:
+        """Virtual coordinates by those of the plant, each measured in `lengths`."""
+        return self.match.mapping
+
+    @property
+    def lengths(self) -> Array:
+        """Size in SI units of one unit of each coordinate of the plant as `mapping` sees it (n,)."""
+        return self.match.lengths
 
     @property
     def internal(self) -> tuple[str, ...]:
@@ -106,7 +125,8 @@ class ClosedLoop:
 
     @property
     def _key(self) -> str:
-        return module_store.key({"controller": self.controller.structure(), "plant": self.plant.structure()})
+        both = {"controller": self.controller.structure(), "plant": self.plant.structure()}
+        return module_store.key({**both, **self.match.structure()})
 
     def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
         """Results of the blocks at one state of the rig.
@@ -180,7 +200,8 @@ def module(loop: ClosedLoop) -> Module:
         [internal[name] for name in controller.model.declaration.states],
         memory=[graph.symbol(f"z_{name}", varying=True) for name in controller.virtual.remembered],
     )
-    law = ControlLaw.of(controller, graph, rig)
+    seen = loop.match.view.lower(graph, rig.q, rig.v, [])
+    law = ControlLaw.of(controller, graph, replace(rig, q=seen.eta, v=seen.rate))
     known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
     fed = known | dict(zip(s.u, law.inputs, strict=True))
     driven = LoweredEquations.of(loop.plant.equations, graph, known=fed)

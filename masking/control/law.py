@@ -20,7 +20,6 @@ import numpy as np
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
-from masking.errors import ModelError
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
 
@@ -80,17 +79,6 @@ class Controller:
             "regulation": self.regulation and [self.regulation.energy is not None, self.regulation.phase],
             "energy_balance": self.energy_balance is not None,
         }
-
-
-def check_same_rig(assumed: Model, plant: Model) -> None:
-    """Refuse a controller's model whose coordinates and inputs are not those of the plant."""
-    for what in ("coordinates", "inputs"):
-        ours, theirs = getattr(assumed, what), getattr(plant, what)
-        if ours != theirs:
-            raise ModelError(
-                f"the controller's model {assumed.name} has the {what} {', '.join(ours)}, the plant {plant.name} has "
-                f"{', '.join(theirs)}; both must have the same, in the same order"
-            )
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,10 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
 from masking.control.actuation import check_actuation
-from masking.control.blocks import dot
+from masking.control.blocks import Transform, dot
+from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
-from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols, check_same_rig
+from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
 from masking.control.observer import Differences, Observer
 from masking.control.rig.twin import Twin
 from masking.control.virtual_inputs import NOTHING, Feed
@@ -60,6 +61,16 @@ class SampledController:
     rest: float = 0.0
     feed: Feed = NOTHING  # what the virtual system gets as inputs while it runs
     remembered: tuple[float, ...] = ()  # the virtual system's internal states at the release
+
+    @property
+    def mapping(self) -> Transform:
+        """Virtual coordinates by those of the controller's model, each measured in `lengths`."""
+        return self.controller.transform
+
+    @property
+    def lengths(self) -> Array:
+        """Size in SI units of one unit of each coordinate of the controller's model as `mapping` sees it (n,)."""
+        return self.controller.lengths
 
     @property
     def sizes(self) -> Sizes:
@@ -345,7 +356,12 @@ class SampledLoop:
     twin: Twin
 
     def __post_init__(self) -> None:
-        check_same_rig(self.sampled.controller.model, self.twin.model)
+        _ = self.match
+
+    @cached_property
+    def match(self) -> CoordinateMatch:
+        """Coordinates of the controller's model among the twin's."""
+        return CoordinateMatch(self.sampled.controller, self.twin.model, self.twin.declaration.sensors)
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -359,7 +375,8 @@ class SampledLoop:
 
     @property
     def _key(self) -> str:
-        return module_store.key({"sampled": self.sampled.structure(), "twin": self.twin.structure()})
+        both = {"sampled": self.sampled.structure(), "twin": self.twin.structure()}
+        return module_store.key({**both, **self.match.structure()})
 
     @property
     def width(self) -> int:
@@ -373,6 +390,8 @@ class SampledLoop:
         module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
         self.twin.add_to(module)
         self.sampled.add_to(module)
+        if not self.match.is_same:
+            self.match.add_to(module)
         size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
         module.add_factory("move_rig", runge_kutta.steps_under_way, "twin_derivative", size, exported=False)
         module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)

@@ -410,7 +410,7 @@ def test_a_model_with_other_coordinates_is_refused(tmp_path):
     (tmp_path / "other.yaml").write_text("{name: other, coordinates: {y: ''}, inputs: {f: ''}, equations: {y'': f}}")
     twin = experiment().twin
     other = replace(twin, base=registry.load_model(tmp_path / "other.yaml"), declaration=OTHER)
-    with pytest.raises(ModelError, match=r"has the coordinates x1, x2, x3, the plant other has y; both must have the"):
+    with pytest.raises(ModelError, match=r"has the inputs u1, u2, u3, the plant other has f; both must have the"):
         SampledLoop(experiment().sampled, other)
 
 

@@ -220,7 +220,7 @@ class _Bench:
         sampled = loop.sampled
         duration, seed = experiment.declaration.duration * experiment.time_scale, experiment.declaration.seed
         every = experiment.every * round(sampled.rate / self.rate)
-        return run_twin(loop, sampled.end, duration=duration, seed=seed, every=every, progress=progress)
+        return run_twin(loop, experiment.twin_start, duration=duration, seed=seed, every=every, progress=progress)
 
     def loop(self, without: frozenset[str]) -> SampledLoop:
         """Controller and twin without some causes; the compiled functions are those of the run as it is."""
@@ -252,18 +252,23 @@ class _Bench:
         settings, twin = self.experiment.declaration.controller, self.experiment.twin
         if settings.model is None and not settings.parameters:
             return frozenset()
-        model, n = self.experiment.law.model, len(twin.model.coordinates)
+        model, match, n = self.experiment.law.model, self.experiment.match, len(twin.model.coordinates)
+        k, kernels = len(model.coordinates), self.experiment.sampled_loop.kernels
+        seen = match.seen(kernels, run.states)
         rows = np.unique(np.linspace(0, len(run.times) - 1, _PROBES).astype(int))
         p, u, out = model.values(), np.zeros(len(model.inputs)), np.empty(run.estimates.shape[1])
         assumed = []
         for row in rows:
-            state = np.concatenate([run.states[row, : 2 * n], run.estimates[row, 2 * n :]])
+            state = np.concatenate([seen[row, : 2 * k], run.estimates[row, 2 * k :]])
             model.kernels.derivative(0.0, state, u, p, out)
-            assumed.append(out[n : 2 * n].copy())
+            assumed.append(out[k : 2 * k].copy())
 
         def error(effects: tuple[str, ...]) -> float:
             rig = _switched(twin, lambda name, enabled: enabled and name in effects)
-            return float(np.linalg.norm(_accelerations(rig, run.states[rows], n) - assumed))
+            states = run.states[rows]
+            return float(
+                np.linalg.norm(match.seen(kernels, states, _accelerations(rig, states, n))[:, 2 * k :] - assumed)
+            )
 
         bare = error(())
         kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}

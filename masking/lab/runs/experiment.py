@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.control import coordinate_match
 from masking.control.actuation import check_actuation
 from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
+from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
 from masking.control.law import Controller
 from masking.control.observer import Differences, Kalman, Observer
@@ -145,7 +147,12 @@ class Experiment:
     @cached_property
     def loop(self) -> ClosedLoop:
         """Controller and plant, compiled together, for a controller that knows the true state."""
-        return ClosedLoop(self.law, self.plant)
+        return ClosedLoop(self.law, self.plant, self.assembly.plant.sensors)
+
+    @cached_property
+    def match(self) -> CoordinateMatch:
+        """Coordinates of the controller's model among the plant's; a ModelError where one is not there."""
+        return CoordinateMatch(self.law, self.plant, self.assembly.plant.sensors)
 
     @property
     def has_observer(self) -> bool:
@@ -170,6 +177,8 @@ class Experiment:
         """Sensors, actuators and limits as the controller knows them."""
         assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
         plant, model, driven = self.assembly.plant, self.law.model, self.law.driven
+        if not self.match.is_same:
+            plant = coordinate_match.in_coordinates_of(model.declaration, plant, self.plant.coordinates)
         return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven)
 
     @cached_property
@@ -208,8 +217,8 @@ class Experiment:
         )
         state = self.rig_start(made)
         n = len(made.end)
-        if self.passive:
-            self.passive.check_still()
+        if self.assumed_passive:
+            self.assumed_passive.check_still()
         if np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
             raise ModelError(
                 "a controller that reads sensors begins with a rig at rest, but the initial state moves: give no "
@@ -263,19 +272,41 @@ class Experiment:
     @property
     def virtual_start(self) -> Array:
         """Initial state of the virtual system, in its units."""
-        given, free = self.declaration.initial, self.law.transform.passive
-        names = {self.plant.coordinates[i] for i in free} - set(self.virtual.coordinates)
+        given, names = self.declaration.initial, {*self.plant.coordinates, *self.law.model.coordinates}
+        names -= {*self.virtual.coordinates, *self.virtual.states}
         return self.virtual.initial_state({n: x for n, x in given.items() if n.rstrip("'") not in names})
 
     @cached_property
     def passive(self) -> Passive | None:
         """Rig coordinates that no virtual one stands for; None where there are none."""
-        eta = self.virtual_start[: len(self.virtual.coordinates)]
-        return Passive(self.law, self.plant, eta, self.declaration.initial) if self.law.transform.passive else None
+        return self._passive(self.plant, self.match.mapping, self.match.lengths)
+
+    @cached_property
+    def assumed_passive(self) -> Passive | None:
+        """Those of them that the controller's model has, as it has them."""
+        return (
+            self.passive if self.match.is_same else self._passive(self.law.model, self.law.transform, self.law.lengths)
+        )
+
+    def _passive(self, rig: Model, transform: Transform, lengths: Array) -> Passive | None:
+        eta, parameters = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
+        return (
+            Passive(rig, transform, parameters, lengths, eta, self.declaration.initial) if transform.passive else None
+        )
 
     def rig_start(self, loop: Mapped) -> Array:
-        """Coordinates and velocities of the rig (2 n,) at the start, by a loop's transform."""
-        return offline.rig_state(loop, self.virtual_start, passive=self.passive.initial() if self.passive else None)
+        """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
+        passive = self.passive if loop.mapping == self.match.mapping else self.assumed_passive
+        return offline.rig_state(loop, self.virtual_start, passive=passive.initial() if passive else None)
+
+    @cached_property
+    def twin_start(self) -> Array:
+        """Coordinates of the twin (n,) where the controller that reads its sensors brings it; its own at rest."""
+        end, n = self.sampled.end, len(self.plant.coordinates)
+        if self.match.is_same:
+            return end
+        own = Passive(self.plant, self.match.view, {}, np.ones(n), end, self.declaration.initial)
+        return own.held.placed(own.initial()[: len(own.names)] if own.names else np.empty(0)).at
 
     @property
     def stem(self) -> str:
@@ -302,7 +333,8 @@ class Experiment:
         problems = [*registry.check_units(self.assembly), *self._check_size(largest)]
         if problems:
             raise DeclarationError(problems)
-        _ = self.sampled_loop if self.has_observer else self.loop  # refuse a controller's model of another rig
+        self.match.check_units()
+        _ = self.instruments, self.loop if not self.has_observer else None
         check_actuation(self.law.model, self.law.transform)
         _ = self.passive.initial() if self.passive else self.virtual_start
         if self.has_observer:
@@ -369,8 +401,8 @@ class Experiment:
         declaration, rate = self.declaration, self.declaration.controller.rate
         duration, every = declaration.duration * self.time_scale, self.every
         if self.has_observer:
-            _, loop, end = self.sampled.gain, self.sampled_loop, self.sampled.end
-            chunks = partial(offline.twin_chunks, loop, end, duration=duration, seed=declaration.seed, every=every)
+            _, loop, start = self.sampled.gain, self.sampled_loop, self.twin_start
+            chunks = partial(offline.twin_chunks, loop, start, duration=duration, seed=declaration.seed, every=every)
             return partial(chunks, most=most)
         state = offline.loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
         schedule = self.inputs.of_rig(self.time_scale)
@@ -387,7 +419,7 @@ class Experiment:
         return self._virtual(run.times, run.estimates) if isinstance(run, TwinRun) else run.virtual
 
     def _virtual(self, times: Array, states: Array) -> Array:
-        """Virtual coordinates and velocities (m, 2 k) of the rig's states (m, .)."""
+        """Virtual coordinates and velocities (m, 2 k) of states of the controller's model (m, .)."""
         virtual = np.empty((len(times), 2 * len(self.virtual.coordinates)))
         self.sampled.kernels.transforms(times, np.ascontiguousarray(states), self.sampled.values(), virtual)
         return virtual
@@ -400,12 +432,14 @@ class Experiment:
         """
         live = live_inputs(self.sampled, run, self.inputs) if isinstance(run, TwinRun) else {}
         states, reached = self.ideal.along(run.times, live, reached or (0.0, self.virtual_start))
-        columns = Columns(self.assembly, self.plant, self.virtual)
+        is_estimated = isinstance(run, TwinRun) and run.states is run.estimates
+        columns = Columns(self.assembly, self.law.model if is_estimated else self.plant, self.virtual)
         inputs = self.inputs.columns(run.times / self.time_scale, live)
         if isinstance(run, Run):
             columns.add_motion(run.times, run.rig, run.virtual, states).add_inputs(inputs)
             return columns.add_actuators("input", run.inputs @ self.instruments.allocation_inverse.T), reached
-        virtual = self._virtual(run.times, run.states), run.estimates[:, self.sampled.sizes.memory]
+        seen = run.states if is_estimated else self.match.seen(self.sampled_loop.kernels, run.states)
+        virtual = self._virtual(run.times, seen), run.estimates[:, self.sampled.sizes.memory]
         columns.add_motion(run.times, run.states, np.hstack(virtual), states).add_inputs(inputs)
         columns.add_sensors(run.readings)
         columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
@@ -432,7 +466,7 @@ class Experiment:
 
     def summary(self) -> Summary:
         """Collector of the numbers of a run for its manifest."""
-        return Summary(self.virtual.coordinates, self.plant.coordinates, self.passive)
+        return Summary(self.virtual.coordinates, (self.passive, self.assumed_passive))
 
     def manifest(
         self, made: Columns, summary: Summary, timing: Mapping[str, float], *, is_stopped: bool

@@ -203,13 +203,29 @@ class Motion:
     @property
     def notes(self) -> tuple[str, ...]:
         """Which limits cannot be compared, and how what is passive moves."""
-        power, passive = self.experiment.assembly.plant.limits.power, self.experiment.passive
-        notes = () if passive is None else (str(passive.zero_dynamics),)
+        power, passive = self.experiment.assembly.plant.limits.power, self.experiment.assumed_passive
+        notes = (*(() if passive is None else (str(passive.zero_dynamics),)), *self._unknown())
         live = [name for name, source in self.experiment.declaration.inputs.items() if source.is_live]
         notes = (*notes, f"without {', '.join(live)}, which is known in a run only") if live else notes
         if power is None or power.heating is not None:
             return notes
         return (*notes, "mean power is unknown: the plant file has no limits.power.heating")
+
+    def _unknown(self) -> tuple[str, ...]:
+        """What of the plant the controller's model does not have."""
+        match, model = self.experiment.match, self.experiment.law.model.name
+        if match.is_same:
+            return ()
+        own = ", ".join(match.own)
+        words = f" ({self.experiment.passive.words})" if self.experiment.passive else ""
+        notes = [f"{own}: the plant's own, not in the controller's model {model}{words}"] if own else []
+        given = self.experiment.assembly.plant.sensors
+        seen = self.experiment.instruments.plant.sensors
+        unused = [n for n, s in seen.items() if s.measures.text == "0" != given[n].measures.text]
+        notes += [f"{', '.join(unused)}: not used, the controller's model {model} has nothing that it reads"] * any(
+            unused
+        )
+        return tuple(notes)
 
     def resolve(self) -> tuple[tuple[Use, ...], int, bool]:
         """Uses of the limits, the rows of the simulation that show them, and whether these were enough."""
@@ -229,8 +245,8 @@ class Motion:
         Raises a SingularityError or IntegrationError where it could not be followed, and a ModelError as `feasibility`
         does.
         """
-        experiment, plant = self.experiment, self.experiment.assembly.plant
-        instruments = experiment.instruments
+        experiment, instruments, model = self.experiment, self.experiment.instruments, self.experiment.law.model
+        plant = instruments.plant
         table = instruments.limits()
         times, states, inputs = self.simulate(rows, what, factor)
         commands = inputs @ instruments.allocation_inverse.T
@@ -248,9 +264,8 @@ class Motion:
                 size = sizes(power.unit)
                 mean = mean_power(table[i, HEATING] * commands[:, i] ** 2, times[1] - times[0], table[i, TIME])
                 found.append(Use(name, "power", float(mean.max()) / size, table[i, POWER] / size, power.unit))
-        n = len(experiment.plant.coordinates)
-        names = [*experiment.plant.coordinates, *(f"{c}'" for c in experiment.plant.coordinates)]
-        columns = experiment.plant.parameter_values() | dict(zip(names, states[:, : 2 * n].T, strict=True))
+        names = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
+        columns = model.parameter_values() | dict(zip(names, states[:, : len(names)].T, strict=True))
         for expression, limit in plant.limits.coordinates.items():
             peak = float(np.abs(evaluate(expression, columns)).max()) / sizes(limit.unit)
             found.append(Use(expression.text, "coordinate", peak, limit.max, limit.unit))
@@ -265,9 +280,9 @@ class Motion:
         time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
         experiment, loop = self.experiment, self.loop
         controller, n = loop.controller, len(loop.plant.coordinates)
-        beside = experiment.passive.initial() if experiment.passive else None
+        passive = experiment.assumed_passive
         start = amplitude * experiment.virtual_start
-        state = rig_state(loop, start, passive=beside) * stroke
+        state = rig_state(loop, start, passive=passive.initial() if passive else None) * stroke
         state[n:] /= time
         for i in controller.transform.passive:
             if controller.transform.jacobian[:, i].is_zero_matrix:  # what is beside the transform stays as it is
@@ -379,7 +394,7 @@ def _problem(experiment: Experiment, error: MaskingError) -> Problem:
         message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
         remedy = INVERTIBLE
     elif _can_follow_virtual(experiment):
-        path, passive = "transform", experiment.passive
+        path, passive = "transform", experiment.assumed_passive
         words = f" ({passive.words})" if passive else ""
         message = f"the rig cannot be held on the way, although the virtual motion goes on{words}: {error}"
         remedy = "map the virtual coordinates to others of the rig, so that those that are passive return to rest"

@@ -17,11 +17,12 @@ class Summary:
     """Numbers of a run that need all of its rows, but not all at once.
 
     `first` is the first row of the virtual coordinates, by name, `last` the last time in s, and `passive` what the
-    passive coordinates did, for the manifest; None where there are none.
+    passive coordinates did, for the manifest; None where there are none. They are the first of those given, of the
+    plant or of the controller's model, whose rig has its columns.
     """
 
-    def __init__(self, virtual: Sequence[str], rig: Sequence[str], passive: Passive | None) -> None:
-        self._errors, self._rig, self._passive = {name: ErrorSum() for name in virtual}, tuple(rig), passive
+    def __init__(self, virtual: Sequence[str], passive: Sequence[Passive | None]) -> None:
+        self._errors, self._passive = {name: ErrorSum() for name in virtual}, passive
         self.first, self.last = dict[str, float](), 0.0
         self.passive: dict[str, Any] | None = None
 
@@ -31,10 +32,13 @@ class Summary:
         self.last = float(columns["t"][-1])
         for name, errors in self._errors.items():
             errors.add(columns[f"virtual.{name}"], columns[f"ideal.{name}"])
-        if self._passive:
-            names = [f"rig.{name}{prime}" for prime in ("", "'") for name in self._rig]
-            entry = self._passive.entry(np.column_stack([columns[name] for name in names]))
+        for passive in filter(None, self._passive):
+            names = [f"rig.{name}{prime}" for prime in ("", "'") for name in passive.plant.coordinates]
+            if not columns.keys() >= {*names}:
+                continue
+            entry = passive.entry(np.column_stack([columns[name] for name in names]))
             self.passive = entry if self.passive is None else Passive.merged(self.passive, entry)
+            break
 
     @property
     def masking_error(self) -> dict[str, float]:

@@ -169,7 +169,7 @@ class _Builder:
             return motion, pushed
         inverse = np.linalg.pinv(self.sensing)
         motion[np.ix_(known, known)] = self.sensing @ dynamics[n:, :n] @ inverse
-        unexplained = (_PART if self.twin is None else _UNKNOWN) * pushed
+        unexplained = (_UNKNOWN if self._is_known else _PART) * pushed
         unexplained[known] += np.abs(self.sensing) @ self._unexplained(dynamics)
         for i in known:
             row, found = self.table[i], self.read[i]
@@ -180,10 +180,15 @@ class _Builder:
                 row[safety_tables.SPAN] = max(1, round(min(span, _LONGEST) * self.rate))
         return motion, pushed
 
+    @property
+    def _is_known(self) -> bool:
+        """Whether a twin shows what the rig has beyond the model."""
+        return self.twin is not None and self.twin.model.coordinates == self.model.coordinates
+
     def _unexplained(self, dynamics: Array) -> Array:
         """Accelerations (n,) of the twin that the linear model without damping does not have."""
         n, found = self.count, np.zeros(self.count)
-        if self.twin is None or list(self.twin.model.coordinates) != list(self.model.coordinates):
+        if self.twin is None or not self._is_known:
             return found
         rest, p, out = self.twin.unpowered(), self.twin.values(), np.empty(len(self.twin.state_names))
         commands = np.zeros(len(self.twin.actuators))

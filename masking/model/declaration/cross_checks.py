@@ -100,14 +100,14 @@ def check_experiment(
     assumed = controller_model or plant_model
     problems += _overrides(experiment, "controller.parameters", experiment.controller.parameters, assumed)
     problems += _jumps(experiment, virtual_model, controller_model)
-    problems += _initial(experiment, virtual_model, plant_model)
+    problems += _initial(experiment, virtual_model, plant_model, assumed)
     problems += [*_effects(experiment, plant), *_sampling(experiment)]
     if experiment.controller.energy_balance is not None and not (virtual_model.energy or virtual_model.lagrangian):
         message = f"the model {virtual_model.name} has no energy to balance"
         remedy = "declare its energy or a lagrangian, or leave energy_balance out"
         problems.append(problem_at(experiment, "controller.energy_balance", message, remedy, at_key=True))
     problems += [*_record(experiment), *_stop(experiment, virtual_model)]
-    problems += _transform(experiment, plant_model, virtual_model) if plant_model.coordinates else ()
+    problems += _transform(experiment, assumed, virtual_model, plant_model) if plant_model.coordinates else ()
     problems += _loop(experiment, plant, plant_model)
     if not virtual_model.coordinates:
         problems.append(problem_at(experiment, "virtual", f"the model {virtual_model.name} has no coordinates"))
@@ -292,8 +292,11 @@ def _regulation(experiment: ExperimentDeclaration) -> Iterator[Problem]:
             yield problem_at(experiment, f"controller.regulate.{name}", message, remedy, at_key=True)
 
 
-def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: ModelDeclaration) -> Iterator[Problem]:
-    free = driven_coordinates.passive(experiment.transform, [*rig.coordinates], [*model.coordinates])
+def _initial(
+    experiment: ExperimentDeclaration, model: ModelDeclaration, plant: ModelDeclaration, assumed: ModelDeclaration
+) -> Iterator[Problem]:
+    free = driven_coordinates.passive(experiment.transform, [*assumed.coordinates], [*model.coordinates])
+    free = (*free, *(name for name in plant.coordinates if name not in {*assumed.coordinates, *model.coordinates}))
     allowed = [*model.coordinates, *velocities(model.coordinates), *model.states, *free, *velocities(free)]
     for name in experiment.initial:
         if name not in allowed:
@@ -313,7 +316,7 @@ def _initial(experiment: ExperimentDeclaration, model: ModelDeclaration, rig: Mo
 
 
 def _transform(
-    experiment: ExperimentDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration
+    experiment: ExperimentDeclaration, rig: ModelDeclaration, virtual: ModelDeclaration, plant: ModelDeclaration
 ) -> Iterator[Problem]:
     transform, rows, columns = experiment.transform, len(virtual.coordinates), len(rig.coordinates)
     if rows > columns:
@@ -341,7 +344,7 @@ def _transform(
             yield problem_at(experiment, path, message, nearest(name, virtual.coordinates), at_key=True)
     for name in transform.parameters:
         path = f"transform.parameters.{name}"
-        if name in rig.coordinates:
+        if name in rig.coordinates or name in plant.coordinates:
             yield problem_at(experiment, path, f"the name '{name}' is already a coordinate of the rig", at_key=True)
         if name not in used:
             message = f"the parameter '{name}' is not used"

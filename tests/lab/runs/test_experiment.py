@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from masking.errors import DeclarationError, ModelError
+from masking.errors import DeclarationError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
@@ -153,25 +153,6 @@ def test_plant_is_replaced(tmp_path):
 def test_plant_that_differs_from_what_the_controller_believes(tmp_path):
     run = load(tmp_path, controller={"parameters": {"mu1": 0.02}}).run()
     assert 1e-6 < max(run.manifest["masking_error"].values()) < 1.0
-
-
-@pytest.mark.parametrize("controller", [{"rate": "continuous"}, {"rate": "1 kHz", "observer": "disturbance"}])
-def test_a_model_of_the_controller_with_fewer_coordinates_than_the_rig_is_refused_before_a_run(tmp_path, controller):
-    one = {"coordinates": {"x": {}}, "inputs": {"u": {}}, "equations": {"x''": "u - 40*x"}}
-    two = {"coordinates": {"x": {}, "z": {}}, "inputs": one["inputs"]}
-    two["equations"] = {"x''": "u - 40*x + 400*(z - x)", "z''": "4000*(x - z)"}
-    rig = {"model": "two.yaml", "sensors": {"s": {"measures": "x"}}}
-    rig |= {"limits": {"inputs": {"u": {"max": 20}}}}
-    virtual = {"coordinates": {"x": {"initial": 0.01}}, "equations": {"x''": "-25*x"}}
-    for name, content in (("one", one), ("two", two), ("rig", rig), ("virtual", virtual)):
-        (tmp_path / f"{name}.yaml").write_text(json.dumps({"name": name, **content}))
-    made = load(
-        tmp_path, plant=tmp_path / "rig.yaml", virtual="virtual.yaml", controller={**controller, "model": "one.yaml"}
-    )
-    said = "the controller's model one has the coordinates x, the plant two has x, z; both must have the same"
-    for refused in (made.validate, made.run):
-        with pytest.raises(ModelError, match=said):
-            refused()
 
 
 def test_time_scale_is_what_the_file_says(short, tmp_path):
