@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
@@ -47,14 +49,47 @@ def check_actuation(model: Model, transform: Transform) -> None:
     missed = [name for i, name in enumerate(names) if abs(reachable[i, i] - 1.0) > 1e-8]
     if missed:
         have = ", ".join(model.inputs) or "none"
+        pushed = _pushed(model, number(model.equations.mass), point)
         left = _undriven(decoupling, slope @ number(model.equations.input_force))
         raise ActuationError(
             f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
             f"{', '.join(missed)} independently of the other coordinates, {len(names) - len(left)} of {len(names)} at "
             f"most; add actuators, or leave {', '.join(names[i] for i in left)} out of the virtual system: what it "
-            "does not name is passive and moves as the rig lets it",
+            f"does not name is passive and moves as the rig lets it{pushed}",
             missed,
         )
+
+
+def _pushed(model: Model, mass: np.ndarray, point: Mapping[sp.Symbol, sp.Float]) -> str:
+    """Derivative of each rig coordinate in which an input appears first, in words, at a point where all is general.
+
+    An acceleration that an input changes is the second; one that depends on a velocity, or a coordinate, which the
+    input changes in its r-th derivative, changes in its next one, or the one after that.
+    """
+    s, n = model.equations.symbols, len(model.coordinates)
+    if not model.inputs:
+        return ""
+
+    def depends(symbols: Sequence[sp.Symbol]) -> np.ndarray:
+        slopes = [[float(sp.diff(f, x).xreplace(point)) for x in symbols] for f in model.equations.force]
+        return np.abs(np.linalg.solve(mass, np.array(slopes))) > 0.0
+
+    with_inputs = dict.fromkeys(s.u, sp.Float(0))
+    point = {**point, **with_inputs}
+    order = np.where(depends(s.u).any(axis=1), 2.0, np.inf)
+    by_place, by_rate = depends(s.q), depends(s.v)
+    for _ in range(2 * n):
+        through = [np.where(by, order + step, np.inf).min(axis=1) for by, step in ((by_place, 2.0), (by_rate, 1.0))]
+        order = np.minimum(order, np.minimum(*through))
+    groups: dict[float, list[str]] = {}
+    for name, derivative in zip(model.coordinates, order.tolist(), strict=True):
+        groups.setdefault(derivative, []).append(name)
+    first = [
+        f"{'never in' if math.isinf(r) else f'in derivative {r:.0f} of'} {', '.join(n)}"
+        for r, n in sorted(groups.items())
+    ]
+    remedy = f": mask {', '.join(groups[2.0])}, or a combination that contains one of them" if 2.0 in groups else ""
+    return f". An input appears first {', '.join(first)}{remedy}"
 
 
 def _undriven(decoupling: np.ndarray, forced: np.ndarray) -> list[int]:

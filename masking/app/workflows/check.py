@@ -10,6 +10,7 @@ from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
 from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
 from masking.lab.runs import batch_plan
+from masking.lab.runs.error_budget import Prediction, predict
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.feasibility import Feasibility, Motion, feasibility
 from masking.model import effects
@@ -26,10 +27,12 @@ class Checked(Result):
     problems: tuple[Problem, ...]  # all that is wrong
     feasibility: Feasibility | None = None  # what a sound experiment asks of its rig; None for all else, or unknown
     unknown: str = ""  # why it is not known whether the experiment fits
+    prediction: Prediction | None = None  # of a controller that reads sensors
 
     def __str__(self) -> str:
         lines = [*map(str, self.problems)] or [f"{self.file}: a sound {self.kind}"]
         lines += [str(self.feasibility)] if self.feasibility is not None else []
+        lines += [f"  {self.prediction}"] if self.prediction is not None else []
         return "\n".join([*lines, f"  whether it fits is unknown: {self.unknown}"] if self.unknown else lines)
 
 
@@ -83,4 +86,5 @@ def _fit(file: str, wanted: Experiment, compiling: Callable[[], None] | None) ->
         return Checked(file, "experiment", (), unknown=str(error))
     if compiling is not None and not Motion(wanted).loop.is_compiled:
         compiling()
-    return Checked(file, "experiment", (), feasibility(wanted))
+    is_predicted = wanted.has_observer and wanted.declaration.controller.regulate is None
+    return Checked(file, "experiment", (), feasibility(wanted), prediction=predict(wanted) if is_predicted else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -26,6 +27,9 @@ from masking.model.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
 NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
 FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
 LONGEST: Final = 10.0  # s that the runs of a budget may take where nobody has asked for one
+PREDICTED: Final = 10_000  # samples that a prediction simulates at most
+BORNE: Final = 0.1  # masking error up to which a delay is borne
+MOST_DOUBLED: Final = 7  # times that a delay is doubled: more than 100 samples are no delay of a loop
 _PREPARING: Final = 0.15  # s before each of them
 _WORTH: Final = 0.9  # of chi: what a cause must bring it down to, to be worth a sentence
 _PROBES: Final = 200  # states of the run at which the controller's model is compared with the rig
@@ -178,10 +182,52 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """Masking error that a simulated run shows before anything moves, and the delay that its controller bears."""
+
+    chi: Mapping[str, float]  # masking error of each virtual coordinate; infinite where the run could not go on
+    seconds: float  # that were simulated, of the rig
+    sentence: str  # what to remove first
+    delay: int  # samples by which the rig is late
+    most: int | None  # samples with which chi stays below `BORNE`; None without a declared delay, or where none does
+
+    def __str__(self) -> str:
+        worst = max(self.chi, key=lambda name: self.chi[name])
+        words = f"predicted masking error chi = {self.chi[worst]:.2g} ({worst}) over {self.seconds:.3g} s"
+        borne = f"; it stays below {BORNE:g} up to a delay of {self.most} samples, and has {self.delay}"
+        return f"{words}{borne if self.most is not None else ''}. {self.sentence}"
+
+
+def predict(experiment: Experiment) -> Prediction:
+    """Simulate an experiment whose controller reads sensors, with the effects of its rig.
+
+    At most `PREDICTED` samples are. The delay that the controller bears is searched with the observer that it has by
+    default at each delay.
+    """
+    scale, rate = experiment.time_scale, experiment.sampled.rate
+    duration = min(experiment.declaration.duration, PREDICTED / (rate * scale))
+    shortened = in_full(experiment, duration)
+    whole, bench = budget(shortened), _Bench(shortened)
+    delay, most = experiment.twin.delay, None
+
+    def is_borne(samples: int) -> bool:
+        made = replace(bench, delay=samples)
+        return made.row("", frozenset(), (), "", lambda _: None)[0].worst <= BORNE
+
+    if delay and is_borne(1):
+        beyond = next((d for d in (2**i for i in range(1, MOST_DOUBLED)) if not is_borne(d)), 2**MOST_DOUBLED)
+        most = bisect.bisect_left(range(beyond), True, lo=beyond // 2 + 1, key=lambda d: not is_borne(d)) - 1
+    return Prediction(whole.whole.chi, duration * scale, whole.sentence, delay, most)
+
+
+@dataclass(frozen=True)
 class _Bench:
     """An experiment that is run without some of the causes of its masking error."""
 
     experiment: Experiment
+    delay: int | None = (
+        None  # samples by which the rig is late, which the controller knows; as declared where it is None
+    )
 
     @property
     def rate(self) -> float:
@@ -191,7 +237,7 @@ class _Bench:
     def observer(self) -> Observer:
         """The observer of the run as it is, with the bandwidths that were chosen for it."""
         observer, sampled = self.experiment.observer, self.experiment.sampled
-        if isinstance(observer, Differences):
+        if isinstance(observer, Differences) or self.delay is not None:
             return observer
         speeds = observer.bandwidths(sampled.instruments.plan(sampled.rate, sampled.noise))
         return replace(observer, bandwidth=tuple(float(speed) for speed in speeds))
@@ -225,7 +271,7 @@ class _Bench:
     def loop(self, without: frozenset[str]) -> SampledLoop:
         """Controller and twin without some causes; the compiled functions are those of the run as it is."""
         sampled, faster = self.experiment.sampled, FASTER if SAMPLING in without else 1
-        twin = self.twin(without, faster)
+        twin = self.twin(without, faster) if self.delay is None else _delayed(self.experiment.twin, self.delay)
         plant = sampled.instruments.plant
         if SATURATION in without:
             limits = {name: limit.model_copy(update={"max": math.inf}) for name, limit in plant.limits.inputs.items()}
@@ -240,12 +286,7 @@ class _Bench:
         twin = self.experiment.twin
         off = {name for cause, effects in causes(twin).items() if cause in without for name in effects}
         twin = _switched(twin, lambda name, enabled: enabled and name not in off)
-        if faster == 1 or not twin.delay:
-            return twin
-        first, *more = causes(twin)[DELAY.family]
-        changes = {**twin.changes, **{name: schema.EffectChange(enabled=False) for name in more}}
-        changes[first] = schema.EffectChange(parameters={DELAY.grows_with: float(faster * twin.delay)}, enabled=True)
-        return twin.changed(changes)
+        return twin if faster == 1 or not twin.delay else _delayed(twin, faster * twin.delay)
 
     def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
         """Causes that the controller's model holds: with them, and only them, the rig is nearer to it."""
@@ -277,6 +318,14 @@ class _Bench:
             for cause, effects in found.items()
             if any(kinds.get(name) == "element" for name in effects) and error(effects) < _KNOWN * bare
         )
+
+
+def _delayed(twin: Twin, samples: int) -> Twin:
+    """Twin whose loop is late by some samples; it declares a delay."""
+    first, *more = causes(twin)[DELAY.family]
+    changes = {**twin.changes, **{name: schema.EffectChange(enabled=False) for name in more}}
+    changes[first] = schema.EffectChange(parameters={DELAY.grows_with: float(samples)}, enabled=True)
+    return twin.changed(changes)
 
 
 def _accelerations(twin: Twin, states: Array, n: int) -> Array:

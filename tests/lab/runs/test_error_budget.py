@@ -12,7 +12,7 @@ from masking.analysis.masking_error import masking_error
 from masking.errors import IntegrationError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs import error_budget as budgets
-from masking.lab.runs.error_budget import ALL, NOTHING, SAMPLING, Budget, Row, budget
+from masking.lab.runs.error_budget import ALL, NOTHING, SAMPLING, Budget, Row, budget, predict
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import run_twin
 from masking.model.effects import EFFECTS, FAMILIES
@@ -218,3 +218,19 @@ def test_the_mean_power_stays_within_its_limit(tmp_path):
     names = experiment.twin.state_names
     true = run.states[:, [names.index(f"heat_V{i}_P") for i in (1, 2, 3)]]
     assert 0.0099 < true.max() <= 0.01 * (1 + 1e-9)
+
+
+def test_the_predicted_delay_is_the_largest_that_a_run_bears():
+    """Runs of experiments that declare the delay fall on both sides of the bound."""
+    experiment = masking.Experiment.load("cart_van_der_pol")
+    found = predict(experiment)
+    assert found.delay == 2
+    assert found.most is not None
+
+    def chi(samples):
+        made = experiment.changed(effects={"delay": {"parameters": {"samples": samples}}})
+        return made.run().manifest["masking_error"]
+
+    assert found.chi == pytest.approx(chi(2), rel=1e-9)
+    assert max(chi(found.most).values()) <= 0.1 < max(chi(found.most + 1).values())
+    assert f"it stays below 0.1 up to a delay of {found.most} samples, and has 2" in str(found)
