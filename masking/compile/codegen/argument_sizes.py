@@ -2,8 +2,8 @@
 
 Machine code does not look at sizes: an array that is too short would be read and written beyond its end, so that
 `machine_code` refuses it. Elements of expressions are in their text. A kernel's are those that it indexes by whole
-numbers which its factory has closed over, in the loops over these too, and what the functions need that it calls. What
-only happens under a condition that a run decides asks for nothing.
+numbers which its factory has closed over, in the loops over these too, and what the functions need that it calls, also
+where a run decides whether it happens. What indices need that a run decides is declared: `argument_conditions`.
 """
 
 from __future__ import annotations
@@ -34,6 +34,14 @@ def least_sizes(module: Module) -> dict[str, Sizes]:
     """Least size of each axis of the arrays that the exported functions of a module take, by function and argument."""
     reader = _Reader(module)
     return {name: reader.of(Named(name)) for name in module.meta.get("functions", ()) if name in module.parts}
+
+
+def sizes_of_cases(module: Module, name: str) -> tuple[Sizes, dict[str, list[int]]]:
+    """Least sizes of a function that chooses: those of all its cases, and of each vector where these differ."""
+    cases = [_of_expressions(case) for case in module.choices[name]]
+    every = {argument: [case.get(argument, [0]) for case in cases] for argument in {a for case in cases for a in case}}
+    same = {argument: sizes[0] for argument, sizes in every.items() if all(one == sizes[0] for one in sizes)}
+    return same, {argument: [one[0] for one in sizes] for argument, sizes in every.items() if argument not in same}
 
 
 @dataclass
@@ -109,6 +117,9 @@ class _Kernel:
                     self.visit(test)
                     decided = self.number(test)
                     if decided is None:
+                        self.block(body)
+                        self.forget(statement)
+                        self.block(other)
                         self.forget(statement)
                     else:
                         self.block(body if decided else other)
@@ -162,10 +173,7 @@ class _Kernel:
                 self.visit(test)
                 if (decided := self.number(test)) is not None:
                     self.visit(body if decided else other)
-                return
-            case ast.BoolOp(values=values):
-                self.visit(values[0])  # the others are looked at only sometimes
-                return
+                    return
             case ast.Subscript(value=value, slice=index):
                 if (array := self.array(value)) is not None:
                     _need(self.sizes, array, map(self.reach, _parts(index)))

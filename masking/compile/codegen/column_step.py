@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from masking.compile.codegen import machine_code, module_store
+from masking.compile.codegen.argument_conditions import Needed
 from masking.compile.codegen.content_hashes import digest, versions
 from masking.compile.codegen.llvm_text import ALIGNED, FUSED, defined, number, parameters
 from masking.compile.codegen.machine_code import NativeFunction
@@ -19,6 +20,11 @@ from masking.compile.numerics.rig_sizes import LANES
 NAME = "carry"
 TYPES = {"by_state": "Matrix", "rates": "Matrix", "columns": "Matrix", "h": "float"}
 SIGNATURE = f"{NAME}({', '.join(f'{name}: {kind}' for name, kind in TYPES.items())})"
+CONDITIONS = (
+    f"columns.shape[1] % {LANES} == 0",
+    "len(by_state) >= 4 * len(columns) and by_state.shape[1] >= len(columns)",
+    "len(rates) >= 4 * len(columns) and rates.shape[1] >= columns.shape[1]",
+)
 VECTOR = f"<{LANES} x double>"
 LARGEST = 16  # states up to which all loops over them are unrolled: the code grows with their square
 UNROLLED = '!0 = distinct !{!0, !1}\n!1 = !{!"llvm.loop.unroll.full"}'
@@ -34,7 +40,8 @@ def link(states: int, coordinates: int, more: int = 0) -> dict[str, NativeFuncti
     """
     made = _text([n for n in range(states, states + more + 1) if n <= LARGEST], coordinates)
     stem = module_store.directory() / "objects" / digest(versions(), made)
-    return {SIGNATURE: NativeFunction(NAME, TYPES, [], None, lambda: machine_code.parsed(made), stem)}
+    needed = Needed({"columns": [2 * coordinates]}, CONDITIONS)
+    return {SIGNATURE: NativeFunction(NAME, TYPES, [], None, lambda: machine_code.parsed(made), stem, needed)}
 
 
 def _text(states: Sequence[int], coordinates: int) -> str:

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
-from masking.compile.codegen import structs, trusted_files
+from masking.compile.codegen import argument_conditions, structs, trusted_files
+from masking.compile.codegen.argument_conditions import NOTHING, Linked, Needed
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -77,10 +78,11 @@ class NativeFunction:
     # returns LLVM code in which `ENTRY` is the function behind a C interface, not optimised yet
     assembled: Callable[[], Any]
     stem: Path  # path of its machine code, which the processor and an ending follow
-    least: Mapping[str, Sequence[int]] = field(default_factory=dict)  # sizes that arrays have at least
+    needed: Needed = NOTHING  # of its arguments
     # functions whose machine code it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     _call: Any = field(default=None, repr=False)
+    _holds: Callable[..., bool] | None = field(default=None, repr=False)  # the conditions on its arguments
 
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
         """Call the machine code, on arrays in place; a `TypeError` where one is missing or not as it takes them."""
@@ -93,13 +95,13 @@ class NativeFunction:
         """Call the machine code once for each of several runs, which threads share; measured: 3 us of Python a run.
 
         An array with one axis more than the function takes is passed row by row, a row a run. Results are (runs,
-        RESULTS); errors are those of a call.
+        RESULTS); errors are those of a call, and a `TypeError` where there are fewer rows than runs.
         """
         call, results = self.prepare(), np.zeros((runs, RESULTS))
 
         def part(first: int, last: int) -> None:
             values, moved = self._completed(given), list[tuple[int, int, int]]()
-            passed = self._passed(values, moved)
+            passed = self._passed(values, moved, runs)
             moved.append((len(passed), results.ctypes.data, results.strides[0]))
             passed.append(0)
             for run in range(first, last):
@@ -122,6 +124,8 @@ class NativeFunction:
             else:
                 lines.append(f"  %{name} = load {LLVM_TYPES[kind]}, {address}")
                 passed.append(f"{LLVM_TYPES[kind]} %{name}")
+        kinds = self.arguments.values()
+        self._require([x if kind in DIMENSIONS else x[0] for kind, x in zip(kinds, arrays, strict=True)])
         passed.append(_pointer(ctypes.addressof(results)))
         called = _pointer(self.address).removeprefix("ptr ")
         body = [f"define void @{ENTRY}() {{", *lines, f"  call void {called}({', '.join(passed)})", "  ret void", "}"]
@@ -132,22 +136,30 @@ class NativeFunction:
         call = ctypes.PYFUNCTYPE(None)(library[ENTRY])
         return BoundFunction(call, results, arrays, (library, self))
 
-    def _passed(self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None) -> list[Any]:
+    def _passed(
+        self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None, runs: int = 0
+    ) -> list[Any]:
         """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds.
 
         `moved` gets the place, address and stride of each array with one axis more than the function takes, whose rows
-        are passed one by one; without it no array may have one.
+        are passed one by one, in so many runs; without it no array may have one.
         """
-        passed = list[Any]()
-        for (name, kind), value in zip(self.arguments.items(), values, strict=True):
+        passed, single = list[Any](), [*values]
+        for i, (name, kind) in enumerate(self.arguments.items()):
+            value = values[i]
             if kind not in DIMENSIONS:
                 passed.append(value)
                 continue
             axes = int(moved is not None and np.ndim(value) == DIMENSIONS[kind] + 1)
             self._check(name, kind, DIMENSIONS[kind] + axes, value)
             if moved is not None and axes:
+                if len(value) < runs:
+                    raise TypeError(f"{self.name}: {name} must have a row for each of {runs} runs, not {len(value)}")
+                single[i] = value[0] if runs else value
                 moved.append((len(passed), value.ctypes.data, value.strides[0]))
             passed += [value.ctypes.data, *value.shape[axes:]]
+        if runs or moved is None:
+            self._require(single)
         return passed
 
     def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
@@ -167,9 +179,28 @@ class NativeFunction:
                 f"{self.name}: {name} must be a C-contiguous {dtype.__name__} array of dimension "
                 f"{dimension}, not {value.dtype} of shape {value.shape}"
             )
-        least, shape = self.least.get(name, ()), value.shape[dimension - DIMENSIONS.get(kind, 1) :]
+        if not value.flags.writeable:
+            raise TypeError(f"{self.name}: {name} must be an array that can be written, not one that is read alone")
+        least, shape = self.needed.sizes.get(name, ()), value.shape[dimension - DIMENSIONS.get(kind, 1) :]
         if any(have < wanted for have, wanted in zip(shape, least, strict=False)):
             raise TypeError(f"{self.name}: {name} must have a shape of at least {tuple(least)}, not {shape}")
+
+    def _require(self, values: Sequence[Any]) -> None:
+        """Refuse arguments that do not meet the conditions of the function."""
+        conditions = self.needed.conditions
+        if not conditions:
+            return
+        if self._holds is None:
+            self._holds = self._predicate(conditions)
+        if not self._holds(*values):
+            first = next(i for i in range(len(conditions)) if not self._predicate(conditions[: i + 1])(*values))
+            given = {n: x for n, x in zip(self.arguments, values, strict=True) if n in conditions[first]}
+            found = [f"{name} {f'of shape {x.shape}' if np.ndim(x) else f'= {x}'}" for name, x in given.items()]
+            raise TypeError(f"{self.name}: {conditions[first]} must hold; got {', '.join(found)}")
+
+    def _predicate(self, conditions: Sequence[str]) -> Callable[..., bool]:
+        linked = Linked([self.needed, *(one.needed for one in self.links.values())])
+        return argument_conditions.predicate(conditions, self.arguments, linked)
 
     def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""

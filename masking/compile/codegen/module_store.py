@@ -26,7 +26,8 @@ from typing import Any
 import platformdirs
 
 from masking.compile.codegen import llvm_text, machine_code, trusted_files
-from masking.compile.codegen.argument_sizes import least_sizes
+from masking.compile.codegen.argument_conditions import Needed
+from masking.compile.codegen.argument_sizes import least_sizes, sizes_of_cases
 from masking.compile.codegen.content_hashes import contents, digest, sources, versions
 from masking.compile.codegen.kernel_templates import size_symbol, template
 from masking.compile.codegen.machine_code import NativeFunction
@@ -74,8 +75,8 @@ class Generated:
         types = described["arguments"], described["results"]
         work = tuple(described["work"]) if described["work"] else self.work if "work" in types[0] else None
         stem = self.path.parent.parent / "objects" / self.objects[name]
-        least = described.get("least", {})
-        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, least, self.links)
+        needed = Needed(described.get("least", {}), described["requires"], described.get("cases", {}))
+        return NativeFunction(name, *types, work, partial(self._assembled, name), stem, needed, self.links)
 
     def _assembled(self, name: str) -> Any:  # noqa: ANN401  (llvmlite has no types)
         """LLVM code of a function behind its C interface, not optimised yet."""
@@ -175,6 +176,9 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
     objects, kernels, templates = described(made)
     for function, sizes in least_sizes(made).items():
         made.meta["functions"][function]["least"] = sizes
+    for function in made.choices:
+        sizes, cases = sizes_of_cases(made, function)
+        made.meta["functions"][function] |= {"least": sizes, "cases": cases}
     for one in (*templates, text):
         if trusted_files.find(_text_path(digest(one))) is None:  # those of templates are the same for many models
             trusted_files.keep(_text_path(digest(one)), one.encode())

@@ -70,7 +70,8 @@ class Module:
     `functions` are Python for numba, in a module of kernels to which functions of a model are linked by their
     addresses; `definitions` are LLVM code, by name, in all others.
     `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
-    work space, as `machine_code` reads them; `parts` holds what functions were made of, for other printers.
+    work space, as `machine_code` reads them; `parts` holds what functions were made of, for other printers, and
+    `choices` the cases of those that choose.
     """
 
     title: str
@@ -78,6 +79,7 @@ class Module:
     functions: list[str] = field(default_factory=list)
     definitions: dict[str, str] = field(default_factory=dict)
     parts: dict[str, Expressions | Made] = field(default_factory=dict)
+    choices: dict[str, Sequence[Expressions]] = field(default_factory=dict)
     _imports: set[str] = field(default_factory=set)
 
     def text(self) -> str:
@@ -123,7 +125,11 @@ class Module:
         `add` takes of it.
         """
         name, types = _read(signature)
-        self._export(name, types, "None")
+        number, *others = types
+        conditions = [f"len({one}) >= linked.case('{one}', {number})" for one in others if types[one] == "Vector"]
+        self._export(name, types, "None", requires=conditions)
+        none = [(target, 0) for target in zeros]
+        self.choices[name] = [Expressions(types, graph, [*none, *made], loads, None) for graph, made, loads in cases]
         self.definitions[name] = llvm_text.choice(machine_code.symbol(name), types, zeros, cases)
 
     def add_coefficients(
@@ -184,8 +190,9 @@ class Module:
             written = [self._written(one) for one in given]
             self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
         if exported:
-            types = structs.signature(made_of(made, lambda text: None).py_func)
-            self._export(name, types, types.pop("return", "None"), work)
+            kernel = made_of(made, lambda text: None).py_func
+            types = structs.signature(kernel)
+            self._export(name, types, types.pop("return", "None"), work, getattr(kernel, "requires", ()))
 
     def _written(self, value: Any) -> str:  # noqa: ANN401
         if isinstance(value, str):
@@ -218,7 +225,12 @@ class Module:
         self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
 
     def _export(
-        self, name: str, arguments: Mapping[str, Any], returned: str, work: tuple[int, int] | None = None
+        self,
+        name: str,
+        arguments: Mapping[str, Any],
+        returned: str,
+        work: tuple[int, int] | None = None,
+        requires: Sequence[str] = (),
     ) -> None:
         """Describe a function in `meta`, and add its C interface where it is Python."""
         for argument, kind in structs.fields(arguments).items():
@@ -228,8 +240,9 @@ class Module:
         if self.functions:
             self._imports |= {structs.imported(kind) + "\n" for kind in arguments.values() if not isinstance(kind, str)}
             self.functions.append(machine_code.interface(name, arguments, results))
-        flat = structs.fields(arguments)
-        self.meta.setdefault("functions", {})[name] = {"arguments": flat, "results": results, "work": work}
+        flat, conditions = structs.fields(arguments), [structs.flat(text, arguments) for text in requires]
+        described = {"arguments": flat, "results": results, "work": work, "requires": conditions}
+        self.meta.setdefault("functions", {})[name] = described
 
 
 def made_of(part: Made, named: Callable[[str], object]) -> Any:  # noqa: ANN401  (numba has no types)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -29,6 +30,12 @@ def fields(arguments: Mapping[str, Any]) -> dict[str, str]:
             types = inspect.get_annotations(kind)
             found |= {f"{name}_{field}": types[field].__forward_arg__ for field in kind._fields}
     return found
+
+
+def flat(text: str, arguments: Mapping[str, Any]) -> str:
+    """Expression with `argument_field` in the place of each `argument.field` of a struct."""
+    known = [name for name, kind in arguments.items() if not isinstance(kind, str)]
+    return re.sub(rf"\b({'|'.join(known)})\.", r"\1_", text) if known else text
 
 
 def definition(kind: Any) -> str:  # noqa: ANN401  (the class of a struct)

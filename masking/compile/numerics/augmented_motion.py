@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from masking.compile.numerics.arrays import Kernel, Matrix
-from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.effect_table import (
     ACTUATOR,
     BY_DISPLACEMENT,
@@ -36,6 +36,7 @@ from masking.compile.numerics.effect_table import (
 from masking.compile.numerics.inertia import accelerate, draw_rows
 from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
 from masking.compile.numerics.motion_sensitivities import (
+    OF_RECORD,
     command_at,
     drive,
     normal_equations,
@@ -58,6 +59,29 @@ from masking.compile.numerics.rig_sizes import (
 )
 from masking.compile.numerics.runge_kutta import held_late
 from masking.compile.numerics.vectors import add_products, cleared
+
+# Of effects, after `OF_RECORD`, for a rig of `own` states with places, and work space of `rows`.
+OF_EFFECTS = (
+    f"len(given.table) >= 3 and given.table.shape[1] > {READ_ROWS}",
+    f"max(linked.y, linked.rate, linked.columns) <= (own := given.table[{SIZES}, {STATES}]) <= n",
+    f"0 <= given.table[{SIZES}, {COORDINATES}] <= own // 2 and given.table[{SIZES}, {SENSORS}] == sensors",
+    f"0 <= (places := given.table[{SIZES}, {PLACES}]) and linked.d <= 2 * places <= wide",
+    f"given.table[{SIZES}, {CHANNELS}] == channels and given.table.shape[1] >= places + channels",
+    f"within(given.table[{FORCE_ENTRIES}, :places], len(given.p))",
+    f"within(given.table[{INPUT_COLUMNS}, : places + channels], wide) and within(given.acting, places + channels)",
+    "channels <= min(len(given.lead), len(given.late_columns)) and within(given.late_columns + 1, columns + 1)",
+    f"(rows := 4 * sensors + 7 * places + 2 * channels + 13 + 2 * n) <= given.table[{SIZES}, {READ_ROWS}]",
+    f"rows >= 0 and len(work) >= given.table[{SIZES}, {READ_ROWS}] + 2 * n + own + 4 * sensors + 8 + rows",
+    "are_terms(given.moved, given.moved_by, own, wide, columns)",
+    "(effects := len(given.instances)) <= min(len(given.support), len(given.estimated)) and given.support.shape[1] > 3",
+    f"given.instances.shape[1] > {STATE} and given.estimated.shape[1] + {BY_PARAMETER} <= wide",
+    "within(given.estimated + 1, columns + 1)",
+    f"within((at := given.instances[:, {PLACE}])[(kinds := given.instances[:, {KIND}]) == {ACTUATOR}], channels)",
+    f"within(at[kinds == {SENSOR}], sensors) and within(at[(kinds == {ELEMENT}) | (kinds == {INERTIA})], places)",
+    f"within(given.instances[:, {STATE}] + 1, n + 1) and within(given.instances[:, {FIRST}], len(given.values) + 1)",
+    "all(first + linked.case('theta', law) <= len(given.values)"
+    f" for law, first in given.instances[:, [{LAW}, {FIRST}]].tolist())",
+)
 
 
 class Ports(NamedTuple):
@@ -365,6 +389,11 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
     accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, flow, carry)
 
     @compiled
+    @requires(
+        "interval > 0",
+        *OF_RECORD,
+        *OF_EFFECTS,
+    )
     def normal(
         steps: Steps, interval: int, shooting: Shooting, given: AugmentedArrays, record: Readings, sums: Sums,
         work: Matrix,

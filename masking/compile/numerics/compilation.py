@@ -8,6 +8,9 @@ Kernels cannot be called from Python; `py_func` can.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numba
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, StateDict
@@ -60,6 +63,23 @@ class Lowered(CompilerBase):
         passes.passes = [(_Lowering if one is NativeLowering else one, text) for one, text in passes.passes]
         passes.finalize()
         return [passes]
+
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def requires(*conditions: str) -> Callable[[Function], Function]:
+    """State what a kernel needs of its arguments, besides what `codegen.argument_sizes` reads off its text.
+
+    Each condition is a Python expression of the arguments, such as `len(states) >= len(times)`, which
+    `codegen.machine_code` evaluates before each call, with the names that `codegen.argument_conditions` gives it.
+    """
+
+    def note(function: Function) -> Function:
+        vars(function)["requires"] = conditions
+        return function
+
+    return note
 
 
 compiled = numba.njit(error_model="numpy", nogil=True, pipeline_class=Lowered)

@@ -16,7 +16,7 @@ import math
 from typing import NamedTuple
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import Accuracy
 from masking.compile.numerics.runge_kutta import SMALLEST_STEP, copy, embedded_steps, no_event
 
@@ -117,6 +117,10 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
     solve_with = embedded_steps(filled, bound, keep, size, True, no_event, False)
 
     @compiled
+    @requires(
+        "len(states) >= len(times)",
+        f"len(y) % 2 == {(size + lags) % 2}",
+    )
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

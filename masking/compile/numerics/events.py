@@ -13,7 +13,7 @@ import math
 from typing import Any, NamedTuple
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import Accuracy
 from masking.compile.numerics.runge_kutta import copy, dense_output, embedded_steps, forget
 
@@ -165,6 +165,9 @@ def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, 
     solve_with = embedded_steps(driven, bound, forget, size, False, crossing, True)
 
     @compiled
+    @requires(
+        "len(states) >= len(times)",
+    )
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

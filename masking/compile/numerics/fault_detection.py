@@ -13,7 +13,7 @@ import math
 
 from masking.compile.numerics import safety_tables as tables
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER
 from masking.compile.numerics.kernel_arguments import Guarded, Watched
 
@@ -218,6 +218,15 @@ def watch() -> Kernel:
     """Make the check of a sample's readings, before the controller gets them."""
 
     @compiled
+    @requires(
+        "(n := len(s)) <= min(len(known.sensors), len(known.seen), len(known.model), known.past.shape[1])",
+        "n + (channels := known.sent.shape[1]) <= known.model.shape[1] and channels <= len(known.reaction)",
+        "0 < (rows := len(known.past)) <= len(known.sent) and max(n, channels) <= work.shape[1]",
+        f"within(known.counts[{tables.ROW}], rows) and known.settings[{tables.DELAY}] >= 0",
+        f"2 * known.settings[{tables.HALF}] + known.settings[{tables.DELAY}] <= rows",
+        "(limits := len(known.limits)) <= min(len(known.weights), len(known.by_estimate))",
+        "limits == 0 or (n <= known.weights.shape[1] and len(estimate) <= known.by_estimate.shape[1])",
+    )
     def watch(missed: int, h: float, s: Vector, estimate: Vector, known: Watched, work: Matrix) -> int:
         cause = plausible(s, missed, known)
         if cause == 0:
@@ -240,6 +249,11 @@ def guard() -> Kernel:
     """
 
     @compiled
+    @requires(
+        "(channels := len(applied)) <= min(len(demanded), len(known.table), len(known.energy), known.sent.shape[1])",
+        f"within(known.counts[{tables.ROW}], len(known.sent)) and known.settings[{tables.PER_BUCKET}] > 0",
+        f"within(known.counts[{tables.BUCKET}] // known.settings[{tables.PER_BUCKET}], known.energy.shape[1] - 1)",
+    )
     def guard(h: float, demanded: Vector, applied: Vector, known: Guarded) -> int:
         table, energy, sent, counts, settings, report = known
         buckets, is_clamped, is_cut, cause = energy.shape[1] - 1, False, -1, 0

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 from masking.compile.numerics.arrays import Kernel, Matrix
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import (
     Filtered,
     FilteredTwin,
@@ -33,6 +33,7 @@ from masking.compile.numerics.motion_sensitivities import (
     runge_kutta_4,
     take,
 )
+from masking.compile.numerics.rig_sizes import LANES
 from masking.compile.numerics.runge_kutta import copy
 from masking.compile.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE, REACHED
 
@@ -247,6 +248,21 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: boo
             row[n + j] = total
 
     @compiled
+    @requires(
+        "(n := len(twin.y)) >= max(linked.y, linked.rate, linked.columns) and len(twin.p) >= linked.p",
+        "(channels := record.commands.shape[1]) >= linked.u and (sensors := len(record.r)) >= linked.s",
+        "(size := n + (k := len(twin.theta))) == len(matrix) and size <= matrix.shape[1]",
+        "(wide := work.shape[1]) >= max(linked.width, 3 * n, size, channels, len(twin.affected))",
+        "len(work) >= 7 * n + 3 * sensors + size + 18 and len(columns) >= 5 * n",
+        f"size <= (many := columns.shape[1]) and many % {LANES} == 0",
+        "0 <= steps.begin and (end := min(steps.begin + steps.samples, len(record.readings))) <= len(record.commands)",
+        "sensors <= record.readings.shape[1] and end <= min(map(len, (filtered.states, filtered.estimates)))",
+        "end <= len(filtered.innovations) and 2 * sensors <= filtered.innovations.shape[1]",
+        "n <= filtered.states.shape[1] and 2 * k <= filtered.estimates.shape[1] and n <= len(record.q)",
+        "len(twin.affected) <= len(twin.basis) <= wide and twin.basis.shape[1] <= k",
+        "within(twin.affected, len(twin.p)) and len(record.limits) > 2 and record.limits.shape[1] >= k",
+        "0 <= twin.coordinates <= n and are_terms(twin.moved, twin.moved_by, n, wide, many)",
+    )
     def follow(
         steps: FilterSteps, twin: FilteredTwin, matrix: Matrix, columns: Matrix, record: FilterRecord,
         filtered: Filtered, work: Matrix,
@@ -355,6 +371,14 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
+    @requires(
+        "(n := len(rig.x) - len(rig.ports)) >= max(linked.y, linked.rate) and len(rig.p) >= linked.p",
+        "(channels := commands.shape[1]) >= linked.u and (sensors := readings.shape[1]) >= linked.s",
+        "len(commands) > 0 and steps.samples <= min(len(readings), len(filtered), len(predicted))",
+        "len(rig.x) <= min(len(rig.gain), filtered.shape[1], predicted.shape[1]) and sensors <= rig.gain.shape[1]",
+        "within(rig.ports, len(rig.p)) and len(work) >= 2 * sensors + 9",
+        "work.shape[1] >= max(linked.width, n, channels, sensors)",
+    )
     def follow(
         steps: Steps, rig: LatentRig, commands: Matrix, readings: Matrix, filtered: Matrix, predicted: Matrix,
         work: Matrix,
@@ -403,6 +427,10 @@ def backward_smoother() -> Kernel:
 
 
 @compiled
+@requires(
+    "count <= min(len(states), len(predicted))",
+    "states.shape[1] <= min(predicted.shape[1], *gain.shape)",
+)
 def smooth_backward(count: int, gain: Matrix, states: Matrix, predicted: Matrix) -> None:
     """Make filtered states (count, size) the smoothed ones, by the pass of Rauch, Tung and Striebel."""
     size = states.shape[1]

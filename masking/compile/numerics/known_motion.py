@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, VALUE
 from masking.compile.numerics.kernel_arguments import Blocks, Course, KnownMotion, Pieces, Sources
 from masking.compile.numerics.motion_sensitivities import take
@@ -29,6 +29,12 @@ def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "count <= min(len(motion.states), len(motion.commands), len(moved)) and within(ports, len(p))",
+        "motion.states.shape[1] - len(ports) >= max(linked.y, linked.rate) and motion.commands.shape[1] >= linked.u",
+        "(places := moved.shape[1] // 3) * 2 >= linked.d and len(p) >= linked.p and coordinates >= 0",
+        "len(work) >= 2 * places + 2 and work.shape[1] >= max(linked.width, 2 * places, 2 * coordinates)",
+    )
     def follow(
         count: int, dt: float, coordinates: int, ports: IntVector, p: Vector, motion: KnownMotion, moved: Matrix,
         work: Matrix,
@@ -58,6 +64,12 @@ def readings_along(sensed: Kernel) -> Kernel:
     """Make `read(count, dt, ports, p, motion, readings, work)`, which writes readings (count, sensors) along states."""
 
     @compiled
+    @requires(
+        "count <= min(len(motion.states), len(motion.commands), len(readings)) and within(ports, len(p))",
+        "motion.states.shape[1] - len(ports) >= linked.y and motion.commands.shape[1] >= linked.u",
+        "(sensors := readings.shape[1]) >= linked.s and len(p) >= linked.p",
+        "len(work) >= 2 * sensors + 2 and work.shape[1] >= max(linked.width, sensors)",
+    )
     def read(
         count: int, dt: float, ports: IntVector, p: Vector, motion: KnownMotion, readings: Matrix, work: Matrix
     ) -> None:
@@ -94,6 +106,12 @@ def law_along(law: Kernel) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "span.samples <= min(len(course.x), len(course.rate), len(features))",
+        f"0 < features.shape[1] <= len(parameters) + 1 and within(parameters, work.shape[1] - {BY_PARAMETER})",
+        "len(values) >= linked.case('theta', number)",
+        "len(work) >= 5 and work.shape[1] >= max(linked.width, features.shape[1])",
+    )
     def follow(
         span: Pieces, number: int, has_state: int, course: Course, parameters: IntVector, values: Vector,
         features: Matrix, work: Matrix,
@@ -163,6 +181,14 @@ def linear_responses(slopes: Kernel, sensed: Kernel) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "(n := motion.states.shape[1]) >= max(linked.y, linked.rate) and motion.commands.shape[1] >= linked.u",
+        "blocks.samples <= min(len(motion.states), len(motion.commands), len(features)) and len(p) >= linked.p",
+        "0 < (many := features.shape[1]) <= min(len(sources.entries), len(sources.initial))",
+        "(sensors := means.shape[1] // many) >= linked.s and blocks.every > 0 and blocks.interval > 0",
+        "within(sources.entries, work.shape[1]) and len(work) >= 6 * n + 2 * sensors + 3",
+        "work.shape[1] >= max(linked.width, n, many, sensors)",
+    )
     def respond(
         blocks: Blocks, is_direct: int, sources: Sources, motion: KnownMotion, p: Vector, features: Matrix,
         means: Matrix, work: Matrix,

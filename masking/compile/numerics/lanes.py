@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import Reached
 from masking.compile.numerics.runge_kutta import copy
 from masking.compile.numerics.stop_codes import REACHED
@@ -71,6 +71,11 @@ def taylor(
         number[lane] = -1.0
 
     @compiled
+    @requires(
+        "len(times) > 0 and len(y) > 0",
+        "len(p) >= len(y) and len(out.ends) >= len(y)",
+        "len(out.states) >= len(y) * len(times)",
+    )
     def solve(
         t: float, y: Matrix, times: Vector, u: Vector, p: Matrix, tolerance: float, out: Reached, work: Matrix
     ) -> None:

@@ -32,11 +32,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
 from masking.compile.numerics.runge_kutta import held_late
 from masking.compile.numerics.vectors import add_products, cleared
+
+# Of a record whose normal equations are summed up, for n states, `sensors`, `channels` and columns, in work space that
+# is `wide`.
+OF_RECORD = (
+    "(n := len(shooting.y)) >= max(linked.y, linked.rate, linked.columns) and len(given.p) >= linked.p",
+    "(channels := record.commands.shape[1]) >= linked.u and (sensors := record.readings.shape[1]) >= linked.s",
+    f"(wide := work.shape[1]) >= max(linked.width, n, channels, {TOGETHER} * sensors) and wide % {LANES} == 0",
+    "(columns := shooting.columns.shape[1]) <= min(wide, sums.matrix.shape[1]) and len(shooting.columns) >= 5 * n",
+    f"columns % {LANES} == 0 and 0 <= shooting.k and within(shooting.free, n)",
+    "(width := shooting.k + len(shooting.free)) <= columns and shooting.starts.shape[1] <= n",
+    "(windows := -(-max(steps.samples, 1) // interval)) <= len(shooting.starts)",
+    "windows * width <= min(len(sums.matrix), len(sums.gradient))",
+    "steps.samples <= min(len(record.readings), len(sums.simulated)) and len(record.commands) > 0",
+    "sensors <= min(len(record.weights), len(sums.squares), sums.simulated.shape[1]) and len(given.late) >= channels",
+    "are_terms(given.read, given.read_by, sensors, wide, columns)",
+)
 
 
 class Late(NamedTuple):
@@ -197,6 +213,12 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
     advance = runge_kutta_4(motion_alone(derivative))
 
     @compiled
+    @requires(
+        "len(y) >= max(linked.y, linked.rate) and len(p) >= linked.p",
+        "commands.shape[1] >= linked.u and readings.shape[1] >= linked.s",
+        "len(readings) >= steps.samples and len(commands) > 0",
+        "len(work) >= 10 and work.shape[1] >= max(linked.width, len(y), commands.shape[1])",
+    )
     def simulate(steps: Steps, y: Vector, p: Vector, commands: Matrix, readings: Matrix, work: Matrix) -> None:
         count, dt, substeps, _ = steps
         channels, h = commands.shape[1], dt / substeps
@@ -319,6 +341,12 @@ def twin_normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kern
     accumulate = normal_equations(readings_with_derivatives(sensed), drive, motion_with_derivatives(slopes), carry)
 
     @compiled
+    @requires(
+        "(interval := max(steps.samples, 1)) > 0",
+        *OF_RECORD,
+        "len(work) >= 5 * n + 6 * sensors + 14 and 0 <= given.coordinates <= n",
+        "are_terms(given.moved, given.moved_by, n, wide, columns)",
+    )
     def normal(steps: Steps, shooting: Shooting, given: TwinArrays, record: Readings, sums: Sums, work: Matrix) -> int:
         work[:] = 0.0
         read_work, work = take(work, record.readings.shape[1] + 2)

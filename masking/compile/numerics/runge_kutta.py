@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.dop853_coefficients import E3, E5, STAGES, A, C, D
 from masking.compile.numerics.kernel_arguments import Accuracy, Samples, States, UnderWay
 from masking.compile.numerics.stop_codes import (
@@ -192,6 +192,9 @@ def embedded_steps(
                 f[3 + r, i] = h * value
 
     @compiled
+    @requires(
+        "len(states) >= len(times)",
+    )
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:
@@ -345,6 +348,10 @@ def steps_under_way(derivative: Kernel, size: int) -> Kernel:
     step = runge_kutta_4(derivative, size)
 
     @compiled
+    @requires(
+        "len(under_way.queue) > 0",
+        "min(len(under_way.late), len(acting)) >= under_way.queue.shape[1]",
+    )
     def move(
         t: float, y: Vector, under_way: UnderWay, p: Vector, dt: float, substeps: int, acting: Vector, work: Matrix
     ) -> None:
@@ -386,6 +393,11 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
     advance = runge_kutta_4(derivative, size)
 
     @compiled
+    @requires(
+        "samples.every > 0",
+        "(rows := kept(samples.begin, samples.samples, samples.every)) <= len(recorded.states)",
+        "rows <= len(recorded.inputs) and len(u) <= recorded.inputs.shape[1]",
+    )
     def run(
         samples: Samples, y: Vector, u: Vector, p: Vector, first: float, recorded: States, work: Matrix
     ) -> tuple[int, int, float]:

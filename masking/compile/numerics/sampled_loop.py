@@ -22,13 +22,16 @@ from typing import NamedTuple
 
 from masking.compile.numerics import controller_rows as rows
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.compile.numerics.energy_balance import energy_balance
 from masking.compile.numerics.kernel_arguments import Parts, Recorded, Rig, Samples, UnderWay, Unit
 from masking.compile.numerics.runge_kutta import classical_step, copy, fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
+
+# Of readings s, which a gain (estimate, sensors) takes into the estimate.
+OF_READINGS = ("unit.gain.shape[1] >= len(s)", "work.shape[1] >= len(s)")
 
 
 class Disturbed(NamedTuple):
@@ -268,6 +271,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
             notice(t + h, z, past, p, work[rows.MEMORY])
 
     @compiled
+    @requires(*OF_READINGS)
     def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         x, p, gain, table = unit
         now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
@@ -347,6 +351,7 @@ def control_with_differences(
     observe = observe_past(follow, notice, recall, sizes)
 
     @compiled
+    @requires(*OF_READINGS)
     def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         x, p, gain, table = unit
         now, power, z = x[:length], x[length:next_one], x[next_one : next_one + length]
@@ -383,6 +388,17 @@ def run(sense: Kernel, control: Kernel, move: Kernel, size: int) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "samples.every > 0",
+        "len(noise) >= samples.samples and len(rig.queue) > 0",
+        "(sensors := noise.shape[1]) <= min(work.shape[1], unit.gain.shape[1], recorded.sensed.shape[1])",
+        "(channels := rig.queue.shape[1]) <= min(work.shape[1], len(rig.late))",
+        "channels <= min(recorded.demanded.shape[1], recorded.applied.shape[1])",
+        "recorded.estimates.shape[1] <= len(unit.x)",
+        "(begin := max(samples.begin, 0)) >= 0",
+        "(rows := kept(begin, samples.begin + samples.samples - begin, samples.every)) <= len(recorded.states)",
+        "rows <= min(len(recorded.estimates), len(recorded.sensed), len(recorded.demanded), len(recorded.applied))",
+    )
     def loop(
         samples: Samples, rig: Rig, unit: Unit, noise: Matrix, first: float, recorded: Recorded, work: Matrix
     ) -> tuple[int, int, float]:
@@ -425,6 +441,9 @@ def transforms(transform: Kernel, count: int) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "min(len(states), len(virtual)) >= len(times)",
+    )
     def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
         for i in range(times.size):
             transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
@@ -439,6 +458,9 @@ def along(transform: Kernel, step: Kernel, count: int) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "min(len(states), len(virtual), len(inputs)) >= len(times)",
+    )
     def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix, inputs: Matrix) -> None:
         for i in range(times.size):
             transform(times[i], states[i, :count], states[i, count:], p, virtual[i])

@@ -7,10 +7,11 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.kernel_arguments import Unit
 from masking.compile.numerics.runge_kutta import fault
+from masking.compile.numerics.sampled_loop import OF_READINGS
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 
 
@@ -35,6 +36,9 @@ def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
     channels = sizes.actuators
 
     @compiled
+    @requires(
+        *OF_READINGS,
+    )
     def answer(
         index: int, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, first: Vector, work: Matrix
     ) -> int:
@@ -52,6 +56,9 @@ def law_step(step: Kernel, coordinates: int, inputs: int) -> Kernel:
     """
 
     @compiled
+    @requires(
+        "len(inverse) >= len(commands)",
+    )
     def answer(t: float, y: Vector, p: Vector, inverse: Matrix, u: Vector, commands: Vector, first: Vector) -> int:
         health = step(t, y[:coordinates], y[coordinates:], u, p)
         for i in range(commands.size):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled, inlined
+from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Accuracy
 from masking.compile.numerics.runge_kutta import NEARLY_SINGULAR_PART, SMALLEST_STEP, copy, fault
 from masking.compile.numerics.stop_codes import (
@@ -101,6 +101,9 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         return part * radius
 
     @compiled
+    @requires(
+        "len(states) >= len(times)",
+    )
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

@@ -17,9 +17,10 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
-from masking.compile.numerics.compilation import compiled
+from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.kernel_arguments import Unit
+from masking.compile.numerics.sampled_loop import OF_READINGS
 
 PIECE = 5  # numbers of a polynomial
 HALVINGS = 32  # of the points between which a time is looked for
@@ -152,6 +153,9 @@ def control(
     read, feel = reading(sensors), feeling(pushes)
 
     @compiled
+    @requires(
+        *OF_READINGS,
+    )
     def step(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         p = unit.p
         at = first_table(t, p)

@@ -1,0 +1,86 @@
+"""What machine code needs of its arguments: sizes that its text asks for, and conditions that a kernel declares.
+
+A kernel states its conditions by `numerics.compilation.requires`; `machine_code` refuses a call that breaks one.
+
+Conditions are Python expressions of the arguments by their names, fields of structs as `argument.field`, and of:
+
+* `linked.y`: the greatest size that the functions which are linked to a kernel need of their argument `y`, of its first
+  axis; `linked.width`, that of the last axis of what they write; and `linked.case(y, number)`, that of one which
+  chooses by a number;
+* `within(indices, size)`: whether all indices of an array, or one, are those of an axis of this size;
+* `kept(begin, samples, every)`: the number of samples from `begin` on whose index is a multiple of `every`;
+* `are_terms(terms, values, rows, entries, columns)`: whether terms of a sum (3, m) with values (m,) are of tables with
+  so many rows and columns;
+* what a condition before it has named by `:=`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+GIVEN = {"t", "y", "u", "p"}  # arguments of a rig's functions that these only read
+
+
+@dataclass(frozen=True)
+class Needed:
+    """What a function needs of its arguments."""
+
+    sizes: Mapping[str, Sequence[int]] = field(default_factory=dict)  # least size of each axis of arrays
+    conditions: Sequence[str] = ()
+    cases: Mapping[str, Sequence[int]] = field(default_factory=dict)  # least size by the number of what is chosen
+
+
+NOTHING = Needed()
+
+
+@dataclass(frozen=True)
+class Linked:
+    """What functions that are linked to a kernel need."""
+
+    functions: Sequence[Needed]
+
+    def __getattr__(self, name: str) -> int:
+        """Size of the first axis of an argument."""
+        return max((one.sizes[name][0] for one in self.functions if name in one.sizes), default=0)
+
+    @cached_property
+    def width(self) -> int:
+        """Size of the last axis of what they write."""
+        return max((n[-1] for one in self.functions for name, n in one.sizes.items() if name not in GIVEN), default=0)
+
+    def case(self, name: str, number: int) -> int:
+        """Size of an argument of a function that chooses by a number; 0 where there is nothing of this number."""
+        cases = (one.cases.get(name, ()) for one in self.functions)
+        return max((sizes[number] for sizes in cases if 0 <= number < len(sizes)), default=0)
+
+
+def within(indices: Any, size: int) -> bool:  # noqa: ANN401  (an array of whole numbers, or one)
+    """Whether all indices are those of an axis of a size."""
+    return bool(np.all((np.asarray(indices) >= 0) & (np.asarray(indices) < size)))
+
+
+def kept(begin: int, samples: int, every: int) -> int:
+    """Number of samples from one on whose index is a multiple of `every`."""
+    return (begin + max(samples, 0) - 1) // every - (begin - 1) // every
+
+
+def are_terms(terms: Any, values: Any, rows: int, entries: int, columns: int) -> bool:  # noqa: ANN401  (arrays)
+    """Whether each term has a row, an entry and a column of tables with so many of them, and a value."""
+    return (
+        len(terms) >= 3
+        and terms.shape[1] >= len(values)
+        and all(within(one, size) for one, size in zip(terms, (rows, entries, columns), strict=False))
+    )
+
+
+def predicate(conditions: Sequence[str], arguments: Iterable[str], linked: Linked) -> Callable[..., bool]:
+    """Conditions as one function of the values of the arguments."""
+    text = " and ".join(f"({one})" for one in conditions)
+    names = {"linked": linked, "within": within, "kept": kept, "are_terms": are_terms}
+    made: Callable[..., bool] = eval(f"lambda {', '.join(arguments)}: {text}", names)  # noqa: S307  # of kernels alone
+    return made
