@@ -51,7 +51,7 @@ class ExportSettings:
         plant: a plant that replaces that of an experiment.
         real: numbers of C: 'double' or 'float'.
         rate: steps per second of a rig or a model, or per unit of time of a model with scales; 1000 by default. That of
-            a controller is declared.
+            a controller is declared. A rig with a delay in samples needs it: they are those of its controller.
         watchdog: seconds without a step after which a sampled controller's commands are zero.
         out: folder to write into; `exported/NAME` by default.
         overwrite: whether an earlier export of the same kind is replaced in that folder.
@@ -117,6 +117,10 @@ def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
             raise DeclarationError(Problem(None, "--set", "values of a plant stand in its file", "change them there"))
         twin = Twin.load(name_or_path)
         twin.validate()
+        if twin.delay and rate is None:
+            what = f"the delay of {stem} is {twin.delay} samples, whose length is that of its controller"
+            remedy = "give the controller's samples per second, such as --rate 500"
+            raise DeclarationError(Problem(None, "--rate", what, remedy))
         return twin_unit(twin, stem, rate or RATE)
     model = load_model(name_or_path).with_parameters(**(changes or {}))
     model.validate()

@@ -11,12 +11,16 @@ from masking.compile.numerics.arrays import Array
 from masking.control.closed_loop import ClosedLoop
 from masking.control.closed_loop import module as module_of
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Operations, Unit, identifier
+from masking.control.exports.unit import Channel, Operations, Unit, identifier, state_channels
 from masking.control.sampled_controller import SampledController
 
 INIT = "Begin, on a rig at rest, with its first readings."
 STEP = "Answer readings with commands, once a period; zero once it has stopped."
 MISS = "Step over a sample that was missed, with the readings of the next; call it before step."
+NOT_HOMED = (
+    "Without homing nothing brings the rig to the initial state: the masked motion begins where the rig rests, and it "
+    "stays at rest unless an input moves it. With controller.homing: 3 the controller brings it there in 3 s."
+)
 STATES_READ = "The readings are states, in SI units: this law has no observer, no limits and no watchdog."
 WATCH = "Count a period, from a timer; without a step for too long, set the commands to zero until init."
 
@@ -56,10 +60,11 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     notes = (
         f"The first step is sample {-sampled.before}; at sample 0 the rig is released.",
         f"Commands are within the limits; the watchdog allows {patience} periods without a step.",
+        *(() if sampled.homing else (NOT_HOMED,)),
     )
     names = [*known.model.coordinates, *(f"{c}'" for c in known.model.coordinates), *known.model.declaration.states]
     names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
-    states = tuple(Channel(n, "SI", "estimate") for n in names)
+    states = state_channels(names, known.model.declaration, "estimate")
     made_of = (module, ports, memory, constants, operations)
     return Unit(identifier(name), title, "controller", *made_of, period, notes, states)
 
@@ -106,7 +111,7 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     if controller.virtual.declaration.events:
         notes.append("At the events of the virtual system, the caller makes them jump.")
     title = f"{model.name}, masked as {controller.virtual.name}: control law of the states"
-    ports = {"readings": tuple(Channel(n, "SI", "state") for n in names)}
+    ports = {"readings": state_channels(names, model.declaration, "state")}
     ports |= {"commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs)}
     made_of = (module, ports, {"p": values.shape, "first": (1,)}, {"values": values}, operations)
     return Unit(identifier(name), title, "law", *made_of, None if rate is None else 1.0 / rate, tuple(notes))

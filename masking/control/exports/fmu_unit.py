@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+import numpy as np
+
 from masking.compile.codegen.content_hashes import digest
 from masking.control.exports import calls
 from masking.control.exports.c_unit import CUnit
 from masking.control.exports.unit import Channel, Unit
-from masking.errors import ModelError
+from masking.errors import DeclarationError, ModelError
+from masking.model.declaration.units import base_powers, factor_of
 
 VERSIONS = (2, 3)
 FOLDERS = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
@@ -34,21 +37,27 @@ MARKS = {
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of an FMU: `causality` is independent, input, output or local."""
+    """A variable of an FMU: `causality` is independent, input, output, local or parameter."""
 
     reference: int
     name: str
     unit: str
     meaning: str
     causality: str
+    start: float | None = None  # that can be set
 
 
 def variables(unit: Unit) -> tuple[Variable, ...]:
-    """Variables of a unit: the time, inputs, outputs, and its state."""
-    order: list[tuple[str, Channel]] = [("input", channel) for channel in unit.inputs]
-    order += [("output", channel) for channel in unit.outputs]
-    order += [("local", Channel(f"state.{channel.name}", channel.unit, channel.meaning)) for channel in unit.states]
-    found = [Variable(i, c.name, c.unit, c.meaning, kind) for i, (kind, c) in enumerate(order, 1)]
+    """Variables of a unit: the time, inputs, outputs, its state, and its parameters."""
+    begun = unit.constants.get("state0", np.full(len(unit.states), np.nan))
+    order: list[tuple[str, str, Channel, float | None]] = [("input", c.name, c, 0.0) for c in unit.inputs]
+    order += [("output", c.name, c, None) for c in unit.outputs]
+    order += [
+        ("local", f"state.{c.name}", c, float(x) if np.isfinite(x) else None)
+        for c, x in zip(unit.states, begun, strict=True)
+    ]
+    order += [("parameter", f"parameter.{c.name}", c, float(unit.constants["values"][i])) for c, i in unit.parameters]
+    found = [Variable(i, name, c.unit, c.meaning, kind, start) for i, (kind, name, c, start) in enumerate(order, 1)]
     return (Variable(0, "time", "", "", "independent"), *found)
 
 
@@ -98,7 +107,7 @@ def _binary(unit: Unit, sources: Mapping[str, str]) -> bytes:
 
 def _glue(unit: Unit, token: str) -> str:
     names = calls.Names("&i->unit", "i->inputs", "i->outputs", "i->time", "status")
-    begun = [calls.begin(unit, names), calls.read(unit, names)]
+    begun = [calls.begin(unit, names), "choose(i);", calls.read(unit, names)]
     if unit.kind == "controller":
         begun.append("memcpy(i->outputs, i->unit.applied, sizeof(i->unit.applied));")
     elif unit.kind == "law":
@@ -109,6 +118,10 @@ def _glue(unit: Unit, token: str) -> str:
         "INPUTS": str(len(unit.inputs)),
         "OUTPUTS": str(len(unit.outputs)),
         "STATES": str(len(unit.states)),
+        "PARAMETERS": str(len(unit.parameters)),
+        "CHOSEN_SIZE": str(max(1, len(unit.states) + len(unit.parameters))),
+        "HAS_START": str(int("state0" in unit.constants)),
+        "PLACES": ", ".join(str(i) for _, i in unit.parameters) or "0",
         "INPUTS_SIZE": str(max(1, len(unit.inputs))),
         "PERIOD": repr(unit.period or 0.0),
         "BEGIN": "\n    ".join(filter(None, begun)),
@@ -134,16 +147,16 @@ def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str
         for name in _compiled(sources):
             SubElement(listed, "File", {"name": name})
     found = variables(unit)
-    units = sorted({v.unit for v in found if v.unit})
+    units = {name: one for name in sorted({v.unit for v in found}) if (one := _base_unit(name)) is not None}
     if units:
         defined = SubElement(root, "UnitDefinitions")
-        for name in units:
-            SubElement(defined, "Unit", {"name": name})
+        for name, one in units.items():
+            SubElement(SubElement(defined, "Unit", {"name": name}), "BaseUnit", one)
     times = {"startTime": "0.0"} | ({"stepSize": repr(unit.period)} if unit.period else {})
     SubElement(root, "DefaultExperiment", times)
     listed = SubElement(root, "ModelVariables")
     for variable in found:
-        _variable(listed, variable, version)
+        _variable(listed, variable, version, has_unit=variable.unit in units)
     structure = SubElement(root, "ModelStructure")
     places = [(i, v.reference) for i, v in enumerate(found, 1) if v.causality == "output"]
     for name in ("Output", "InitialUnknown"):
@@ -156,13 +169,27 @@ def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str
     return root
 
 
-def _variable(parent: Element, variable: Variable, version: int) -> None:
+def _base_unit(name: str) -> dict[str, str] | None:
+    """Factor and powers of SI base units as FMI writes them; None for what is no unit, or has broken powers."""
+    try:
+        powers, factor = base_powers(name), factor_of(name)
+    except DeclarationError:
+        return None
+    if not name or any(power.denominator != 1 for power in powers.values()):
+        return None
+    return {base: str(power) for base, power in powers.items()} | ({} if factor == 1.0 else {"factor": repr(factor)})
+
+
+def _variable(parent: Element, variable: Variable, version: int, *, has_unit: bool) -> None:
     attributes = {"name": variable.name, "valueReference": str(variable.reference), "causality": variable.causality}
-    attributes["variability"] = "continuous" if variable.causality == "independent" else "discrete"
-    attributes |= {"initial": "calculated"} if variable.causality in {"output", "local"} else {}
+    attributes["variability"] = {"independent": "continuous", "parameter": "tunable"}.get(
+        variable.causality, "discrete"
+    )
+    if variable.causality in {"output", "local", "parameter"}:
+        attributes["initial"] = "calculated" if variable.start is None else "exact"
     attributes |= {"description": variable.meaning} if variable.meaning else {}
-    value = {"start": "0.0"} if variable.causality == "input" else {}
-    value |= {"unit": variable.unit} if variable.unit else {}
+    value = {} if variable.start is None else {"start": repr(variable.start)}
+    value |= {"unit": variable.unit} if has_unit else {}
     if version == 2:
         SubElement(SubElement(parent, "ScalarVariable", attributes), "Real", value)
     else:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import steps_between
 from masking.compile.codegen.source import Module
 from masking.compile.numerics import runge_kutta
+from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Operations, Unit, identifier
+from masking.control.exports.unit import Channel, Operations, Unit, identifier, state_channels
 from masking.control.rig.twin import Twin
+from masking.errors import DeclarationError
+from masking.model.declaration.schema import Parameter
+from masking.model.declaration.units import coherent
 from masking.model.modelling import lowering
 from masking.model.modelling.model import Model
 
@@ -40,9 +46,19 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
     }
     memory = {"y": state.shape, "p": values.shape, "queue": (rows, a), "acting": (a,), "work": (5, len(state))}
     made_of = (module, ports, memory, {"state0": state, "values": values, "late": late}, operations)
-    notes = (f"A period has {substeps} steps of the classical Runge-Kutta method.",)
-    states = tuple(Channel(n, "SI") for n in twin.state_names)
-    return Unit(identifier(name), f"{twin.declaration.name}: simulated rig", "plant", *made_of, period, notes, states)
+    notes: tuple[str, ...] = (f"A period has {substeps} steps of the classical Runge-Kutta method.",)
+    if twin.delay:
+        notes += (f"The delay of {twin.delay} samples is {twin.delay * period:g} s.",)
+    states = state_channels(twin.state_names, twin.model.declaration)
+    parameters = _settable(
+        values,
+        {p: twin.parameter_value(p) for p in twin.parameter_names},
+        lambda change: twin.with_parameters(change).values(),
+        {p: twin.model.declaration.parameters[p] for p, own in twin.parameter_names.items() if own is None},
+        is_dimensionless=False,
+    )
+    title = f"{twin.declaration.name}: simulated rig"
+    return Unit(identifier(name), title, "plant", *made_of, period, notes, states, parameters)
 
 
 def model_unit(model: Model, name: str, rate: float) -> Unit:
@@ -75,5 +91,38 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
     memory = {"y": state.shape, "p": values.shape, "work": (5, size)}
     made_of = (module, ports, memory, {"state0": state, "values": values}, operations)
     notes = (f"A period has {substeps} step{'s' * (substeps != 1)} of the classical Runge-Kutta method.",)
-    states = tuple(Channel(c, units) for c in names) if d.outputs else ()
-    return Unit(identifier(name), f"{model.name}: model", "model", *made_of, period, notes, states)
+    plain = tuple(Channel(c, units) for c in names)
+    states = plain if model.is_dimensionless else state_channels(names, d)
+    parameters = _settable(
+        values,
+        {p: float(x.value) for p, x in d.parameters.items() if isinstance(x.value, int | float)},
+        lambda change: model.with_parameters(**change).values(),
+        d.parameters,
+        is_dimensionless=model.is_dimensionless,
+    )
+    return Unit(identifier(name), f"{model.name}: model", "model", *made_of, period, notes, states, parameters)
+
+
+def _settable(
+    values: Array,
+    declared: Mapping[str, float],
+    changed: Callable[[Mapping[str, float]], Array],
+    known: Mapping[str, Parameter],
+    *,
+    is_dimensionless: bool,
+) -> tuple[tuple[Channel, int], ...]:
+    """Parameters that are one entry of the parameter array, on which no other entry depends, with its index.
+
+    `declared` has their values, `changed` the array with others, and `known` the unit and the meaning of each.
+    """
+    found = list[tuple[Channel, int]]()
+    for name, value in declared.items():
+        for other in (1.01 * value or 0.01, 0.99 * value):
+            with contextlib.suppress(DeclarationError):  # out of its bounds
+                (places,) = np.nonzero(changed({name: other}) != values)
+                if len(places) == 1:
+                    one = known.get(name)
+                    unit = "" if one is None or is_dimensionless else coherent(one.unit)
+                    found.append((Channel(name, unit, one.meaning if one else ""), int(places[0])))
+                break
+    return tuple(found)

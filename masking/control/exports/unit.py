@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels
+from masking.model.declaration.schema import ModelDeclaration
+from masking.model.declaration.units import coherent, combined
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Unit:
     notes: tuple[str, ...] = ()  # further sentences on its use
     # what the first numbers of the first array of its memory are; empty where no one wants them
     states: tuple[Channel, ...] = ()
+    parameters: tuple[tuple[Channel, int], ...] = ()  # that can be set, with their indices in the array `p`
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
@@ -84,6 +87,14 @@ class Operations(dict[str, Operation]):
         """
         self.module.add_factory(f"unit_{name}", *kernel, exported=False)
         self[name] = Operation(tuple(arguments.split()), text, returns_status)
+
+
+def state_channels(names: Sequence[str], declaration: ModelDeclaration, meaning: str = "") -> tuple[Channel, ...]:
+    """Coordinates, velocities and internal states, in SI units; what a model does not declare has no unit."""
+    units = {name: coherent(one.unit) for name, one in declaration.coordinates.items()}
+    units |= {name: coherent(one.unit) for name, one in declaration.states.items()}
+    units |= {f"{name}'": combined("D/s", {"D": units[name]}) for name in declaration.coordinates}
+    return tuple(Channel(name, units.get(name, ""), meaning) for name in names)
 
 
 def identifier(text: str) -> str:

@@ -68,6 +68,12 @@ def dimension_of(unit: str) -> Dimension:
     return _unit(unit)[1]
 
 
+def base_powers(unit: str) -> dict[str, Fraction]:
+    """Give the powers of SI base units that a unit has, and that of rad."""
+    found = dict(zip(BASES.values(), dimension_of(unit), strict=True)) | {"rad": _powers(coherent(unit)).get("rad")}
+    return {name: power for name, power in found.items() if power}
+
+
 def instead_of(unit: str, wanted: Dimension) -> str:
     """Say what to write for a unit whose name is that of another dimension than wanted; '' where nothing is known."""
     if unit == GRAM and wanted == dimension_of(GRAVITY):

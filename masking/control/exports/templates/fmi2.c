@@ -106,10 +106,10 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], si
 EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, const fmi2Real value[])
 {
     for (size_t i = 0; i < count; i++) {
-        if (vr[i] < 1 || vr[i] > INPUTS) {
-            return fail(c, "fmi2SetReal: only inputs can be set");
+        const char *message = set(&((component_t *)c)->instance, vr[i], value[i]);
+        if (message != NULL) {
+            return fail(c, message);
         }
-        ((component_t *)c)->instance.inputs[vr[i] - 1] = value[i];
     }
     return fmi2OK;
 }

@@ -145,10 +145,10 @@ EXPORT fmi3Status fmi3SetFloat64(
         return fail(instance, "fmi3SetFloat64: give one value for each value reference");
     }
     for (size_t i = 0; i < count; i++) {
-        if (vr[i] < 1 || vr[i] > INPUTS) {
-            return fail(instance, "fmi3SetFloat64: only inputs can be set");
+        const char *message = set(&((component_t *)instance)->instance, vr[i], values[i]);
+        if (message != NULL) {
+            return fail(instance, message);
         }
-        ((component_t *)instance)->instance.inputs[vr[i] - 1] = values[i];
     }
     return fmi3OK;
 }

@@ -9,6 +9,7 @@ EXPORT @FMI@Status @FMI@SetDebugLogging(@COMPONENT@ c, @FMI@Boolean on, size_t c
 EXPORT @FMI@Status @FMI@ExitInitializationMode(@COMPONENT@ c)
 {
     begin(&((component_t *)c)->instance);
+    ((component_t *)c)->instance.is_initialized = 1;
     return @FMI@OK;
 }
 
