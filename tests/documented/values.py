@@ -28,6 +28,7 @@ from tests.benchmarks import (
     clocks,
     components,
     exported,
+    held,
     hidden,
     loop,
     many,
@@ -129,6 +130,12 @@ def observer_error(kind: str, order: str = "2") -> str:
     settings = {"rate": "1 kHz", "model": "setup_springs", "observer": observer}
     changed = Experiment.load("huygens_rig").changed(controller=settings, duration=400.0)
     return spread([worst(changed.changed(seed=seed)) for seed in SEEDS])
+
+
+@slow_value
+def held_table() -> str:
+    """Return the table of the error of a held output over the rate, with its order."""
+    return held.table()
 
 
 @slow_value
