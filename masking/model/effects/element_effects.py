@@ -416,7 +416,7 @@ ELEMENTS: tuple[Effect, ...] = (
     Effect(
         "periodic_force",
         "A sinusoidal force that does not depend on the motion.",
-        "-a*sin(2*pi*nu*t) - b*cos(2*pi*nu*t)",
+        "a*sin(2*pi*nu*t) + b*cos(2*pi*nu*t)",
         {
             "a": EffectParameter("F", "sine part", (-5.0, 5.0), 0.1),
             "b": EffectParameter("F", "cosine part", (-5.0, 5.0), 0.1, 0.0),

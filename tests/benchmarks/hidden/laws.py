@@ -141,7 +141,7 @@ def _gravity(m: Motion, p: Values) -> Array:
 
 def _periodic(m: Motion, p: Values) -> Array:
     a, b, f = p
-    return np.asarray(-a * np.sin(2.0 * np.pi * f * m.t) - b * np.cos(2.0 * np.pi * f * m.t))
+    return np.asarray(a * np.sin(2.0 * np.pi * f * m.t) + b * np.cos(2.0 * np.pi * f * m.t))
 
 
 def _drift(m: Motion, p: Values) -> Array:

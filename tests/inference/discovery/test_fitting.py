@@ -223,7 +223,7 @@ def test_the_smoother_finds_a_force_and_how_well_it_is_known(problem):
     record = noisy(problem, (hidden,))
     motion = smooth(record, problem.rig.start, np.zeros((1, 6)))
     t = np.arange(len(motion.forces)) / RATE
-    true = -0.05 * np.sin(2 * np.pi * 0.7 * t) - 0.02 * np.cos(2 * np.pi * 0.7 * t)
+    true = 0.05 * np.sin(2 * np.pi * 0.7 * t) + 0.02 * np.cos(2 * np.pi * 0.7 * t)
     middle = slice(2000, -2000)
     off = (motion.forces[:, 2] - true)[middle]
     assert np.abs(off).mean() < 0.1 * np.abs(true).mean()

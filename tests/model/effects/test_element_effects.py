@@ -821,3 +821,14 @@ def test_what_an_entry_names_is_there():
 def test_no_two_effects_are_the_same():
     for one, other in itertools.combinations(EFFECTS.values(), 2):
         assert one.meaning != other.meaning
+
+
+@pytest.mark.parametrize("acts", [1, -1])
+def test_a_periodic_force_pushes_as_its_element_acts(tmp_path, acts):
+    path, w, t = tmp_path / "mass.yaml", 2.0 * np.pi * 0.25, np.linspace(0.0, 6.0, 25)
+    path.write_text(
+        f"name: mass\ncoordinates: {{x: {{initial: 0}}}}\nequations: {{x'': 0}}\n"
+        f"elements: {{hand: {{displacement: x, acts: {{x: {acts}}}}}}}\n"
+    )
+    moved = load_model(path).attach("periodic_force", "hand", label="push", a=2.0, nu=0.25).simulate(t)["x"]
+    np.testing.assert_allclose(moved, acts * 2.0 / w * (t - np.sin(w * t) / w), atol=1e-8)
