@@ -236,10 +236,19 @@ def radical(expression: sp.Expr, given: Hypotheses) -> sp.Expr:
 
 
 def without_void(entry: sp.Expr, given: Hypotheses) -> sp.Expr:
-    """Entry of parameters, or 0 where it vanishes at the declared values, which is supposed."""
+    """Entry of parameters, with the equations that were supposed of them; 0 where it vanishes, which is supposed.
+
+    That is, at the declared values.
+    """
+    if given.equal:
+        entry = normal(entry.subs(given.equal))
     if entry == 0 or not given.is_void(entry):
         return entry
-    given.suppose(f"{radical(entry, given)} = 0")
+    equation = radical(entry, given)
+    given.suppose(f"{equation} = 0")
+    if (found := solved_for(equation, sorted(equation.free_symbols, key=str), given)) is not None:
+        name, value = found
+        given.equal = {x: normal(y.subs(name, value)) for x, y in given.equal.items()} | {name: value}
     return sp.Integer(0)
 
 

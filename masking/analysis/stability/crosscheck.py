@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import mpmath
 import numpy as np
 import sympy as sp
 from scipy.integrate import solve_ivp
@@ -25,6 +26,10 @@ from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
 _NEUTRAL = 1e-12  # of the largest eigenvalue: a real part below this is the rounding of one that is 0
+_DIGITS, _DECAY = (
+    60,
+    1e-20,
+)  # of exact eigenvalues, and of the largest: a mode that decays has a real part below minus this
 _OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, a mode is outside of a set
 _RADIANS = 20.0  # of the fastest mode: duration of a simulation
 _ROWS = 41
@@ -79,7 +84,8 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
         slopes /= np.maximum(np.max(np.abs(slopes), axis=1, keepdims=True, initial=0.0), 1e-300)
         for value, vector in zip(values, vectors.T, strict=True):
             stays = value.real >= -slack and (is_bounded or value.real <= slack)
-            if stays and np.max(np.abs(slopes @ vector), initial=0.0) > _OUTSIDE * np.max(np.abs(vector)):
+            is_outside = np.max(np.abs(slopes @ vector), initial=0.0) > _OUTSIDE * np.max(np.abs(vector))
+            if stays and is_outside and not (value.real <= slack and _decays(motion, value)):
                 return (
                     f"a mode of frequency {abs(value.imag):.6g} does not decay (eigenvalue {value:.4g}) and is outside "
                     "of this set"
@@ -89,6 +95,17 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
         return _Motions(motion, forms, found, None).contradiction(neutral)
     except ModelError:  # a function that cannot be evaluated
         return ""
+
+
+def _decays(motion: Motion, near: complex) -> bool:
+    """Whether the eigenvalue of a linear motion nearest to a number has a negative real part, at the exact values."""
+    state = (*motion.q, *motion.v)
+    slopes = sp.Matrix([*motion.v, *motion.accelerations]).jacobian(state)
+    with mpmath.workdps(_DIGITS):
+        exact = slopes.applyfunc(lambda x: sp.N(motion.given.at_values(x), _DIGITS))
+        values, _ = mpmath.eig(mpmath.matrix(exact.tolist()))
+        found = min(values, key=lambda x: abs(x - mpmath.mpmathify(near)))
+        return bool(found.real < -_DECAY * max(abs(x) for x in values))
 
 
 class _Motions:

@@ -35,6 +35,7 @@ _KINKS = (sp.sign, sp.Heaviside, sp.Abs, sp.Min, sp.Max, sp.Piecewise, sp.floor,
 _MOST_CONFIRMED = 500  # boxes, spread evenly
 _ZERO = 1e-300  # where rounding outward has moved 0
 _FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
+_FARTHEST = (1e4, 1e8, 1e16, 1e32)  # the same, where neither such a state nor a proof was found
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,28 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
         growth = Growth(motion, rate)
     except ModelError as error:
         return Dissipation(rate, "open", f"not looked at: {error}")
-    for further in _FURTHER if not sides.keys() <= (box or {}).keys() else (1.0,):
-        reach = {n: side if n in (box or {}) else (further * side[0], further * side[1]) for n, side in sides.items()}
-        found = growth.search(reach)
-        if found is not None:
-            state, least = found
-            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=least)
+    if (found := _grown(growth, rate, sides, box or {}, _FURTHER)) is not None:
+        return found
     if rate.has(sp.DiracDelta):
         at = ", ".join(sorted({f"{f.args[0]} = 0" for f in rate.atoms(sp.DiracDelta)}))
         return Dissipation(rate, "open", f"the energy jumps at {at}; declare one that is continuous")
     if _is_negative(motion, rate, sides):
         return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
+    if (found := _grown(growth, rate, sides, box or {}, _FARTHEST)) is not None:
+        return found
     return Dissipation(rate, "supported numerically", f"V' <= 0 at {SAMPLES} sampled states", box=sides)
+
+
+def _grown(
+    growth: Growth, rate: sp.Expr, sides: dict[str, tuple[float, float]], box: Box, further: tuple[float, ...]
+) -> Dissipation | None:
+    """State at which V' > 0, looked for on multiples of the sides that no box gives."""
+    for times in further if not sides.keys() <= box.keys() else (1.0,):
+        reach = {n: side if n in box else (times * side[0], times * side[1]) for n, side in sides.items()}
+        if (found := growth.search(reach)) is not None:
+            state, least = found
+            return Dissipation(rate, "refuted", "a state at which V' > 0", counterexample=state, growth=least)
+    return None
 
 
 @dataclass(frozen=True)

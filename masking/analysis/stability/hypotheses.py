@@ -35,6 +35,7 @@ class Hypotheses:
     extra: list[str] = field(default_factory=list)  # further ones that a proof needed, as texts
     # expressions that are not 0 at the declared values, but nearly, so that no proof may rest on that
     coincidences: list[sp.Expr] = field(default_factory=list)
+    equal: dict[sp.Expr, sp.Expr] = field(default_factory=dict)  # parameters by what supposed equations make of them
 
     @cached_property
     def values(self) -> dict[str, float]:

@@ -39,7 +39,7 @@ def unobserved(motion: Motion, forms: Sequence[sp.Expr]) -> tuple[sp.Expr, ...]:
         pivots.append(entry)
         fresh.append((row * a).applyfunc(normal))
     # Earlier pivots are eliminated from later rows: the product is a minor of O; the result holds where it is not 0.
-    motion.given.is_nonzero(normal(determinant))
+    motion.given.is_nonzero(without_void(normal(determinant), motion.given))
     ordered = sorted(zip(pivots, rows, strict=True), key=lambda x: x[0])
     plain = [row.applyfunc(lambda x: without_void(x, motion.given)) for _, row in ordered]
     return tuple(sum((row[j] * x for j, x in enumerate(state)), sp.Integer(0)) for row in plain)

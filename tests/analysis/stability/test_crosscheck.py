@@ -106,6 +106,20 @@ def test_modes_contradict_a_false_proof(declared):
     assert f"a mode of frequency {np.sqrt(180):.6g} does not decay" in against
 
 
+def test_a_mode_that_decays_as_slowly_as_rounding_contradicts_nothing(declared):
+    """Its eigenvalue has the real part -c/2 = -5e-14, by the formula of a damped oscillator."""
+    found = certificate(
+        declared(
+            coordinates={"x": {"initial": 1}, "y": {"initial": 1}},
+            parameters={"c": {"value": 1e-13}, "b": {"value": 1}},
+            equations={"x''": "-x - c*x'", "y''": "-y - b*y'"},
+            energy="(x'**2 + y'**2 + x**2 + y**2)/2",
+        )
+    )
+    assert found.status == "proved"
+    assert found.conclusion == "every motion converges to the set x = 0, y = 0, x' = 0, y' = 0"
+
+
 def test_simulated_motions_contradict_a_false_proof():
     model = load_model("duffing").dimensionless()
     motion = Motion(model, Hypotheses(model))

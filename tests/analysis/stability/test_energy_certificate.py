@@ -439,6 +439,36 @@ def test_growth_by_forces_that_are_not_smooth_is_refuted_with_a_state(declared, 
     assert growth == pytest.approx(rate(state["x"], state["x'"]), rel=1e-12)
 
 
+def test_growth_at_speeds_far_beyond_the_motion_is_refuted(declared):
+    """V' = -|v|^3 + e v^4 is positive beyond v = 1/e = 1e16."""
+    equation = {"x''": "-x - abs(x')*x' + 1e-16*x'**3"}
+    found = certificate(declared(coordinates={"x": {"initial": 1}}, equations=equation, energy="(x'**2 + x**2)/2"))
+    assert found.status == "refuted"
+    assert abs(found.dissipation.counterexample["x'"]) > 1e16
+
+
+def test_a_set_is_said_with_the_equations_that_it_supposes(declared):
+    """Two oscillators of one frequency, ka/ma = kb/mb, leave the mass s at rest where ka a + kb b = 0."""
+    found = certificate(
+        declared(
+            coordinates={"a": {"initial": 1}, "b": {"initial": 0.5}, "s": {"initial": 0}},
+            parameters={
+                n: {"value": x}
+                for n, x in zip(("ma", "mb", "ka", "kb", "M", "K", "d"), (1, 1, 2, 2, 5, 1, 0.3), strict=True)
+            },
+            equations={
+                "ma*a''": "-ka*(a - s)",
+                "mb*b''": "-kb*(b - s)",
+                "M*s''": "ka*(a - s) + kb*(b - s) - K*s - d*s'",
+            },
+            energy="(ma*a'**2 + mb*b'**2 + M*s'**2 + ka*(a - s)**2 + kb*(b - s)**2 + K*s**2)/2",
+        )
+    )
+    assert relations(found) == [{"a*ma/mb + b", "a'*ma/mb + b'", "s", "s'"}]
+    assert "ka*mb - kb*ma = 0" in found.hypotheses
+    assert not any("!=" in one for one in found.hypotheses)
+
+
 @pytest.mark.parametrize(
     ("force", "potential"),
     [
