@@ -98,12 +98,13 @@ def sum_peaks(motion: Motion, window: float, truths: dict[int, float], *, within
     ]
 
 
-def time_value(motion: Motion, printed: float, where: str) -> Value:
+def time_value(motion: Motion, printed: float, where: str, window: float = 20.0) -> Value:
     """Return when the sum of two oscillators is within 1 % of the amplitude, beside the time that is printed."""
     ours, amplitude = motion.settled(), motion.amplitude()
-    left = motion.peak(min(printed, motion.t[-1]), 20.0) / amplitude
+    left = motion.peak(min(printed, motion.t[-1]), window) / amplitude
     why = (
-        f"the document reads its time off the picture, where the sum is {left:.2g} of the amplitude"
+        f"the document reads its time off the picture; over the {window:g} before, the sum is {left:.2g} of "
+        "the amplitude"
         if left < SEEN
         else ""
     )

@@ -119,7 +119,7 @@ def fig_8_5() -> Entry:
     values = (
         *peaks,
         Value("peak of the sum over 10 before tau = 900", motion.peak(900.0, 10.0), independent=1e-5, why=digit),
-        time_value(motion, 900.0, "p. 51"),
+        time_value(motion, 900.0, "p. 51", 10.0),
         *on_rigs("discs_eccentric"),
     )
     title = "Discs with eccentric masses, simulated"

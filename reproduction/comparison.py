@@ -64,8 +64,10 @@ class Value:
         if not self.references:
             return "ours only"
         if all(self._is_near(x, self.within) for x in self.references):
-            if self.given:
+            if self.given and all(self._is_near(x, None) for x in self.references):
                 return "given"
+            if self.given:
+                return "explained" if self.why else "unexplained"
             loose = self.within is not None and any(self.within > _closeness(x) for x in self.references)
             return "in kind" if loose else "agrees"
         return "explained" if self.why else "unexplained"

@@ -32,8 +32,12 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "Fig. 4.4": chapter4.fig_4_4,
             "Fig. 4.5": chapter4.fig_4_5,
             "Fig. 4.6": chapter4.fig_4_6,
+            "Fig. B.1": appendices.fig_b_1,
             "Table B.3": appendices.table_b_3,
+            "Table C.1": appendices.table_c_1,
             "Table C.2": appendices.table_c_2,
+            "Fig. C.3": appendices.fig_c_3,
+            "Fig. C.5": appendices.fig_c_5,
             "Fig. C.6": appendices.fig_c_6,
         },
         "Chapter 5: the set-up itself": {

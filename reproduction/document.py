@@ -25,10 +25,10 @@ _HEADS: Final = ("agree", "in kind", "explained", "unexplained", "given", "ours 
 _MARKS: Final = {"unexplained": "**unexplained**", "ours only": ""}
 _INTRODUCTION = """# The source document, computed again
 
-Every figure and table of chapters 4, 5, 7, 8 and 9 of D.J. Rijlaarsdam, *Huygens Synchronization in Various Dynamical
-Systems - Experimental Results*, TU Eindhoven, DCT 2008.049, and of its ENOC 2008 paper: the document's number, ours and
-their ratio. `python -m reproduction` writes this page and its pictures; `python -m reproduction --only 7.2` computes
-and prints a part of it.
+Every figure and table of chapters 4, 5, 7, 8 and 9, and those of appendices B and C that show numbers, of D.J.
+Rijlaarsdam, *Huygens Synchronization in Various Dynamical Systems - Experimental Results*, TU Eindhoven, DCT 2008.049,
+and of its ENOC 2008 paper: the document's number, ours and their ratio. `python -m reproduction` writes this page and
+its pictures; `python -m reproduction --only 7.2` computes and prints a part of it.
 
 Models are the packaged ones. *On the ideal rig* means masked on a rig that its controller knows exactly, *on the twin*
 masked on `tue_rig`: measured springs, friction, hysteresis, wrong damping and gains, noise, offsets, delay. The
@@ -42,7 +42,8 @@ A row falls into one class:
   with scipy's DOP853 at a relative tolerance of 1e-9.
 - *in kind*: within a tolerance above that, 5 to 50 %, which the row prints.
 - *explained*, **unexplained**: it differs; an explanation is below the table.
-- *given*: made from the document's number, by a fit or as it is, so that it shows nothing by agreeing, as it does.
+- *given*: made from the document's number, by a fit or as it is, so that it shows nothing by agreeing, as it does,
+  within 2 %. What was fitted and is further off is explained, or not.
 - *ours only*, without a mark: the document has no such number.
 
 A number that stands in two tables counts in the first, and the second refers to it. *Twin* marks an experiment on the

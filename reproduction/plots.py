@@ -99,6 +99,15 @@ def curves(
     return _png(figure, _handles(named, named.values()), title)
 
 
+def lines(drawn: Sequence[tuple[Series, Series]], labels: tuple[str, str], title: str) -> bytes:
+    """Draw curves without names, each of its own x and y (m,), which may return on themselves."""
+    figure, (axes,) = sheet([2.6], top=LEGEND)
+    for number, (x, y) in enumerate(drawn):
+        axes.plot(x, y, color=COLOURS[number % len(COLOURS)], lw=0.9)
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    return _png(figure, [], title)
+
+
 def valley(x: Series, drawn: Mapping[str, Series], labels: tuple[str, str], title: str) -> bytes:
     """Draw curves that are scaled between 0 and 1 on a logarithmic scale, as Fig. 8.4 does.
 

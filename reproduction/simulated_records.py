@@ -94,6 +94,15 @@ def step_record(number: int) -> Data:
     return recorded(alone(number, is_true=True), made[:, None], name="steps")
 
 
+def printed_spring() -> dict[str, float]:
+    """Return the values of the twin's parameters that give its red oscillator the spring of Table B.4."""
+    rho, si = load_model("setup_springs_table").parameter_values(), load_model("setup").parameter_values()
+    unit = si["c2"] * si["nu"]
+    table = {f"measured_spring2_k{j}": rho[f"rho2{j}"] * unit / si["l"] ** j for j in range(6)}
+    table["measured_spring2_k1"] -= si["w2"] ** 2
+    return table
+
+
 def free_motion(chosen: Mapping[str, float] | None = None) -> Data:
     """Return a record of the whole twin, released without commands.
 

@@ -58,13 +58,20 @@ def clocks(effects: Mapping[str, Any], seed: int, duration: float = TIMES[-1], *
     return base.changed(controller={**controller, **settings}, **changed).run()
 
 
-def figures(run: Recording, at: float) -> tuple[float, float]:
-    """Return amplitude over the ideal one, and |th1 + th2| over the amplitude, in the 10 units of time before one."""
+def figures(run: Recording, at: float, window: float = WINDOW) -> tuple[float, float]:
+    """Return amplitude over the ideal one, and |th1 + th2| over the amplitude, in the units of time before one."""
     tau = run.t / run.manifest["time_scale"]
-    last = (tau > at - WINDOW) & (tau <= at)
+    last = (tau > at - window) & (tau <= at)
     th1, th2, ideal = (run[name][last] for name in ("virtual.th1", "virtual.th2", "ideal.th1"))
     amplitude = float(np.abs(th1).max())
     return amplitude / float(np.abs(ideal).max()), float(np.abs(th1 + th2).max()) / amplitude
+
+
+def chi(run: Recording, at: float) -> float:
+    """Return the masking error of the worse clock up to a time."""
+    part = run.t / run.manifest["time_scale"] <= at
+    pairs = [(run[f"virtual.{name}"][part], run[f"ideal.{name}"][part]) for name in ("th1", "th2")]
+    return max(float(np.linalg.norm(ours - ideal) / np.linalg.norm(ideal)) for ours, ideal in pairs)
 
 
 def rows(seeds: int) -> Iterator[str]:

@@ -169,10 +169,22 @@ def clocks_table(seeds: str) -> str:
 
 
 @slow_value
-def clocks_figure(which: str) -> str:
-    """Return the amplitude over the ideal one (`amplitude`), or |th1 + th2| over the amplitude in % (`sum`)."""
-    index, size = {"amplitude": (0, 1.0), "sum": (1, 100.0)}[which]
-    return spread([size * clocks.figures(clocks.clocks({}, seed), clocks.TIMES[-1])[index] for seed in SEEDS])
+def clocks_figure(which: str, at: str) -> str:
+    """Return a figure of the clocks over seeds: `chi` up to a time in %, or over the last 400 units before it.
+
+    These are the amplitude over the ideal one (`amplitude`), and |th1 + th2| over the amplitude in % (`sum`).
+    """
+    return spread([_clocks_figures(seed)[which, at] for seed in range(clocks.SEEDS)])
+
+
+@cache
+def _clocks_figures(seed: int) -> dict[tuple[str, str], float]:
+    run, found = clocks.clocks({}, seed), dict[tuple[str, str], float]()
+    for at in clocks.TIMES:
+        amplitude, total = clocks.figures(run, at, 400.0)
+        kinds = {"amplitude": amplitude, "sum": 100.0 * total, "chi": 100.0 * clocks.chi(run, at)}
+        found |= {(kind, f"{at:g}"): x for kind, x in kinds.items()}
+    return found
 
 
 @slow_value

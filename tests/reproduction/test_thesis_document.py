@@ -36,6 +36,7 @@ def value(entry, what):
         (Value("x", 1.0, document=1.0, within=0.1), "in kind"),  # the row's tolerance decides, not chance
         (Value("x", 1.0, document=1.0, given=True), "given"),
         (Value("x", 2.0, document=1.0, given=True), "unexplained"),  # a fit that fails shows something
+        (Value("x", 0.76, document=1.0, within=0.25, given=True, why="of two"), "explained"),  # a fit that is far off
         (Value("x", 1.03, document=1.0), "unexplained"),
         (Value("x", 1.03, document=1.0, why="it was measured so"), "explained"),
         (Value("x", 1.1e-4, independent=1e-4), "agrees"),  # printed to one digit

@@ -183,6 +183,43 @@ PHASES_50 = np.pi * np.array(
 )
 
 
+def fig_b_1():
+    """Phases of Schroeder, then those that minimise norms of growing order over a beat."""
+    k = np.arange(25)
+    angles = 2 * np.pi * np.outer(LINES, np.linspace(0.0, BEAT, 1601))
+
+    def norm(phases, p):
+        turned = angles + phases[:, None]
+        v = np.cos(turned).sum(axis=0)
+        most = np.abs(v).max()
+        mean = np.mean((v / most) ** (2 * p))
+        slopes = (-np.sin(turned) * (v / most) ** (2 * p - 1)).mean(axis=1) / mean / most
+        return np.log(most) + np.log(mean) / (2 * p), slopes
+
+    found, fine, crests = -np.pi * k * (k + 1) / 25, np.linspace(0.0, BEAT, 20_001), {}
+    for p in (2, 4, 8, 10):
+        found = minimize(norm, found, args=(p,), jac=True, method="BFGS", options={"gtol": 1e-9}).x
+        v = np.cos(2 * np.pi * np.outer(LINES, fine) + found[:, None]).sum(axis=0)
+        crests[p] = np.abs(v).max() / np.sqrt(np.mean(v**2))
+    return {"crest factor, phases of 2p = 4": crests[2], "crest factor, phases of 2p = 20": crests[10]}
+
+
+def table_c_1():
+    oscillator = (208.85 + 56.03 + 2 * 140.50 + 1.5 * 42.53) / 1000
+    beam = (2344.75 + (341.84 + 323.48) / 2 + 2 * 363.42 + 2 * 326.99) / 1000
+    return {
+        "mass that moves with an oscillator, kg": oscillator,
+        "mass that moves with the beam, kg": beam,
+        **{f"mu{i} of these masses": oscillator / beam for i in (1, 2)},
+        **{f"mass of the beam for mu{i + 1} of Table 4.4, kg": oscillator / MU[i] for i in (0, 1)},
+    }
+
+
+def fig_c_3():
+    pairs = ((0, "blue", 1.078), (1, "red", 1.109))
+    return {f"gain at which the beam rests, {name}": g * C[2] / (MU[i] * C[i]) for i, name, g in pairs}
+
+
 def table_b_3():
     lines = np.linspace(0.01, 25.0, 50)
     t = np.linspace(0.0, 1 / (lines[1] - lines[0]), 200_000, endpoint=False)
