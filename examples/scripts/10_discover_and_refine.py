@@ -32,7 +32,7 @@ with TemporaryDirectory() as name:
     folder = Path(name)
     (folder / "experiment.yaml").write_text(EXPERIMENT)
     rig = Experiment.load(folder / "experiment.yaml").twin
-    settings = {"seconds": 20.0, "lockstep": True, "seed": 1, "say": print, "progress": lambda part: None}
+    settings = {"seconds": 20.0, "lockstep": True, "say": print, "progress": lambda part: None}
     calibration_excitation.make(rig, SimulatedPlant(rig, seed=3), folder / "records", **settings)
     found = masking.refine(
         folder / "experiment.yaml",
