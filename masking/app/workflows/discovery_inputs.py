@@ -14,6 +14,7 @@ from masking.inference.discovery import prior
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
+from masking.lab.records.input_hold import TextForm
 from masking.lab.records.time_slice import Part
 from masking.model.declaration import registry
 from masking.model.declaration.checks import beyond_ordinary
@@ -43,9 +44,10 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
     Raises a `RecordError` where one cannot be read, lacks a channel, is too short, or the two have different rates or
     share samples.
     """
+    form = TextForm(settings.header_rows, settings.encoding)
 
     def one(path: str | Path) -> Data:
-        found = Data.read(path, twin, settings.hold, settings.columns, settings.dt)
+        found = Data.read(path, twin, settings.hold, settings.columns, settings.dt, form=form)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "

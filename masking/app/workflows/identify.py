@@ -16,7 +16,7 @@ from masking.inference.estimation import extended_kalman
 from masking.inference.estimation import fit as fits
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.innovations import KalmanFit
-from masking.lab.records.input_hold import InputHold, Names
+from masking.lab.records.input_hold import InputHold, Names, TextForm
 from masking.reports import fit_figures, fit_files, identification_page
 
 Method = Literal["least-squares", "kalman"]
@@ -41,6 +41,8 @@ class Identify:
             for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter.
         columns: columns of the files by the names that they get, such as `{"t": "time", "V1": "u"}`.
         dt: time between samples in s, for a table without a clock.
+        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
+        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
@@ -58,6 +60,8 @@ class Identify:
     hold: InputHold | None = None
     columns: Names | None = None
     dt: float | None = None
+    header_rows: int | None = None
+    encoding: str | None = None
     out: str | Path | None = None
     overwrite: bool = False
     progress: Callable[[float], None] | None = None
@@ -81,8 +85,9 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     twin = Twin.load(given.plant) if given.model is None else Twin.load(given.plant).as_model(given.model)
     twin.validate()
     names = given.parameters or prior.uncertain(twin)
+    written = TextForm(given.header_rows, given.encoding)
     train, held_out = (
-        [Data.read(path, twin, given.hold, given.columns, given.dt) for path in paths]
+        [Data.read(path, twin, given.hold, given.columns, given.dt, form=written) for path in paths]
         for paths in (records, given.validation)
     )
     more: dict[str, Any] = {"validation": held_out, "progress": given.progress}

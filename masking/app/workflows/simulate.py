@@ -12,7 +12,7 @@ from masking.errors import ColumnError, DeclarationError, IntegrationError, Mode
 from masking.inference.estimation import simulation
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated
-from masking.lab.records.input_hold import InputHold, Names
+from masking.lab.records.input_hold import InputHold, Names, TextForm
 from masking.model.declaration import catalogue
 from masking.reports import fit_figures, identification_page
 
@@ -31,6 +31,8 @@ class Simulate:
         columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`; of a text without
             names, those of all its columns, in order.
         dt: time between samples in s, for a table without a clock.
+        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
+        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
         initial: s from the beginning in which readings are taken for the initial state; by default all.
         shooting_interval: length in s of intervals, each simulated from an initial state of its own, as an error of a
             discovery may be stated; by default the record is one.
@@ -44,6 +46,8 @@ class Simulate:
     hold: InputHold | None = None
     columns: Names | None = None
     dt: float | None = None
+    header_rows: int | None = None
+    encoding: str | None = None
     initial: float | None = None
     shooting_interval: float | None = None
     out: str | Path | None = None
@@ -68,8 +72,9 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
     check_folder(settings.out, "simulation.json", overwrite=settings.overwrite)
     alone = plant is None and catalogue.kind_of(model) == "plant"
     twin = discovery_inputs.rig(None, model) if alone else discovery_inputs.rig(model, plant)
+    form = TextForm(settings.header_rows, settings.encoding)
     try:
-        given = Data.read(record, twin, settings.hold, settings.columns, settings.dt)
+        given = Data.read(record, twin, settings.hold, settings.columns, settings.dt, form=form)
     except ColumnError as error:
         if plant is not None or alone:
             raise

@@ -28,6 +28,8 @@ class DiscoverySettings:
             'first-order' for inputs that elements of the model follow, and 'zero-order' for all others.
         columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
         dt: time between samples in s, for a table without a clock.
+        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
+        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
         effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
         rules: the thresholds of all decisions.
 
@@ -42,6 +44,8 @@ class DiscoverySettings:
     hold: InputHold | None = None
     columns: Names | None = None
     dt: float | None = None
+    header_rows: int | None = None
+    encoding: str | None = None
     effects: str | Path | None = None
     rules: DecisionRules = RULES
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_args
@@ -12,10 +11,11 @@ from typing import get_args
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.control.rig import channel_units
 from masking.control.rig.twin import Twin
 from masking.errors import ColumnError, ModelError, RecordError, nearest
-from masking.lab.records import clock, readers
-from masking.lab.records.input_hold import Hold, InputHold, Names
+from masking.lab.records import clock, column_units, readers
+from masking.lab.records.input_hold import Hold, InputHold, Names, TextForm
 from masking.lab.records.noise import white_noise
 from masking.lab.records.recording import Recording
 
@@ -90,8 +90,8 @@ class Data:
             hold = "first-order" if twin.measured_actuators else "zero-order"
         if hold not in get_args(InputHold):
             raise ModelError(_refusal(hold))
-        commands = _columns(recording, "input", twin.actuators, name)
-        readings = _columns(recording, "sensor", twin.sensors, name)
+        commands = _columns(recording, "input", twin, name)
+        readings = _columns(recording, "sensor", twin, name)
         rate = clock.rate(np.asarray(recording.t, dtype=float), name)
         if hold == "zero-order":
             found = cls(name, rate, commands, readings, twin.late(rate))
@@ -108,6 +108,8 @@ class Data:
         hold: InputHold | None = None,
         columns: Names | None = None,
         dt: float | None = None,
+        *,
+        form: TextForm = TextForm(),  # noqa: B008  (frozen)
     ) -> Data:
         """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `readers.read` and `of`.
 
@@ -117,12 +119,14 @@ class Data:
             hold: of the inputs between samples, as for `of`.
             columns: of the file, by the names that they get.
             dt: time between samples in s, for a file without a clock.
+            form: the lines above the numbers of a text, and its encoding.
 
         Raises:
             ModelError: `hold` is not known.
             RecordError: the record cannot be read, or has no information about the plant.
         """
-        return cls.of(readers.read(path, columns, dt, (*twin.actuators, *twin.sensors)), twin, str(path), hold)
+        read = readers.read(path, columns, dt, (*twin.actuators, *twin.sensors), form)
+        return cls.of(read, twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:
         """Refuse, by a RecordError, one that is not finite or moves nothing, with readings constant or noise alone."""
@@ -263,13 +267,21 @@ class Data:
         return replace(self, commands=acting, readings=self.readings[begin:end], late=self.late - whole)
 
 
-def _columns(recording: Recording, prefix: str, names: Sequence[str], where: str) -> Array:
-    found = []
+def _columns(recording: Recording, prefix: str, twin: Twin, where: str) -> Array:
+    """Columns of the actuators or sensors of a plant in a recording, in the units that it declares (m, channels)."""
+    found, entries = [], recording.manifest.get("columns") or {}
+    names = twin.actuators if prefix == "input" else twin.sensors
     for name in names:
         column = next((c for c in (f"{prefix}.{name}", name) if c in recording.columns), None)
         if column is None:
             raise ColumnError(
                 f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
             )
-        found.append(recording[column])
+        entry = entries.get(column) or {}
+        own, unit = str(entry.get("column") or column), str(entry.get("unit") or "")
+        hint = "" if own in {name, column} else column_units.hinted(own)
+        try:
+            found.append(recording[column] * channel_units.factor(twin, name, own, unit, hint))
+        except RecordError as error:
+            raise RecordError(f"{where}: {error}") from None
     return np.ascontiguousarray(np.array(found, dtype=float).reshape(len(names), len(recording.t)).T)

@@ -6,11 +6,12 @@ missing is made of the time between samples. A part of a long record is a record
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.lab.records import columns_on_disk, loggers, matlab_5, numpy_files, text_table
-from masking.lab.records.input_hold import Names
+from masking.lab.records import column_units, columns_on_disk, loggers, matlab_5, numpy_files
+from masking.lab.records.column_units import SECONDS, Asked
+from masking.lab.records.input_hold import Names, TextForm
 from masking.lab.records.nested_data import first_line, parsed, vectors, without_doubles
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
+from masking.lab.records.text_table import TextTable
 from masking.lab.records.time_slice import Part, exists
 
 if TYPE_CHECKING:
@@ -37,15 +40,19 @@ else:
 Column = NDArray[np.float64]
 CLOCK = "t"
 PREFIXES = ("input", "sensor")
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_UNIT = re.compile(r"(.*\S)?\s*[\[(]\s*(" + "|".join(SECONDS) + r")\s*[\])]\s*")  # in a column's name: time [ms]
+_EPOCH = {1e17: "ns", 1e14: "us", 1e11: "ms"}  # instants since 1970 from which on they are no longer in larger units
+_NEXT = re.compile(r",(?=[^,=]*=)")  # a comma behind which another name follows, such as in t=time,q=Force, kN
 _LARGEST_JSON = 2**27  # bytes; in memory they are some ten times as many
-_TEXT = {".csv", ".txt", ".tsv", ".dat"}
-_KNOWN = "a folder of a recording, or a .parquet, .csv, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
+_TEXT = {".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"}
+_KNOWN = "a folder of a recording, or a .parquet, .csv, .lvm, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
 
 
 def read(
-    path: str | Path, names: Names | None = None, dt: float | None = None, needed: Collection[str] = ()
+    path: str | Path,
+    names: Names | None = None,
+    dt: float | None = None,
+    needed: Collection[str] = (),
+    form: TextForm = TextForm(),  # noqa: B008  (frozen)
 ) -> Recording:
     """Read a record, or a part of one.
 
@@ -55,15 +62,17 @@ def read(
         names: the columns of the file by the names that they get, such as `{"t": "time", "u1": "V1"}`; vectors in
             groups, structures, cells and matrices have their path, such as `{"u1": "multisine/V1", "y1": "y/1"}`, and
             `run/*/1` joins all that it fits, in the order of the file. For a text without a line of names: the names
-            of all its columns, in order. The clock may be given with its unit, `{"t": "time:ms"}`; one that stands in a
-            column's name, `time [ms]`, is read there.
+            of all its columns, in order. A column may be given with its unit, `{"t": "time:ms", "y1": "speed:rpm"}`;
+            one that stands in its name, `time [ms]`, or below it is read there. The clock is converted to s, and other
+            columns keep their units in `Recording.units`.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
             are not finite, or of another length than these, are left out.
+        form: the lines above the numbers of a text, and its encoding.
 
     Raises:
-        RecordError: there is no such file or column, it holds no table of numbers, it has no clock, columns that are
-            needed differ in length, or the part is none of the record.
+        RecordError: there is no such file or column, it holds no table of numbers, it has no clock or one in a unit
+            that is none or in doubt, columns that are needed differ in length, or the part is none of the record.
     """
     part = Part.of(path)
     file = part.file
@@ -75,33 +84,42 @@ def read(
         raise RecordError(f"{file}: it is no regular file; give {_KNOWN}")
     if dt is not None and not (np.isfinite(dt) and dt > 0.0):
         raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
+    given = dict(names) if isinstance(names, Mapping) else {}
     heading = tuple(names) if names and not isinstance(names, Mapping) else ()
-    is_timed = dt is None and not (isinstance(names, Mapping) and CLOCK in names)
-    columns, text = _columns(file, heading, part if is_timed else None)
-    names, second = _timed(file, columns, names if isinstance(names, Mapping) else {})
-    columns = _renamed(file, columns, names)
-    if second != 1.0 and CLOCK in columns:
-        columns[CLOCK] = columns[CLOCK] * second
+    if file.suffix.lower() not in _TEXT and (heading or form != TextForm()):
+        option = "--columns" if heading else "--header-rows and --encoding"
+        raise RecordError(f"{file}: its columns have names; rename them, such as --map t=time, in place of {option}")
+    table = TextTable.opened(file, heading, form) if file.suffix.lower() in _TEXT else None
+    is_timed = dt is None and CLOCK not in given
+    found, text = (table.columns(), None) if table else _columns(file, part if is_timed else None)
+    asked = column_units.named(found, given, table.units if table else _declared(text))
+    seconds = {one.name: _seconds(file, one, found) for one in asked if one.name == CLOCK and dt is None}
+    columns = {one.name: _named(file, found, one.column) * seconds.get(one.name, 1.0) for one in asked}
     if dt is not None:
         columns.pop(CLOCK, None)
-    wanted = {CLOCK, *needed, *names, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
-    columns = _of_one_length(file, columns, wanted, names)
+    wanted = {CLOCK, *needed, *given, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
+    columns = _of_one_length(file, columns, wanted, given)
     if dt is not None:
         length = max((len(c) for c in columns.values()), default=0)
         columns[CLOCK] = np.arange(length, dtype=np.float64) * np.float64(dt)
     if CLOCK not in columns:
         raise RecordError(
             f"{file}: there is no column t; name the clock, such as --map t={_clock(columns)}, or give the time "
-            "between samples, such as --dt 0.001"
+            f"between samples, such as --dt 0.001{_above(table)}"
         )
     chosen = part.samples(columns[CLOCK])
-    if file.suffix.lower() in _TEXT:
-        wanted_cells = {names.get(n, n): c for n, c in columns.items() if n in wanted}
-        text_table.check_cells(part, heading, wanted_cells, chosen, columns[CLOCK])
+    if table is not None:
+        table.check(
+            part,
+            {a.column: columns[a.name] for a in asked if a.name in wanted & columns.keys()},
+            chosen,
+            columns[CLOCK],
+        )
     columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
     columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
+    units = {one.name: {"unit": one.unit, "column": one.column} for one in asked if one.name != CLOCK}
     try:
-        return Recording(columns, {"name": file.stem}) if text is None else _own(file, columns)
+        return Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
     except RecordError as error:
         raise RecordError(f"{part.name}: {error}") from error
 
@@ -116,7 +134,7 @@ def digest(path: str | Path) -> str:
 def mapping(text: str) -> dict[str, str]:
     """Read `t=time,u1=V1` as the columns of a file by the names that they get; refuse what is written otherwise."""
     found: dict[str, str] = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
+    for part in filter(None, (part.strip(" ,") for part in _NEXT.split(text))):
         name, equals, column = (word.strip() for word in part.partition("="))
         if not (name and equals and column):
             raise RecordError(f"'{part}' does not rename a column; write it as in --map t=time,u1=V1,y1=V2")
@@ -126,32 +144,37 @@ def mapping(text: str) -> dict[str, str]:
     return found
 
 
-def _columns(file: Path, heading: Sequence[str], part: Part | None) -> tuple[dict[str, Column], bytes | None]:
-    """Columns of a file, and the manifest of one of our own.
+def _columns(file: Path, part: Part | None) -> tuple[dict[str, Column], bytes | None]:
+    """Columns of a file that is no text, and the manifest of one of our own.
 
-    `heading` are the names of the columns of a text that has none. `part` is that of a long record, which is read with
-    what lies around it; None where its clock is not its own.
+    `part` is that of a long record, which is read with what lies around it; None where its clock is not its own.
     """
     kind = file.suffix.lower()
-    if heading and kind not in _TEXT:
-        raise RecordError(f"{file}: its columns have names; rename them, such as --map t=time, in place of --columns")
     if kind == ".parquet":
         found, text = parquet.read(file) if part is None else columns_on_disk.read(file)
         if not isinstance(found, columns_on_disk.StoredColumns) or part is None:
             return dict(found), text
         (first, last), rows = (found.spans[0][0], found.spans[-1][-1]), found.rows
         return found.around(*part.within(first, last, (last - first) / max(1, rows - 1))), text
-    if kind in _TEXT:
-        return text_table.read(file, heading), None
     if kind in _NESTED:
         return _NESTED[kind](file), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
 
 
-def _own(file: Path, columns: dict[str, Column]) -> Recording:
-    """Recording of our own with columns that may have been renamed."""
+def _own(file: Path, columns: dict[str, Column], units: Mapping[str, Mapping[str, str]]) -> Recording:
+    """Recording of our own with columns that may have been renamed, and have the units that they are said to have."""
     kept = Recording.load(file.parent if (file.parent / MANIFEST).exists() and file.name == TABLE else file)
-    return Recording(columns, kept.manifest, kept.notes)
+    entries = kept.manifest.get("columns") or {}
+    described = {name: {**entries.get(one["column"], {}), **one} for name, one in units.items()}
+    return Recording(columns, {**kept.manifest, "columns": {**entries, **described}}, kept.notes)
+
+
+def _declared(manifest: bytes | None) -> dict[str, str]:
+    """Units of the columns of a recording of our own, but for its clock, by its manifest."""
+    with contextlib.suppress(ValueError, RecursionError, AttributeError):
+        entries = json.loads(manifest or b"{}").get("columns") or {}
+        return {name: str(entry.get("unit") or "") for name, entry in entries.items() if name != CLOCK}
+    return {}
 
 
 def _mat(file: Path) -> dict[str, Column]:
@@ -194,24 +217,35 @@ def _nested(file: Path, held: object) -> dict[str, Column]:
     return found
 
 
-def _timed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> tuple[dict[str, str], float]:
-    """Names of columns by those that they get, with that of the clock, and the seconds in a unit of it."""
-    inferred = next((n for n in columns if (found := _UNIT.fullmatch(n)) and found[1] == CLOCK), CLOCK)
-    name = names.get(CLOCK, CLOCK if CLOCK in columns else inferred)
-    column, colon, unit = name.rpartition(":")
-    if name in columns or not colon:
-        in_name = _UNIT.fullmatch(name)
-        column, unit = name, in_name[2] if in_name else "s"
-    elif unit not in SECONDS:
-        raise RecordError(f"{file}: the clock is given in '{unit}'; give one of {', '.join(SECONDS)}: t={column}:ms")
-    is_renamed = CLOCK in names or (column != CLOCK and column in columns)
-    return {**names, **({CLOCK: column} if is_renamed else {})}, SECONDS[unit]
+def _seconds(file: Path, clock: Asked, columns: Mapping[str, Column]) -> float:
+    """Seconds in the unit of a clock; a RecordError where it is none of time, or none is known and it is hardly s."""
+    if clock.unit:
+        if clock.unit not in SECONDS:
+            known = ", ".join(SECONDS)
+            raise RecordError(
+                f"{file}: the clock is given in '{clock.unit}'; give one of {known}: --map t={clock.column}:ms"
+            )
+        return SECONDS[clock.unit]
+    hint, what = column_units.hinted(clock.column), f"the name of the clock, {clock.column},"
+    if hint not in SECONDS or hint == "s":
+        first = next((abs(float(time)) for time in columns.get(clock.column, ()) if np.isfinite(time)), 0.0)
+        hint, what = (
+            next((unit for least, unit in _EPOCH.items() if first >= least), ""),
+            f"its first time, {first:.9g},",
+        )
+    if hint:
+        raise RecordError(
+            f"{file}: {what} lets its unit be {hint}; say which it is: --map t={clock.column}:{hint}, or "
+            f"--map t={clock.column}:s"
+        )
+    return 1.0
 
 
-def _renamed(file: Path, columns: Mapping[str, Column], names: Mapping[str, str]) -> dict[str, Column]:
-    found = {name: _named(file, columns, column) for name, column in names.items()}
-    taken = {*names.values(), *names}
-    return found | {name: column for name, column in columns.items() if name not in taken}
+def _above(table: TextTable | None) -> str:
+    """What else to do where names of a text were found in the wrong line."""
+    if table is None or table.header.start < 2:
+        return ""
+    return f"; if its names stand elsewhere than above line {table.header.start}, give --header-rows and --columns"
 
 
 def _named(file: Path, columns: Mapping[str, Column], name: str) -> Column:

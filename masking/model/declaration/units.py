@@ -144,6 +144,11 @@ def _powers(unit: str) -> dict[str, Fraction]:
     return expression.walk(_Units(expression, lambda name: (1.0, {name: Fraction(1)})))[1]
 
 
+def names_in(unit: str) -> frozenset[str]:
+    """Names of units in a unit, such as N and m in N*m."""
+    return frozenset(_powers(unit))
+
+
 def conversion(unit: str, scales: Mapping[str, str]) -> Conversion:
     """Resolve a unit into scales, given as name: unit.
 
