@@ -46,14 +46,12 @@ def header(file: Path, text: str) -> Header:
         remedy = "give its lines as a .csv file with --header-rows, and name the clock with --map"
         raise RecordError(f"{file}: it has {what}; {remedy}")
     units = ["s", *map(column_units.bare, channels.get("Y_Unit_Label", []))]
-    comment = bool(names) and names[-1] == "Comment"
-    names = ["t", *names[1 : len(names) - comment], *([""] if comment else [])]
-    body = "\n".join(lines[number:])
-    clock = None
-    if given[0] == "No":
-        clock = _clock(file, channels)
-        rows = [line for line in body.split("\n") if line.strip()]
-        body = "\n".join(f"{i}{row if row.startswith(separator) else separator + row}" for i, row in enumerate(rows))
+    names = ["t", *names[1 : -1 if names[-1] == "Comment" else None]]
+    rows = [line.split(separator)[: len(names)] for line in lines[number:] if line.strip()]
+    clock = _clock(file, channels) if given[0] == "No" else None
+    if clock is not None:
+        rows = [[str(i), *row[1:]] for i, row in enumerate(rows)]
+    body = "\n".join(map(separator.join, rows))
     return Header(names, separator, number + 1, body, units, clock=clock)
 
 

@@ -121,7 +121,9 @@ def read(
     try:
         return Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
     except RecordError as error:
-        raise RecordError(f"{part.name}: {error}") from error
+        is_rising = dt is not None or bool((np.diff(columns[CLOCK]) > 0.0).all())
+        remedy = "" if is_rising else "; if samples are equally far apart, leave the clock out and give --dt"
+        raise RecordError(f"{part.name}: {error}{remedy}") from error
 
 
 def digest(path: str | Path) -> str:

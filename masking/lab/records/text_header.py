@@ -66,7 +66,8 @@ class _Shape:
         line = line.lstrip(_MARKS) if line.startswith(REMARKS) else line
         if self.counts[1] == 1 and any(s in line for s in SEPARATORS if s):
             return None
-        rows = [cells(line, s) for s in (self.separator, *(s for s in SEPARATORS if s != self.separator))]
+        order = sorted(SEPARATORS, key=lambda s: s is None or s != self.separator)  # blanks last, for `t, u, y`
+        rows = [cells(line, s) for s in order]
         rows += [_GAP.split(line.strip()), _WITH_UNIT.findall(line)]
         return next(
             (row for row in map(_trimmed, filter(None, rows)) if self.counts[0] <= len(row) <= self.counts[1]), None
@@ -115,11 +116,15 @@ def header(file: Path, text: str, heading: Sequence[str], rows: int | None) -> H
     named, units, broken = _names(shape, lines, above, is_known=rows is not None)
     clock = _waveform(named.cells, lines[broken[-1]], shape) if named and broken else None
     if clock is not None:
-        units, broken = [column_units.bare(cell) for cell in shape.cells(lines[broken[-1]]) or []], []
+        units = ["s", *map(column_units.bare, (shape.cells(lines[broken[-1]]) or [])[1:])]
+        broken = []
     if broken and named is not None:
         first = min(broken)
     stamps = frozenset(i for i, kind in enumerate(shape.kinds) if kind == "stamp")
-    names = list(heading) or _checked(file, shape, lines, above, named)
+    names = list(heading)
+    if not names and named is None:
+        first, names = _other(file, shape, lines, above)
+    names = names or list(named.cells if named else [])
     if heading and named is not None and rows is None and not named.is_remark:
         raise RecordError(
             f"{file}: line {named.index + 1} names its columns, such as {shown(named.cells[0])}; rename them, such as "
@@ -249,17 +254,15 @@ def _waveform(names: Sequence[str], line: str, shape: _Shape) -> tuple[float, fl
     return (float(given[0]), float(given[1])) if all(map(is_number, given)) else None
 
 
-def _checked(file: Path, shape: _Shape, lines: Sequence[str], above: Sequence[int], named: _Line | None) -> list[str]:
-    """Names of the columns; a RecordError where there are none."""
-    if named is not None:
-        return named.cells
-    plain = [i for i in above if not lines[i].lstrip().startswith(REMARKS)]
-    if plain:
-        own = next((s for s in SEPARATORS if s and s in lines[plain[0]]), None)
-        row = cells(lines[plain[0]], own if shape.counts[1] == 1 else shape.separator)
+def _other(file: Path, shape: _Shape, lines: Sequence[str], above: Sequence[int]) -> tuple[int, list[str]]:
+    """First line of a body below names that are too few or too many, and these; a RecordError where there are none."""
+    for index in above:
+        own = next((s for s in SEPARATORS if s and s in lines[index]), None)
+        row = cells(lines[index], own if shape.counts[1] == 1 else shape.separator)
         if row is None:
-            raise RecordError(f"{file}: line {plain[0] + 1}: a quote is not closed")
-        return _trimmed(row)
+            raise RecordError(f"{file}: line {index + 1}: a quote is not closed")
+        if not lines[index].lstrip().startswith(REMARKS) and any(_kind(c, shape.separator) == "text" for c in row):
+            return index + 1, _trimmed(row)
     many = shape.counts[0]
     example = ",".join(["t", "u1", *(f"y{i}" for i in range(1, many - 1))][:many])
     raise RecordError(f"{file}: the first line holds numbers; name its {many} columns, such as --columns {example}")

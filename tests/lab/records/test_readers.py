@@ -257,7 +257,7 @@ def test_a_text_without_names_gets_them(tmp_path, capsys):
     made = readers.read(path, ("t", "u"))
     np.testing.assert_array_equal(made["u"], np.sin(T))
     assert len(made.t) == len(T)
-    assert "name its 2 columns, such as --columns t,u1,y1" in refusal(path)
+    assert "name its 2 columns, such as --columns t,u1" in refusal(path)
     assert refusal(path, ("t", "u", "y")).endswith("2 columns have 3 names, t, u, y; name each")
     path.write_text("1;2,5\n2;x\n")
     assert "line 2 holds 'x' in column 'u'" in refusal(path, ("t", "u"), None, ("u",))
