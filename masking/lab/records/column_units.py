@@ -11,14 +11,14 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "minute": 60.0, "h": 3600.0}
 _BRACKETED = re.compile(r"(.*?\S)??\s*(?:\[\s*([^\[\]]*?)\s*\]|\(\s*([^()]*?)\s*\))\s*")
 _SAME = {
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("msec", "millis", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("usec", "micros", "microsecond", "microseconds"), "us"),
     **dict.fromkeys(("nsec", "nanos", "nanosecond", "nanoseconds"), "ns"),
-    **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("min", "minute", "minutes"), "minute"),
     **dict.fromkeys(("hour", "hours", "hr"), "h"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
@@ -33,9 +33,7 @@ _SAME = {
 }
 _CASED = {"Nm": "N*m", "kNm": "kN*m", "mNm": "mN*m", "Nmm": "N*mm", "nm": "nm", "G": "gauss"}  # capitals decide
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-_SYMBOL = (
-    r"(?:[numkMGd]?(?:m|s|g|N|V|A|W|J|Pa|Hz|rad|K|ohm|C|F|H|T|bar)|cm|dm|deg|rev|turn|rpm|min|h|lbf|kgf|psi|inch|in|ft)"
-)
+_SYMBOL = r"(?:[numkMGd]?(?:m|s|g|N|V|A|W|J|Pa|Hz|rad|K|ohm|C|F|H|T|bar)|cm|dm|deg|rev|turn|rpm|minute|h|lbf|kgf|psi|inch|in|ft)"
 _KNOWN = re.compile(rf"(?:1|{_SYMBOL}(?:\*\*\(?-?\d\)?)?)(?:[*/]\(?{_SYMBOL}(?:\*\*\(?-?\d\)?)?\)?)*", re.ASCII)
 _WORD = re.compile(r"(?:.*[_ .])?([^_ .]+)")
 
@@ -59,6 +57,7 @@ def spelled(text: str) -> str:
         return _SAME[plain.lower()]
     plain = re.sub(r"[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: f"**{found[0].translate(_RAISED)}", plain)
     plain = plain.replace("^", "**").replace("·", "*").replace("⋅", "*").replace("°", "deg")
+    plain = re.sub(r"\bmin\b", "minute", plain)  # min is a function
     plain = re.sub(r"(?<=\w)\s*(?:\.|\s)\s*(?=[A-Za-z])", "*", plain)
     return re.sub(r"(?<=[a-z])(?=[23](?![0-9]))|\*\*\*\*", "**", plain)
 

@@ -70,9 +70,9 @@ SI = {"t": "Time", "F": "Force", "q": "Way"}
 HEADERS = [
     Written("names alone", "t,F,q\n" + rows()),
     Written("Tektronix", TEKTRONIX + "TIME,CH1,CH2\n" + rows(), MAP),
-    Written("Tektronix, names given", TEKTRONIX + "TIME,CH1,CH2\n" + rows(), PLAIN, TextForm(12)),
+    Written("Tektronix, names given", TEKTRONIX + "TIME,CH1,CH2\n" + rows(), PLAIN, TextForm(11)),
     Written("Tektronix, names given beside names", TEKTRONIX + "TIME,CH1,CH2\n" + rows(), PLAIN,
-            refused=("line 12 names its columns", "--map t=TIME", "--header-rows 12")),
+            refused=("line 11 names its columns", "--map t=TIME", "--header-rows 11")),
     Written("Tektronix, preamble beside the numbers", "".join(
         f"{side}{row}\n" for side, row in zip(SIDE, rows().splitlines(), strict=True)), ("a", "b", *PLAIN)),
     Written("Tektronix, preamble beside the numbers, no names", "".join(
