@@ -44,6 +44,11 @@ class Instruments:
         return tuple(self.plant.actuators or self.model.inputs)
 
     @property
+    def units(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Units of the sensors, and of the actuators."""
+        return tuple(x.unit for x in self.plant.sensors.values()), tuple(map(self.unit, self.actuators))
+
+    @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors."""
         return tuple(self.plant.sensors)

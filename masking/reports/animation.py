@@ -17,9 +17,10 @@ from masking.analysis.synchronisation import period
 from masking.compile.numerics.arrays import Array
 from masking.display.palette import COLOURS
 from masking.display.symbols import markup
-from masking.errors import MaskingError, RecordError
+from masking.errors import DeclarationError, MaskingError, RecordError
 from masking.lab.records.recording import Recording
 from masking.model.declaration import schema
+from masking.model.declaration.units import dimension_of, factor_of
 from masking.model.modelling.scales import Units
 from masking.reports import html, system_drawing
 from masking.reports.system_drawing import Drawing
@@ -41,6 +42,7 @@ class Scene:
     drawing: Drawing  # of the system
     view: tuple[float, float, float, float]  # extent (left, right, bottom, top), in the unit of the drawing
     factor: int  # by which its motion is magnified
+    sizes: tuple[float, ...]  # of a unit of each coordinate's column, in what the drawing is computed with
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,10 @@ class Animation:
         return found
 
     def _scene(self, prefix: str, what: str) -> Scene:
-        motion = self.recording.array(prefix)
+        sizes = tuple(_size(self.recording, f"{prefix}.{name}") for name in self.recording.names(prefix))
+        motion = self.recording.array(prefix) * sizes
         drawn = _drawing(self.recording, prefix, np.abs(motion).max(axis=0))
-        return Scene(prefix, what, drawn, *drawn.view(self.recording.t, motion))
+        return Scene(prefix, what, drawn, *drawn.view(self.recording.t, motion), sizes)
 
     @property
     def main(self) -> Scene:
@@ -113,8 +116,8 @@ class Animation:
             "view": scene.view,
             "factor": scene.factor,
             "unit": scene.drawing.unit,
-            "q": [self._series(f"{scene.prefix}.{name}") for name in names],
-            "ideal": [self._series(name) for name in ideal] if is_there else [],
+            "q": [self._series(f"{scene.prefix}.{n}", size) for n, size in zip(names, scene.sizes, strict=True)],
+            "ideal": [self._series(*pair) for pair in zip(ideal, scene.sizes, strict=True)] if is_there else [],
         }
 
     def _traces(self) -> Iterator[dict[str, Any]]:
@@ -134,9 +137,9 @@ class Animation:
             if lines:
                 yield {"title": title, "unit": str(escape(common)), "lines": lines}
 
-    def _series(self, column: str) -> dict[str, Any]:
-        """Column in 16 bits, with its size."""
-        series = self.recording[column][self.rows]
+    def _series(self, column: str, factor: float = 1.0) -> dict[str, Any]:
+        """Column times a factor in 16 bits, with its size."""
+        series = self.recording[column][self.rows] * factor
         size = float(np.abs(series).max()) or 1.0
         return {"size": size, "data": _packed(np.rint(series / size * _LEVELS), np.int16)}
 
@@ -172,9 +175,19 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
             known = {name: value for name, value in given.items() if name in model.parameters}
             values = Units.of(model).parameter_values(known, dimensionless=False)
         values = {name: float(value) for name, value in values.items()}
+        units = (recording.units.get(f"{prefix}.{name}", "1") for name in names)
+        has_lengths = any(dimension_of(unit) == dimension_of("m") for unit in units)
     except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
         return system_drawing.generic(title, names, reach)
-    return Drawing(title, recording.units.get(f"{prefix}.{names[0]}", ""), names, model.drawing, values)
+    return Drawing(title, "m" * has_lengths, names, model.drawing, values)
+
+
+def _size(recording: Recording, column: str) -> float:
+    """Factor of a column to what is computed with: SI units, or scales; 1 where its unit is none that is known."""
+    try:
+        return factor_of(recording.units.get(column, "1"))
+    except DeclarationError:
+        return 1.0
 
 
 def _packed(series: Array | Sequence[float], kind: type[np.generic]) -> str:

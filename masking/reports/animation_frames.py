@@ -113,7 +113,8 @@ def _draw_scene(axes: Axes, shown: Animation, scene: Scene, t: float) -> None:
         names = [f"{prefix}.{name}" for name in drawing.coordinates]
         if not columns.keys() >= {*names}:  # the ideal motion was not recorded
             continue
-        q = [scene.factor * float(np.interp(t, shown.recording.t, columns[name])) for name in names]
+        at = (float(np.interp(t, shown.recording.t, columns[name])) for name in names)
+        q = [scene.factor * unit * x for unit, x in zip(scene.sizes, at, strict=True)]
         rows = drawing.numbers(t, q)
         for shape, numbers, colour in zip(drawing.shapes, rows, drawing.colours, strict=True):
             kind = shape.kinds[0]

@@ -5,6 +5,7 @@ ring's facts say what there is to show besides its columns:
 
     name, plant   titles
     pair          the two virtual coordinates whose phases are compared
+    sizes         by column: what one of its unit is in the numbers of the rows, by default 1
     bounds        what is limited, as `Bound` has it: kind, label, unit, bound, trip, zero, weights of columns, over
 """
 
@@ -83,6 +84,7 @@ class Monitor:
         self.shown = tuple(shown)
         self.every = max(1, math.ceil(window * reader.rate / BINS))
         self._places = [columns.index(name) for name in shown]
+        self._sizes = np.array([float(facts.get("sizes", {}).get(name, 1.0)) for name in shown])
         self._bins = _Bins(self.every, len(shown) + 1)  # the last is the time
         self.bounds = [Bound.of(entry, reader) for entry in facts.get("bounds", ())]
         self.now, self.peak = [math.nan] * len(self.bounds), [0.0] * len(self.bounds)
@@ -110,7 +112,7 @@ class Monitor:
         ticks = taken.first + np.arange(len(table)) if self._index is None else table[:, self._index]
         t = np.asarray(ticks, dtype=float) / self.reader.rate
         self._last = float(t[-1])
-        self._bins.add(taken.first, np.column_stack([table[:, self._places], t]))
+        self._bins.add(taken.first, np.column_stack([table[:, self._places] / self._sizes, t]))
         overlapping = table if taken.missed else np.concatenate([self._before, table])
         self._look_at_bounds(now, overlapping, len(table))
         self._before = overlapping[max(0, len(overlapping) - self._overlap) :] if self._overlap else self._before

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -41,7 +41,8 @@ def _displacements(study: Study) -> CaptionedFigure:
     names, title = study.oscillators[:_MOST_ROWS], "Displacements"
     if not names:
         return style.absent("displacements", title, "the record holds no coordinates")
-    is_alike = len({study.unit(f"{study.prefix}.{name}") for name in names}) == 1
+    units = {name: study.unit(f"{study.prefix}.{name}") for name in names}
+    is_alike = len({*units.values()}) == 1
     reach = symmetric([series for name in names for series in _series(study, name)]) if is_alike else None
     rows = [[_motion(study, name, colour, reach)] for name, colour in zip(names, COLOURS, strict=False)]
     heights = [1.15] * len(names)
@@ -50,22 +51,25 @@ def _displacements(study: Study) -> CaptionedFigure:
         first, last = study.whole.span
         head = study.between(None, first / study.time_scale + span)
         tail = study.between(last / study.time_scale - span, None)
-        rows.append([_zoom(part, names, text) for part, text in ((head, "first"), (tail, "last"))])
-        heights.append(1.9)
+        for unit in dict.fromkeys(units.values()):
+            alike = {n: c for n, c in zip(names, COLOURS, strict=False) if units[n] == unit}
+            label = "" if is_alike else f"({unit or '1'})"
+            rows.append([_zoom(part, alike, text, label) for part, text in ((head, "first"), (tail, "last"))])
+            heights.append(1.9)
     more = parts.first_of(len(names), len(study.oscillators))
     words = CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study))
     return drawn(words, rows, heights, keys=_keys(study, names, COLOURS))
 
 
-def _zoom(part: Study, names: Sequence[str], which: str) -> Panel:
-    """First or last periods of coordinates."""
+def _zoom(part: Study, colours: Mapping[str, str], which: str, label: str) -> Panel:
+    """First or last periods of coordinates, each with its colour."""
     lines = []
-    for name, colour in zip(names, COLOURS, strict=False):
+    for name, colour in colours.items():
         lines.append(Line(part.tau, part.motion(name), colour, 1.6))
         ideal = part.ideal(name)
         lines += [] if ideal is None else [Line(part.tau, ideal, INK, 0.9, is_dashed=True)]
-    ends, reach = (part.tau[0], part.tau[-1]), symmetric([part.motion(name) for name in names])
-    return Panel(lines, "", time_label(part), ends, reach, title=f"{which} {_ZOOM_PERIODS} periods")
+    ends, reach = (part.tau[0], part.tau[-1]), symmetric([part.motion(name) for name in colours])
+    return Panel(lines, label, time_label(part), ends, reach, title=f"{which} {_ZOOM_PERIODS} periods")
 
 
 def _others(study: Study) -> CaptionedFigure:
@@ -94,7 +98,7 @@ def _passive(study: Study) -> CaptionedFigure:
 
 def _synchronisation(study: Study) -> CaptionedFigure:
     title = "Synchronisation"
-    if study.no_phase or study.sum_peak is None:
+    if study.no_phase:
         return style.absent("synchronisation", title, study.no_phase)
     several = len(study.pairs) > 1
     phases: list[Part] = []
@@ -112,12 +116,14 @@ def _synchronisation(study: Study) -> CaptionedFigure:
         axes.set_yticks([-0.5, 0.0, 0.5, 1.0, 1.5], labels=["\N{MINUS SIGN}π/2", "0", "π/2", "π", "3π/2"])
 
     above = _over_record(study, phases, "phase difference (rad)", (-0.5, 1.5), finish)
+    caption = "Phase difference from the analytic signals (Hilbert transform)."
+    if study.sum_peak is None:
+        words = CaptionedFigure("synchronisation", title, f"{caption} Of the sum there is none: {study.no_sum}.")
+        return drawn(words, [[above]], 1.7)
     total = " + ".join(style.symbol(name) if name != "…" else name for name in _few(study.oscillators))
     label = style.with_unit(f"peak |{total}|", study.unit(f"{study.prefix}.{study.oscillators[0]}"))
-    caption = (
-        "Above: phase difference from the analytic signals (Hilbert transform). "
-        f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
-    )
+    below = f"Below: largest |{' + '.join(_few(study.oscillators))}| over the {SUM_WINDOW_PERIODS} periods before."
+    caption = f"Above: {caption[0].lower()}{caption[1:]} {below}"
     rows = [[above], [_peaks(study, [(study.sum_peak, INK, "")], label)]]
     return drawn(CaptionedFigure("synchronisation", title, caption), rows, 1.7)
 
@@ -169,8 +175,13 @@ def _masking_error(study: Study) -> CaptionedFigure:
         return style.absent("masking_error", title, "virtual and ideal are equal in every digit recorded")
     if math.isfinite(study.period):
         errors = {n: running_peak(study.tau, error, study.period) for n, error in errors.items()}
-    peaks = [(error, c, style.symbol(n)) for (n, error), c in zip(errors.items(), COLOURS, strict=False)]
-    label = style.with_unit("|virtual \N{MINUS SIGN} ideal|", study.unit(f"virtual.{next(iter(errors))}"))
+    units = {n: study.unit(f"virtual.{n}") for n in errors}
+    common = units[next(iter(errors))] if len({*units.values()}) == 1 else ""
+    keys = {
+        n: style.symbol(n) if unit == common else f"{style.symbol(n)} in {unit or '1'}" for n, unit in units.items()
+    }
+    peaks = [(error, c, keys[n]) for (n, error), c in zip(errors.items(), COLOURS, strict=False)]
+    label = style.with_unit("|virtual \N{MINUS SIGN} ideal|", common)
     caption = "Distance between the masked rig and the virtual system by itself, the largest over the period before."
     return drawn(CaptionedFigure("masking_error", title, caption), [[_peaks(study, peaks, label)]], 2.2)
 

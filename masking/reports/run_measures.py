@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -12,6 +14,7 @@ from masking.analysis.stability.basins import LABELS, end_of
 from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, Problem, nearest
 from masking.lab.records.recording import Recording
+from masking.model.declaration.units import pretty
 from masking.reports.run_study import Study
 
 Measured = float | str | Array  # a number, a word, or several numbers (k,)
@@ -55,6 +58,10 @@ def _maxima(run: Study, name: str) -> Array:
     return np.asarray(here - 0.5 * slope**2 / bend)
 
 
+def _at_end(run: Study, name: str) -> float:
+    return float(_last(run, name)[-1])
+
+
 def _section(run: Study, names: str) -> Array:
     """Coordinate or velocity where another crosses zero upwards, on the line between two samples."""
     x, y = (_last(run, name) for name in names.split("@"))
@@ -83,6 +90,7 @@ _OF_ONE: Final[Mapping[str, Callable[[Study, str], Measured]]] = {
     "peak": lambda run, name: _peaks(run)[name],
     "maxima": _maxima,
     "section": _section,
+    "end": _at_end,
 }
 MEANINGS: Final = {
     "alpha": "ratio of the amplitudes of the oscillators in anti-phase (5.3)",
@@ -98,28 +106,66 @@ MEANINGS: Final = {
 }
 
 
-def defaults(oscillators: Sequence[str], *, has_rig: bool) -> tuple[str, ...]:
-    """Measures that are taken where none are named."""
-    two = ("alpha", "eps", "tau_s", "verdict") if len(oscillators) == 2 else ("period",)
-    return (*two, *(_ONLY_WITH_A_RIG if has_rig else ()))
+@dataclass(frozen=True)
+class Measurable:
+    """What runs have that can be measured, and the units of that."""
 
+    oscillators: tuple[str, ...]
+    states: Mapping[str, str]  # units of coordinates, velocities and internal states, by name
+    inputs: Mapping[str, str] | None  # units of the inputs, by name; None for runs without a rig
+    time: str  # unit
 
-def check(
-    names: Sequence[str], oscillators: Sequence[str], states: Sequence[str], inputs: Sequence[str], *, has_rig: bool
-) -> None:
-    """Refuse measures that a run has not: a `DeclarationError` says that there is none of a name, or no rig for it."""
-    allowed = [name for name in _MEASURES if has_rig or name not in _ONLY_WITH_A_RIG]
-    allowed += [f"maxima.{n}" for n in states] + [f"section.{a}@{b}" for a in states for b in states if a != b]
-    if has_rig:
-        allowed += [f"peak.{n}" for n in inputs] + [f"chi.{n}" for n in states if not n.endswith("'")]
-    if len(oscillators) < 2:
-        allowed = [name for name in allowed if name not in _WITH_TWO]
-    for name in names:
-        if name not in allowed:
-            remedy = nearest(name, allowed)
-            if name.partition(".")[0] in _ONLY_WITH_A_RIG and not has_rig:
-                remedy = "the virtual system runs by itself, without a rig; leave --virtual out, or this measure"
-            raise DeclarationError(Problem(None, name, "is no measure of these runs", remedy))
+    @property
+    def defaults(self) -> tuple[str, ...]:
+        """Measures that are taken where none are named."""
+        usual = ("alpha", "eps", "tau_s", "verdict") if len(self.oscillators) == 2 else ("period",)
+        return tuple(name for name in (*usual, *_ONLY_WITH_A_RIG) if name not in self._refused)
+
+    @cached_property
+    def _refused(self) -> dict[str, str]:
+        """Measures that these runs have not, and why."""
+        found = dict[str, str]()
+        if self.inputs is None:
+            without = "the virtual system runs by itself, without a rig; leave --virtual out, or this measure"
+            found |= dict.fromkeys(_ONLY_WITH_A_RIG, without)
+        elif len({*self.inputs.values()}) > 1:
+            units = ", ".join(f"{name} is in {unit}" for name, unit in self.inputs.items())
+            found["peak"] = f"{units}: name one input, such as peak.{next(iter(self.inputs))}"
+        first, *more = self.oscillators
+        if not more:
+            one = f"it compares two oscillators, and there is one, {first}"
+            found |= dict.fromkeys(_WITH_TWO, one) | {"end": f"{one}; end.{first} is the value of {first} at the end"}
+        elif len({self.states[name] for name in self.oscillators}) > 1:
+            units = ", ".join(f"{name} is in {self.states[name]}" for name in self.oscillators)
+            found |= dict.fromkeys(("alpha", "eps"), f"{units}: declare one unit for all oscillators")
+        return found
+
+    def check(self, names: Sequence[str]) -> None:
+        """Refuse measures that the runs have not; a `DeclarationError` says why."""
+        states = [*self.states]
+        allowed = [name for name in _MEASURES if name not in self._refused]
+        allowed += [f"{kind}.{n}" for kind in ("maxima", "end") for n in states]
+        allowed += [f"section.{a}@{b}" for a in states for b in states if a != b]
+        if self.inputs is not None:
+            allowed += [f"peak.{n}" for n in self.inputs] + [f"chi.{n}" for n in states if not n.endswith("'")]
+        for name in names:
+            if name not in allowed:
+                kind = name.partition(".")[0]
+                of_rig = self._refused[kind] if self.inputs is None and kind in _ONLY_WITH_A_RIG else ""
+                remedy = of_rig or self._refused.get(name) or nearest(name, allowed)
+                raise DeclarationError(Problem(None, name, "is no measure of these runs", remedy))
+
+    def unit(self, name: str) -> str:
+        """Unit of a measure; "" where it has none."""
+        kind, dot, of = name.partition(".")
+        if kind in {"tau_s", "period"}:
+            return self.time
+        found = {"phase": "rad", "eps": self.states[self.oscillators[0]]}.get(name, "1")
+        if kind == "peak":
+            found = (self.inputs or {})[of or next(iter(self.inputs or {}))]
+        elif dot and kind != "chi":
+            found = self.states[of.partition("@")[0]]
+        return "" if found == "1" else pretty(found)
 
 
 def measure(recording: Recording, names: Sequence[str]) -> dict[str, Measured]:
@@ -141,4 +187,4 @@ def measure_each(motions: Sequence[Array], names: Sequence[str]) -> dict[str, li
 def empty(name: str) -> Measured:
     """Value that stands for a measure of a run that failed."""
     kind = name.partition(".")[0]
-    return "" if kind in WORDS else np.empty(0) if kind in {"maxima", "section"} else math.nan
+    return "" if name in WORDS else np.empty(0) if kind in {"maxima", "section"} else math.nan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -192,10 +193,20 @@ class Study:
         """Coordinates that are no oscillators."""
         return tuple(name for name in self.recording.names(self.prefix) if name not in self.oscillators)
 
-    @property
+    @cached_property
     def motions(self) -> dict[str, Array]:
-        """Motion of each oscillator (m,); an error for one that was not recorded."""
-        return {name: self.motion(name) for name in self.oscillators}
+        """Motion of each oscillator (m,), as part of its largest where units differ; an error for an absent one."""
+        found = {name: self.motion(name) for name in self.oscillators}
+        return {name: one / (np.abs(one).max() or 1.0) for name, one in found.items()} if self.no_sum else found
+
+    @cached_property
+    def no_sum(self) -> str:
+        """Why the oscillators have no sum and no ratio of amplitudes, "" if they have."""
+        units = {name: self.unit(f"{self.prefix}.{name}") or "1" for name in self.oscillators}
+        for first, other in itertools.pairwise(units):
+            if units[first] != units[other]:
+                return f"{first} is in {units[first]}, {other} in {units[other]}; declare one unit for both"
+        return ""
 
     @cached_property
     def periods(self) -> list[float]:
@@ -255,7 +266,7 @@ class Study:
     @cached_property
     def sum_peak(self) -> Array | None:
         """Running peak of |sum of the oscillators| (m,)."""
-        if self.no_phase:
+        if self.no_phase or self.no_sum:
             return None
         total = np.asarray(sum(self.motions.values()))
         return running_peak(self.tau, np.abs(total), SUM_WINDOW_PERIODS * self.period)
@@ -263,7 +274,7 @@ class Study:
     @cached_property
     def anti_phase(self) -> AntiPhase | None:
         """Fit of definition 5.3 to the end of two oscillations; None where it does not apply."""
-        if self.no_phase or len(self.oscillators) != 2:
+        if self.no_phase or self.no_sum or len(self.oscillators) != 2:
             return None
         a, b = self.motions.values()
         try:
@@ -300,9 +311,9 @@ class Study:
 
     def _verdict(self, second: str) -> Synchronisation | None:
         """Synchronisation of the first oscillator and another; None for too short a record."""
-        tau, first = self.tau, self.oscillators[0]
+        tau, first, motions = self.tau, self.oscillators[0], self.motions
         rows = slice(None, None, max(1, int(self.period / _ROWS * (len(tau) - 1) / (tau[-1] - tau[0]))))
-        a, b = self.motion(first)[rows], self.motion(second)[rows]
+        a, b = motions[first][rows], motions[second][rows]
         try:
             return synchronisation(tau[rows], a, b, names=(first, second))
         except RecordError:

@@ -51,9 +51,8 @@ def warnings(study: Study) -> list[str]:
 
 def passive(manifest: Mapping[str, Any]) -> str:
     """Reach, energy and own stability of the passive coordinates."""
-    free, columns = manifest["passive"], manifest.get("columns") or {}
-    peaks = free["peak"].items()
-    far = [f"{n} up to {with_unit(x, str((columns.get(f'rig.{n}') or {}).get('unit') or ''))}" for n, x in peaks]
+    free = manifest["passive"]
+    far = [f"{n} up to {with_unit(x, unit_of(manifest, f'rig.{n}'))}" for n, x in free["peak"].items()]
     if free.get("energy"):
         far.append(f"energy up to {with_unit(free['energy']['peak'], free['energy']['unit'])}")
     return f"{', '.join(far)}; zero dynamics {free['verdict']} ({free['how']})"
@@ -63,11 +62,15 @@ def missed(manifest: Mapping[str, Any]) -> str:
     """Distance of the rig from its initial state after homing; nothing where it is there."""
     start = manifest.get("start") or {}
     wanted, reached = start.get("wanted") or {}, start.get("reached") or {}
-    size = max((abs(value) for value in wanted.values()), default=0.0)
-    short = [name for name, value in wanted.items() if abs(reached.get(name, value) - value) > _AWAY * size]
+    units = {name: unit_of(manifest, f"virtual.{name}") for name in wanted}
+    size, short = max(map(abs, wanted.values()), default=0.0), []
+    for name, value in wanted.items():
+        alike = max(abs(other) for n, other in wanted.items() if units[n] == units[name])
+        if abs(reached.get(name, value) - value) > _AWAY * (alike or size):
+            short.append(name)
     if not short:
         return ""
-    away = ", ".join(f"{name} = {number(reached[name])} instead of {number(wanted[name])}" for name in short)
+    away = ", ".join(f"{n} = {number(reached[n])} instead of {with_unit(wanted[n], units[n])}" for n in short)
     return (
         f"Homing did not reach the initial state: {away}; give it more time (controller.homing), or begin with "
         "less (initial)."
@@ -169,7 +172,8 @@ def headline(facts: Study) -> list[str]:
         sentences.append(ended(manifest))
     if len(facts.oscillators) > 2 and facts.sum_peak is not None:
         start, end = facts.sum_ends
-        sentences.append(f"The peak of {sum_name(facts)} went from {number(start)} to {number(end)}.")
+        to = with_unit(end, sum_unit(facts))
+        sentences.append(f"The peak of {sum_name(facts)} went from {number(start)} to {to}.")
     if facts.budget is not None:
         sentences.append(facts.budget.sentence)
     return sentences
@@ -237,13 +241,17 @@ def summary(facts: Study) -> str:
         rows.append(("error", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
         fit = facts.anti_phase
-        words = f"alpha = {fit.alpha:.4f}, eps = {number(fit.eps)} over the last fifth{_since(facts)}"
+        words = (
+            f"alpha = {fit.alpha:.4f}, eps = {with_unit(fit.eps, sum_unit(facts))} over the last fifth{_since(facts)}"
+        )
         rows.append(("anti-phase", words))
     if facts.sum_peak is not None:
         start, end = facts.sum_ends
-        rows.append(("peak sum", f"{sum_name(facts)} from {number(start)} to {number(end)}"))
+        rows.append(("peak sum", f"{sum_name(facts)} from {number(start)} to {with_unit(end, sum_unit(facts))}"))
     elif len(facts.oscillators) > 1:
-        rows.append(("phase", f"not given: {facts.no_phase}"))
+        rows.append(
+            ("phase", f"not given: {facts.no_phase}") if facts.no_phase else ("sum", f"not given: {facts.no_sum}")
+        )
     rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
     rows.append(("passive", passive(manifest) if facts.passive else ""))
     rows += [("observer", observer(facts)), ("external", external(facts))]
@@ -352,6 +360,11 @@ def sum_name(facts: Study) -> str:
     return f"|{' + '.join(names if len(names) <= 3 else (names[0], '...', names[-1]))}|"
 
 
+def sum_unit(facts: Study) -> str:
+    """Unit of the sum of the oscillators."""
+    return facts.unit(f"{facts.prefix}.{facts.oscillators[0]}")
+
+
 def length(facts: Study) -> tuple[str, str]:
     """Length of the record and its unit."""
     unit = "" if facts.is_scaled else facts.unit("t")
@@ -361,6 +374,12 @@ def length(facts: Study) -> tuple[str, str]:
 def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
     """Rate with its unit."""
     return f"{number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{number(rate)} Hz"
+
+
+def unit_of(manifest: Mapping[str, Any], column: str) -> str:
+    """Unit of a column of the recording; "" where it has none."""
+    unit = str(nested(manifest, "columns", column).get("unit") or "")
+    return "" if unit == "1" else unit
 
 
 def with_unit(value: float, unit: str) -> str:

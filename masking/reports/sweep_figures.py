@@ -42,15 +42,15 @@ def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]
     labels = {n: f"{_label(n)} / declared" if n in factors else style.with_unit(_label(n), units[n]) for n in grid}
     found = []
     for name in facts["measures"]:
-        column = columns[name]
+        column, label = columns[name], _measure(name, facts.get("units", {}).get(name, ""))
         if not isinstance(column, np.ndarray) and len(column) and not isinstance(column[0], str):
-            found.append(_diagram(name, grid, labels, columns))
+            found.append(_diagram(name, label, grid, labels, columns))
         elif len(grid) >= 2:
-            found.append(_map(name, grid, labels, columns))
+            found.append(_map(name, label, grid, labels, columns))
         elif len(grid) == 1:
-            found.append(_curve(name, grid[0], labels, columns))
+            found.append(_curve(name, label, grid[0], labels, columns))
         else:
-            found.append(_distribution(name, column))
+            found.append(_distribution(name, label, column))
     return found
 
 
@@ -66,10 +66,13 @@ def _label(name: str) -> str:
     return ", ".join(style.symbol(one) for one in name.split(","))
 
 
-def _measure(name: str) -> str:
-    """Label of a measure: times are those of the virtual system."""
-    of_time = "units of time" if name in {"tau_s", "period"} else ""
-    return style.with_unit("τ$_s$" if name == "tau_s" else _label(name), "rad" if name == "phase" else of_time)
+def _measure(name: str, unit: str) -> str:
+    """Label of a measure."""
+    kind, _, of = name.partition(".")
+    words = "τ$_s$" if name == "tau_s" else _label(name)
+    if kind in {"maxima", "section"}:
+        words = "maxima of " * (kind == "maxima") + style.symbol(of.partition("@")[0])
+    return style.with_unit(words, unit)
 
 
 def _words(name: str) -> str:
@@ -83,7 +86,7 @@ def _numbers(column: Any) -> Array:  # noqa: ANN401  # a column of any kind
     return np.array([[*_KINDS].index(text) if text in _KINDS else math.nan for text in column])
 
 
-def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+def _diagram(name: str, label: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
     """Several values of each run over what varies last: a bifurcation diagram."""
     at = np.asarray(columns[grid[-1]] if grid else columns["run"], dtype=float)
     rows, ways = columns[name], columns.get("way")
@@ -96,16 +99,15 @@ def _diagram(name: str, grid: list[str], labels: Mapping[str, str], columns: Col
         keys += [Line([], [], colour, 0.0, way, marker="o", size=6)] if way else []
     kind, _, of = name.partition(".")
     moved, _, crossed = of.partition("@")
-    what = f"maxima of {style.symbol(moved)}" if kind == "maxima" else style.symbol(moved)
     where = f": {moved} where {crossed} crosses 0 upwards" if crossed else f" of {moved}"
     more = " Followed up and down: each run begins where the one before it ended." if ways else ""
     caption = f"{capital(kind)}{where}, over the second half of each run.{more}"
     finish = functools.partial(_geometric, x=np.unique(at))
-    panel = Panel(clouds, what, labels[grid[-1]] if grid else "run", ticks=5, finish=finish)
+    panel = Panel(clouds, label, labels[grid[-1]] if grid else "run", ticks=5, finish=finish)
     return drawn(CaptionedFigure(f"diagram_{_file(name)}", "Bifurcation diagram", caption), [[panel]], 4.2, keys=keys)
 
 
-def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+def _curve(name: str, label: str, over: str, labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
     """Measure over one parameter: the middle, and a band where there are several runs at each value."""
     at, column = np.asarray(columns[over], dtype=float), columns[name]
     values = np.unique(at)
@@ -132,7 +134,7 @@ def _curve(name: str, over: str, labels: Mapping[str, str], columns: Columns) ->
     wide = bool(len(known) and known.min() > 0.0 and known.max() > 300.0 * known.min())
     reach = None if wide else _range(np.concatenate([low, high]))
     more = ": the median, and a band from 10 % to 90 % of the runs." if has_band else "."
-    panel = Panel(curve, _measure(name), labels[over], None, reach, "y" * wide, ticks=5, finish=finish)
+    panel = Panel(curve, label, labels[over], None, reach, "y" * wide, ticks=5, finish=finish)
     return drawn(replace(words, caption=f"{words.caption}{more}"), [[panel]], 3.2)
 
 
@@ -163,7 +165,7 @@ def _keys(kinds: Iterable[str], labels: Mapping[str, str] | None = None) -> list
     return [Span(0.0, 0.0, _KINDS[kind], (labels or {}).get(kind, kind), opacity=1.0) for kind in kinds]
 
 
-def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
+def _map(name: str, label: str, grid: list[str], labels: Mapping[str, str], columns: Columns) -> CaptionedFigure:
     """Measure over two parameters: the median, or the commonest word."""
     x, y, column = np.asarray(columns[grid[0]]), np.asarray(columns[grid[1]]), columns[name]
     is_word = not isinstance(column, np.ndarray)
@@ -190,7 +192,7 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
             mesh = axes.pcolormesh(*table, cmap="viridis", rasterized=True)
             figure = axes.figure
             assert isinstance(figure, Figure)  # noqa: S101  # for the type checker: these axes lie in no sub-figure
-            figure.colorbar(mesh, ax=axes, pad=0.02).set_label(_measure(name), color=INK)
+            figure.colorbar(mesh, ax=axes, pad=0.02).set_label(label, color=INK)
         axes.grid(visible=False)
         _geometric(axes, across, up)
 
@@ -203,7 +205,7 @@ def _map(name: str, grid: list[str], labels: Mapping[str, str], columns: Columns
     return drawn(words, [[Panel([], labels[grid[1]], labels[grid[0]], ticks=8, finish=finish)]], 4.8, keys=keys)
 
 
-def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  # a column of any kind
+def _distribution(name: str, label: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  # a column of any kind
     """Histogram of a measure, or the share of each word."""
     title, file = f"Distribution of {name}", f"distribution_{_file(name)}"
     if isinstance(column, np.ndarray):
@@ -218,7 +220,7 @@ def _distribution(name: str, column: Any) -> CaptionedFigure:  # noqa: ANN401  #
 
         levels = [Level(value, axis="x") for value in (low, middle, high)]
         caption = f"{capital(_words(name))}: median {middle:.4g}, from {low:.4g} to {high:.4g} in 80 % of the runs."
-        panel = Panel(levels, "runs", _measure(name), ticks=5, finish=histogram)
+        panel = Panel(levels, "runs", label, ticks=5, finish=histogram)
         return drawn(CaptionedFigure(file, title, caption), [[panel]], 2.6)
     counts = Counter(text for text in column if text)
     if not counts:

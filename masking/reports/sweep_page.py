@@ -28,7 +28,11 @@ def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
     if failed:  # with the commonest reason, up to the place where it differs
         causes = [str(text).partition(",")[0].partition(" at t =")[0] for text in columns["error"] if text]
         said += f", {failed} failed ({Counter(causes).most_common(1)[0][0]})"
-    found = [words for name in facts["measures"] if (words := _words(name, columns[name]))]
+    found = [
+        words
+        for name in facts["measures"]
+        if (words := _words(name, columns[name], facts.get("units", {}).get(name, "")))
+    ]
     return f"{said}; {'; '.join(found)}." if found else f"{said}."
 
 
@@ -37,13 +41,15 @@ def counts(column: Sequence[Any]) -> dict[str, int]:
     return dict(Counter(text for text in column if text).most_common())
 
 
-def _words(name: str, column: Any) -> str:  # noqa: ANN401  # a column of any kind
+def _words(name: str, column: Any, unit: str) -> str:  # noqa: ANN401  # a column of any kind
     if isinstance(column, np.ndarray):
         finite = column[np.isfinite(column)]
         if not len(finite):
             return ""
         low, middle, high = np.quantile(finite, (0.0, 0.5, 1.0))
-        return f"{name} {low:.4g} to {high:.4g}, median {middle:.4g}" if high > low else f"{name} {low:.4g}"
+        if not high > low:
+            return f"{name} {low:.4g} {unit}".rstrip()
+        return f"{name} {low:.4g} to {high:.4g} {unit}".rstrip() + f", median {middle:.4g}"
     if column and isinstance(column[0], str):
         return f"{name} " + ", ".join(f"{kind} {count}" for kind, count in counts(column).items())
     return ""

@@ -8,7 +8,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,9 +23,10 @@ from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import table_chunks
 from masking.lab.records.parquet import replacing
 from masking.lab.records.table_chunks import Columns
-from masking.lab.runs import manifest, varied_experiment
+from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.sweep_values import Design, Sampling, Values
+from masking.model.declaration.units import pretty
 from masking.reports import html, run_measures, sweep_page
 
 PLAN: Final = "sweep.json"
@@ -58,6 +59,7 @@ class Sweep:
         return {
             "name": self.name, "runs": self.rows, "done": len(self), "failed": failed, "sentence": self.sentence,
             "over": self.facts["over"], "measures": self.facts["measures"],
+            "units": self.facts["units"],
             "counts": {name: sweep_page.counts(self[name]) for name in words}, "rows": str(self.folder / ROWS),
         }  # fmt: skip
 
@@ -130,7 +132,6 @@ def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep
     """
     whole = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
     given, tell = settings, settings.tell
-    usual = run_measures.defaults(whole.virtual.declaration.oscillators or (), has_rig=not given.virtual)
     sections: dict[str, Any] = {}
     if given.changes:
         sections["parameters"] = {**whole.declaration.parameters, **given.changes}
@@ -139,7 +140,8 @@ def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep
     whole = whole.changed(**sections) if sections else whole
     design = Design.of(given.over or {}, given.runs, given.seed, given.sampling)
     kind = (given.virtual, given.continuation, given.trajectories)
-    plan = Plan(whole, design, tuple(given.measure) or usual, *kind)
+    plan = Plan(whole, design, tuple(given.measure), *kind)
+    plan = plan if plan.measures else replace(plan, measures=plan.measurable.defaults)
     plan.check()
     first, last = _range(plan, given.part)
     folder = Path(given.out or f"results/{whole.stem}_sweep")
@@ -197,13 +199,15 @@ def _facts(plan: Plan) -> dict[str, Any]:
         {"name": axis.label, "grid": None if axis.values is None else axis.values.tolist(), "factor": axis.is_factor}
         for axis in design.axes
     ]
-    given = json.dumps([declared, over, names, kind, design.runs, design.seed], sort_keys=True, default=str).encode()
-    identity = hashlib.sha256(given + np.ascontiguousarray(design.points).tobytes()).hexdigest()
+    units = {one: plan.measurable.unit(one) for one in plan.measures if isinstance(one, str)}
     for one, places in zip(over, plan.places, strict=True):
-        one["unit"] = varied_experiment.unit(experiment, places[0])
+        one["unit"] = "" if places[0].unit == "1" else pretty(places[0].unit)
+    every = [declared, over, names, units, kind, design.runs, design.seed]
+    given = json.dumps(every, sort_keys=True, default=str).encode()
+    identity = hashlib.sha256(given + np.ascontiguousarray(design.points).tobytes()).hexdigest()
     return {
         "name": experiment.declaration.name, "identity": identity, "rows": plan.rows, "runs": design.runs,
-        "seed": design.seed, "sampling": design.sampling, "over": over, "measures": names, **kind,
+        "seed": design.seed, "sampling": design.sampling, "over": over, "measures": names, "units": units, **kind,
     }  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from masking.lab.runs.sweep_values import Design
 from masking.lab.runs.varied_experiment import Place
 from masking.model.modelling import ensembles
 from masking.reports import run_measures
-from masking.reports.run_measures import Measured
+from masking.reports.run_measures import Measurable, Measured
 
 Rows: TypeAlias = NDArray[np.int64]  # numbers of rows
 Measure: TypeAlias = str | Callable[[Recording], float]
@@ -78,12 +78,19 @@ class Plan:
         """Seed of a row."""
         return int(np.random.SeedSequence([self.design.seed, row]).generate_state(1)[0] >> 1)
 
+    @cached_property
+    def measurable(self) -> Measurable:
+        """What runs have that can be measured."""
+        virtual, known = self.experiment.virtual, self.experiment.instruments
+        units = {name: one.unit for name, one in virtual.shown.items()}
+        inputs = None if self.virtual else dict(zip(known.actuators, known.units[1], strict=True))
+        is_scaled = virtual.is_dimensionless or virtual.units.is_plain
+        return Measurable(virtual.oscillators, units, inputs, "units of time" if is_scaled else "s")
+
     def check(self) -> None:
         """Refuse what no run can be made of, and compile what runs need."""
-        model, names = self.experiment.virtual, [one for one in self.measures if isinstance(one, str)]
-        inputs = [] if self.virtual else [*self.experiment.twin.actuators]
-        oscillators = model.declaration.oscillators or ()
-        run_measures.check(names, oscillators, model.state_names, inputs, has_rig=not self.virtual)
+        names = [one for one in self.measures if isinstance(one, str)]
+        self.measurable.check(names)
         for axis in self.design.axes:
             for where in (varied_experiment.place(self.experiment, name) for name in axis.names):
                 if self.virtual and where.path[0] not in {"parameters", "initial"}:
@@ -189,6 +196,8 @@ class Plan:
         if self.trajectories or len(names) < len(self.measures):
             return None
         model = self.experiment.virtual
+        if len({model.shown[name] for name in model.oscillators}) > 1:  # which have no common size
+            return None
         places = [model.state_names.index(name) for name in model.oscillators]
         return run_measures.measure_each([states[:, :, i] for i in places], names)
 
@@ -233,10 +242,11 @@ class Plan:
 
     def _recorded(self, states: Array) -> Recording:
         """Motion of the virtual system (m, .) as a recording."""
-        experiment, scale = self.experiment, self.experiment.time_scale
-        names = experiment.virtual.state_names
-        columns = {"t": self._times * scale, **{f"virtual.{n}": states[:, i].copy() for i, n in enumerate(names)}}
-        return Recording(columns, {"oscillators": list(experiment.virtual.oscillators), "time_scale": scale})
+        virtual, scale = self.experiment.virtual, self.experiment.time_scale
+        columns, units = {"t": self._times * scale}, {"t": {"unit": "s"}}
+        for series, (name, (unit, size)) in zip(states.T, virtual.shown.items(), strict=False):
+            columns[f"virtual.{name}"], units[f"virtual.{name}"] = series / size, {"unit": unit}
+        return Recording(columns, {"oscillators": [*virtual.oscillators], "time_scale": scale, "columns": units})
 
 
 def _name(one: Measure) -> str:

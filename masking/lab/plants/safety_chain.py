@@ -65,26 +65,27 @@ class Cause(IntEnum):
 _SAID: Final = {
     Cause.SENSOR_NONFINITE: "the reading of {channel} is {value}; look at its cable and at what converts it",
     Cause.SENSOR_STUCK: (
-        "the reading of {channel} stays {value:.6g} to the last bit although the rig moves; "
+        "the reading of {channel} stays {value:.6g}{unit} to the last bit although the rig moves; "
         "look at the sensor and at what samples it"
     ),
     Cause.SENSOR_JUMP: (
-        "the reading of {channel} changed by {value:.4g} in a sample, where {limit:.4g} is possible; "
+        "the reading of {channel} changed by {value:.4g}{unit} in a sample, where {limit:.4g}{unit} is possible; "
         "look at its cable, or give the sensor a larger jump in the plant file"
     ),
     Cause.SENSOR_RANGE: (
-        "the reading of {channel} is {value:.6g}, at or beyond the end of its range, {limit:.6g}; "
+        "the reading of {channel} is {value:.6g}{unit}, at or beyond the end of its range, {limit:.6g}{unit}; "
         "look at its cable and its supply"
     ),
     Cause.POSITION_LIMIT: (
-        "{channel} is {value:.4g}, beyond its limit of {limit:.4g}; "
+        "{channel} is {value:.4g}{unit}, beyond its limit of {limit:.4g}{unit}; "
         "'masking check EXPERIMENT' says what the ideal motion needs"
     ),
     Cause.VELOCITY_LIMIT: (
-        "the rate of {channel} is {value:.4g}, beyond its limit of {limit:.4g}; make the motion slower or smaller"
+        "the rate of {channel} is {value:.4g}{unit}, beyond its limit of {limit:.4g}{unit}; "
+        "make the motion slower or smaller"
     ),
     Cause.THERMAL: (
-        "the commands of {channel} ask for more than {limit:.4g} of mean power; "
+        "the commands of {channel} ask for more than {limit:.4g} W of mean power; "
         "let it cool, and make the motion slower or smaller"
     ),
     Cause.CONTROLLER_NONFINITE: (
@@ -110,7 +111,7 @@ _SAID: Final = {
     Cause.PLANT_ERROR: "the plant failed; its error is in the record",
     Cause.ESTOP: "the emergency stop was pressed {channel}; release it once the rig is safe",
     Cause.COMMANDS_NOT_TAKEN: (
-        "the plant puts out nothing on {channel} although {value:.4g} is commanded; "
+        "the plant puts out nothing on {channel} although {value:.4g}{unit} is commanded; "
         "look at what passes commands on to it"
     ),
     Cause.UNATTENDED: (
@@ -127,19 +128,23 @@ class Trip:
     cause: Cause  # why
     channel: str  # the sensor, actuator or limited expression, or how an emergency stop was pressed; empty for none
     tick: int  # of the plant's clock
-    value: float = 0.0  # that was found, in the channel's unit
-    limit: float = 0.0  # that it passed, likewise
+    value: float = 0.0  # that was found
+    limit: float = 0.0  # that it passed
     detail: str = ""  # what there is besides, such as a traceback
+    unit: str = "1"  # declared, of the value and the limit: of a reading, a command, or what is limited
 
     def __str__(self) -> str:
-        said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit).replace(" ;", ";")
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        said = _SAID[self.cause].format(channel=self.channel, value=self.value, limit=self.limit, unit=unit)
+        said = said.replace(" ;", ";")
         return f"tick {self.tick}: {self.cause.name}: {said}"
 
     def as_dict(self) -> dict[str, Any]:
         """Trip as JSON can hold it; a value that is not finite as text."""
         value: float | str = self.value if np.isfinite(self.value) else str(self.value)
         entry = {"cause": self.cause.name, "number": int(self.cause), "channel": self.channel, "tick": self.tick}
-        return entry | {"value": value, "limit": self.limit, "sentence": str(self), "detail": self.detail}
+        entry |= {"value": value, "limit": self.limit, "unit": self.unit}
+        return entry | {"sentence": str(self), "detail": self.detail}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +158,7 @@ class Rules:
     readings: Array  # table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns
     motion: Array  # second derivative of each reading by readings and commands (sensors, sensors + actuators)
     limited: tuple[str, ...] = ()  # what is limited, in words, a rate as that of the expression
+    units: tuple[tuple[str, ...], ...] = ((), (), ())  # declared, of the sensors, the actuators and what is limited
     # table of what is limited (limits, 4), as `masking.compile.numerics.safety_tables` has its columns
     limits: Array = field(default_factory=lambda: np.zeros((0, 4)))
     weights: Array = field(default_factory=lambda: np.zeros((0, 1)))  # of the readings in each (limits, sensors)
@@ -162,6 +168,10 @@ class Rules:
     delay: int = 0  # samples between a reading and the first effect of the command that answers it
     missed: float = 1.0  # largest share of the samples of a second that may be late or missed
     notes: tuple[str, ...] = ()  # what is not watched, a sentence each
+
+    def unit(self, kind: int, at: int) -> str:
+        """Unit of a sensor (kind 0), an actuator (1) or what is limited (2); 1 where it is not known."""
+        return "".join(self.units[kind][at : at + 1]) or "1"
 
     @classmethod
     def of_commands(cls, largest: Array, sensors: Sequence[str], actuators: Sequence[str], rate: float) -> Rules:
@@ -257,10 +267,10 @@ class Chain:
         return self.applied
 
     def stop(self, cause: Cause, tick: int, channel: str = "", *, value: float = 0.0, limit: float = 0.0,
-             detail: str = "") -> Trip:  # fmt: skip
+             detail: str = "", unit: str = "1") -> Trip:  # fmt: skip
         """Trip for a cause that another one found; the first cause stays."""
         self.applied[:] = 0.0
-        self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail)
+        self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail, unit)
         return made
 
     def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
@@ -285,12 +295,10 @@ class Chain:
 
     def _found_by(self, number: int, tick: int) -> None:
         cause, at = Cause(number), int(self._found[0])
-        names = self.rules.actuators
-        if cause <= Cause.SENSOR_RANGE:
-            names = self.rules.sensors
-        elif cause in {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT}:
-            names = self.rules.limited
-        self.stop(cause, tick, names[at], value=float(self._found[1]), limit=float(self._found[2]))
+        kinds = (self.rules.sensors, self.rules.actuators, self.rules.limited)
+        kind = 0 if cause <= Cause.SENSOR_RANGE else 2 if cause in {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT} else 1
+        value, limit = map(float, self._found[1:])
+        self.stop(cause, tick, kinds[kind][at], value=value, limit=limit, unit=self.rules.unit(kind, at))
 
 
 def _whole(table: Array) -> Array:

@@ -491,6 +491,6 @@ class Experiment:
         if self.declaration.inputs:
             entries["inputs"] = self.inputs.entry()
         if self.declaration.controller.homing is not None:
-            entries["start"] = manifest.start(self.virtual_start, summary.first)
+            entries["start"] = manifest.start(self.virtual, self.virtual_start, summary.first)
         entries |= {"stop": self.stop_condition.entry(at)} if self.stop_condition else {}
         return manifest.content(self.assembly, self.virtual, entries)

@@ -50,9 +50,13 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
     }
 
 
-def start(wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
-    """Where homing should have brought the virtual coordinates, and where it did, by name."""
-    return {"wanted": dict(zip(reached, map(float, wanted), strict=False)), "reached": dict(reached)}
+def start(virtual: Model, wanted: Array, reached: Mapping[str, float]) -> dict[str, Any]:
+    """Where homing should have brought the virtual coordinates, and where it did, by name, as the columns have it.
+
+    `wanted` is a state of the virtual system.
+    """
+    aims = {name: float(x) / virtual.shown[name].size for name, x in zip(reached, wanted, strict=False)}
+    return {"wanted": aims, "reached": dict(reached)}
 
 
 def observer(sampled: SampledController, kind: str) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from masking.lab.records.ring import Ring, cells
 from masking.lab.records.stop_switch import Presser, Switch
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Row
+from masking.model.modelling.model import Model
 
 ABSENCE: Final = 2.0  # s without the page, which an attended run bears
 _FILE: Final = 10_000_000  # ns between looks at the file that stops a run
@@ -123,16 +124,20 @@ class _Shown:
         sampled = controller.sampled
         rig, virtual = sampled.instruments.model, sampled.controller.virtual
         self._rate = controller.rate
-        actuators = {name: sampled.instruments.unit(name) for name in sampled.instruments.actuators}
-        sensors = {name: sensor.unit for name, sensor in sampled.instruments.plant.sensors.items()}
+        known = sampled.instruments
+        sensors, actuators = (
+            dict(zip(*pair, strict=True)) for pair in zip((known.sensors, known.actuators), known.units, strict=True)
+        )
+        both = {"virtual": virtual, "rig": rig}
+        sizes = {f"{of}.{name}": model.shown[name].size for of, model in both.items() for name in _motion(model)}
         # The virtual motion, then what lies side by side in a row of the loop.
         groups = [
-            {f"virtual.{name}": unit for name, unit in _motion(virtual)},
+            {f"virtual.{name}": virtual.shown[name].unit for name in _motion(virtual)},
             {name: entry["unit"] for name, entry in list(LOOP.items())[INDEX:]},
             {f"sensor.{name}": unit for name, unit in sensors.items()},
             {f"applied.{name}": unit for name, unit in actuators.items()},
             {f"power.{name}": "W" for name in actuators},
-            {f"rig.{name}": unit for name, unit in _motion(rig)},
+            {f"rig.{name}": rig.shown[name].unit for name in _motion(rig)},
         ]
         units = {name: unit for group in groups for name, unit in group.items()}
         instant, motion, bound = controller.virtual()
@@ -143,7 +148,7 @@ class _Shown:
         declaration, plant = experiment.declaration, experiment.assembly.plant
         self.ring = Ring(
             list(units), self._rate, units, rows=int(_KEPT * self._rate), name=declaration.name, plant=plant.name,
-            pair=list(pair) if len(pair) > 1 else [], attended=is_attended,
+            pair=list(pair) if len(pair) > 1 else [], attended=is_attended, sizes=sizes,
             bounds=list(_bounds(controller, rules)),
         )  # fmt: skip
 
@@ -155,37 +160,31 @@ class _Shown:
         self.ring.put(self._virtual, row[INDEX : self._stop])
 
 
-def _motion(model: Any) -> Iterator[tuple[str, str]]:  # noqa: ANN401
-    """Coordinates of a model and their rates, with the units that recordings have."""
-    units = {
-        name: "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
-        for name, coordinate in model.declaration.coordinates.items()
-    }
-    yield from units.items()
-    yield from ((f"{name}'", unit if model.is_dimensionless else f"{unit}/s") for name, unit in units.items())
+def _motion(model: Model) -> list[str]:
+    """Coordinates of a model, and then their rates."""
+    return model.state_names[: 2 * len(model.coordinates)]
 
 
 def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
     """Limits that the chain watches, in the declared units, as `live_monitor` takes them."""
-    # The columns are in the SI units of the rig's model, and the sensors' own.
+    # The columns of the rig are in SI units, those of sensors in their own.
     known = controller.sampled.instruments
     declared = known.plant.limits
-    rig = [f"rig.{name}" for name, _ in _motion(known.model)]
+    rig = [f"rig.{name}" for name in _motion(known.model)]
     sensors = [f"sensor.{name}" for name in known.sensors]
     positions, rates = ({e.text: x for e, x in given.items()} for given in (declared.coordinates, declared.velocities))
-    for name, row, weights, estimated in zip(rules.limited, rules.limits, rules.weights, rules.estimated, strict=True):
+    tables = (rules.limits, rules.weights, rules.estimated)
+    for name, unit, row, weights, estimated in zip(rules.limited, rules.units[2], *tables, strict=True):
         is_rate, is_estimated = row[safety_tables.OVER] > 0.0, row[safety_tables.ESTIMATED] > 0.0
-        limit = (rates if is_rate else positions)[name]
-        size = known.factors[limit.unit]
         columns = zip(rig, estimated, strict=False) if is_estimated else zip(sensors, weights, strict=True)
         yield {
             "kind": "limit",
             "label": f"rate of {name}" if is_rate else name,
-            "unit": limit.unit,
-            "bound": limit.max,
-            "trip": float(row[safety_tables.BOUND]) / size,
-            "zero": float(row[safety_tables.AT_ZERO]) / size,
-            "weights": {column: float(weight) / size for column, weight in columns if weight},
+            "unit": unit,
+            "bound": (rates if is_rate else positions)[name].max,
+            "trip": float(row[safety_tables.BOUND]),
+            "zero": float(row[safety_tables.AT_ZERO]),
+            "weights": {column: float(weight) for column, weight in columns if weight},
             "over": 0 if is_estimated else int(row[safety_tables.OVER]),
         }
     for name, row in zip(known.actuators, rules.commands, strict=True):

@@ -60,11 +60,8 @@ class Passive:
 
     def initial(self) -> Array:
         """Their values, then their velocities, at the start (2 m,), SI units: as given, else at rest."""
-        declared = self.plant.declaration.coordinates
-        names = [
-            name for name in self.names if name not in self.transform.virtual.coordinates
-        ]  # the virtual one is meant
-        sizes = {name: self.plant.units.conversions[declared[name].unit].factor for name in names}
+        names = [name for name in self.names if name not in self.transform.virtual.coordinates]
+        sizes = {name: self.plant.shown[name].size for name in names}
         values = [self.given.get(name) if name in sizes else None for name in self.names]
         rest = self.zero_dynamics.rest if None in values else np.zeros(len(values))
         start = [z if x is None else x * sizes[n] for n, x, z in zip(self.names, values, rest, strict=True)]
@@ -80,13 +77,15 @@ class Passive:
                 "exact' or 'rate: continuous', where a simulation can begin in any state"
             )
 
-    def entry(self, states: Array) -> dict[str, Any]:
-        """Their names and motion, for the manifest, from states of the rig (rows, .), [q, v, ...] in SI units."""
+    def entry(self, columns: Mapping[str, Array]) -> dict[str, Any]:
+        """Their names and motion, for the manifest, from columns of a recording (rows,), by name."""
         try:
             found = self.zero_dynamics.as_dict()
         except ModelError as error:
             found = {"coordinates": list(self.names), "verdict": "unknown", "how": "no rest", "words": str(error)}
-        found["peak"] = dict(zip(self.names, np.abs(states[:, self.indices]).max(axis=0).tolist(), strict=True))
+        found["peak"] = {name: float(np.abs(columns[f"rig.{name}"]).max()) for name in self.names}
+        moved = self.plant.state_names[: 2 * len(self.plant.coordinates)]
+        states = np.column_stack([columns[f"rig.{name}"] * self.plant.shown[name].size for name in moved])
         energy = self._energy(states) if found["verdict"] != "unknown" else None
         if energy is not None:
             numbers = {"start": float(energy[0]), "end": float(energy[-1]), "peak": float(energy.max())}

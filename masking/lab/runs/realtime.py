@@ -272,7 +272,8 @@ class _Taken:
             is_idle = self._least[i] > 0.0 and telemetry.get(APPLIED + name, np.nan) == 0.0
             self._idle[i] = self._idle[i] + 1 if is_idle else 0
             if self._idle[i] > _IDLE:
-                self._chain.stop(Cause.COMMANDS_NOT_TAKEN, tick, name, value=float(written[i]))
+                value, unit = float(written[i]), self._chain.rules.unit(1, i)
+                self._chain.stop(Cause.COMMANDS_NOT_TAKEN, tick, name, value=value, unit=unit)
         self._least[:] = np.inf
 
 

@@ -16,7 +16,7 @@ from masking.model.modelling.model import Model
 
 @dataclass
 class Columns:
-    """The columns of a recording, each with its unit and meaning, while they are gathered."""
+    """The columns of a recording, each in its declared unit, with its meaning, while they are gathered."""
 
     assembly: Assembly  # the declarations of the experiment
     plant: Model  # the model of the rig
@@ -36,28 +36,25 @@ class Columns:
     def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
         """Add time, and coordinates and velocities of the rig, the virtual system and the ideal.
 
-        The states (m, .) are in SI units for the rig, and in the virtual system's for the others; times (m,) in s.
+        The states (m, .) are those that are computed: of the rig in SI units, of the others in the virtual system's.
         """
         self.add("t", times, "s", "time")
         motions = ("rig", self.plant, rig), ("virtual", self.virtual, virtual), ("ideal", self.virtual, ideal)
         for prefix, model, states in motions:
-            n = len(model.coordinates)
-            for i, (name, coordinate) in enumerate(model.declaration.coordinates.items()):
-                unit = "1" if model.is_dimensionless else model.units.conversions[coordinate.unit].si
-                rate = unit if model.is_dimensionless else f"{unit}/s"
-                self.add(f"{prefix}.{name}", states[:, i], unit, coordinate.meaning)
-                self.add(f"{prefix}.{name}'", states[:, n + i], rate, f"rate of {name}")
-            for i, (name, state) in enumerate(model.declaration.states.items() if prefix != "rig" else (), 2 * n):
-                unit = "1" if model.is_dimensionless else model.units.conversions[state.unit].si
-                self.add(f"{prefix}.{name}", states[:, i], unit, state.meaning)
+            declared = model.declaration
+            meanings = {n: c.meaning for n, c in declared.coordinates.items()}
+            meanings = {**meanings, **{f"{name}'": f"rate of {name}" for name in meanings}}
+            meanings |= {name: state.meaning for name, state in declared.states.items() if prefix != "rig"}
+            for i, (name, meaning) in enumerate(meanings.items()):
+                unit, size = model.shown[name]
+                self.add(f"{prefix}.{name}", states[:, i] / size, unit, meaning)
         return self
 
     def add_inputs(self, inputs: Mapping[str, Array]) -> Columns:
         """Add inputs of the virtual system that are no expressions (m,), as `virtual_input`."""
         for name, values in inputs.items():
-            unit = self.virtual.declaration.parameters[cell(name, "c0")].unit
-            unit = "1" if self.virtual.is_dimensionless else self.virtual.units.conversions[unit].si
-            self.add(f"virtual_input.{name}", values, unit, f"input {name} of the virtual system")
+            unit, size = self.virtual.shown_in(self.virtual.declaration.parameters[cell(name, "c0")].unit)
+            self.add(f"virtual_input.{name}", values / size, unit, f"input {name} of the virtual system")
         return self
 
     def add_sensors(self, readings: Array) -> Columns:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
-import numpy as np
-
 from masking.analysis.masking_error import ErrorSum
 from masking.compile.numerics.arrays import Array
 from masking.lab.runs.passive_coordinates import Passive
@@ -33,10 +31,9 @@ class Summary:
         for name, errors in self._errors.items():
             errors.add(columns[f"virtual.{name}"], columns[f"ideal.{name}"])
         for passive in filter(None, self._passive):
-            names = [f"rig.{name}{prime}" for prime in ("", "'") for name in passive.plant.coordinates]
-            if not columns.keys() >= {*names}:
+            if not columns.keys() >= {f"rig.{name}" for name in passive.plant.coordinates}:
                 continue
-            entry = passive.entry(np.column_stack([columns[name] for name in names]))
+            entry = passive.entry(columns)
             self.passive = entry if self.passive is None else Passive.merged(self.passive, entry)
             break
 

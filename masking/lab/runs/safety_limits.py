@@ -68,6 +68,7 @@ def without_model(rules: Rules) -> Rules:
         readings=readings,
         half=0,
         limited=tuple(name for name, is_kept in zip(rules.limited, kept, strict=True) if is_kept),
+        units=(*rules.units[:2], tuple(x for x, is_kept in zip(rules.units[2], kept, strict=True) if is_kept)),
         limits=rules.limits[kept],
         weights=rules.weights[kept],
         estimated=rules.estimated[kept],
@@ -114,11 +115,12 @@ class _Builder:
         """Rules of what is limited, with the table of sensors as it is."""
         declared = self.instruments.plant.limits
         rows = [*self._limited(declared.coordinates, is_rate=False), *self._limited(declared.velocities, is_rate=True)]
-        names, limits, weights, estimated = zip(*rows, strict=True) if rows else ((), (), (), ())
+        names, units, limits, weights, estimated = zip(*rows, strict=True) if rows else ((), (), (), (), ())
         sensors, states = len(self.table), max(1, self.states)
         return Rules(
             self.rate, self.instruments.sensors, self.instruments.actuators, self.commands, self.table,
             np.zeros((sensors, sensors + len(self.commands))),
+            units=(*self.instruments.units, tuple(units)),
             limited=tuple(names),
             limits=np.array(limits).reshape(len(names), safety_tables.LIMIT_COLUMNS),
             weights=np.array(weights).reshape(len(names), sensors),
@@ -127,8 +129,8 @@ class _Builder:
             notes=tuple(self.notes),
         )  # fmt: skip
 
-    def _linear(self, expression: Expression) -> _Linear | None:
-        """Expression of [q, v] that is linear, None where it is not."""
+    def _linear(self, expression: Expression, unit: float = 1.0) -> _Linear | None:
+        """Expression of [q, v] that is linear, as a multiple of a unit; None where it is not."""
         names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
         values = self.model.parameter_values()
         if not set(expression.names) <= {*names, *values}:
@@ -136,13 +138,14 @@ class _Builder:
         sizes = np.tile(self.model.lengths, 2)
 
         def at(point: Array) -> float:
-            return float(expression.evaluate(values | dict(zip(names, map(float, point), strict=True))))
+            return float(expression.evaluate(values | dict(zip(names, map(float, point), strict=True)))) / unit
 
         zero = at(np.zeros(len(names)))
         slopes = np.array([(at(row) - zero) / size for row, size in zip(np.diag(sizes), sizes, strict=True)])
         for part in (-1.0, 0.37):  # beside where the slopes are from
             point = part * sizes * np.linspace(1.0, 2.0, len(sizes))
-            if not math.isclose(at(point), zero + slopes @ point, rel_tol=_EXACT, abs_tol=_EXACT * float(sizes.max())):
+            near = _EXACT * float(sizes.max()) / unit
+            if not math.isclose(at(point), zero + slopes @ point, rel_tol=_EXACT, abs_tol=near):
                 return None
         return _Linear(zero, slopes)
 
@@ -246,10 +249,10 @@ class _Builder:
 
     def _limited(
         self, declared: Mapping[Expression, Limit], *, is_rate: bool
-    ) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Name, row of the table, and weights in readings and in the estimate of each limit."""
+    ) -> Iterator[tuple[str, str, Array, Array, Array]]:
+        """Name, unit, row of the table, and weights in readings and in the estimate of each limit, in its own unit."""
         for expression, limit in declared.items():
-            found, bound = self._linear(expression), limit.max * self.instruments.factors[limit.unit]
+            found, bound = self._linear(expression, self.instruments.factors[limit.unit]), limit.max
             row, weights = np.zeros(safety_tables.LIMIT_COLUMNS), np.zeros(len(self.table))
             estimated, slopes = np.zeros(max(1, self.states)), np.zeros(2 * self.count)
             row[safety_tables.BOUND] = bound
@@ -276,7 +279,7 @@ class _Builder:
                 what = f"the rate of {expression.text}" if is_rate else expression.text
                 self.notes.append(f"{what} is limited and not watched: neither the sensors nor an estimate give it")
                 continue
-            yield expression.text, row, weights, estimated
+            yield expression.text, limit.unit, row, weights, estimated
 
     def _half(self, motion: Array) -> int:
         """Half the window in which the response to a part of the largest command is clear of noise."""

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from masking.control.rig.twin import PlacedEffect
 from masking.errors import DeclarationError, Problem, nearest
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.units import pretty
+from masking.model.declaration.units import combined
 from masking.model.modelling.model import Model
 
 _NUMBERS: Final = ("duration", "seed", "tolerance", "time_scale")  # of an experiment
@@ -22,7 +23,8 @@ class Place:
     """Where a value stands."""
 
     path: tuple[str, ...]  # section of the experiment, keys in it; or `plant` and a parameter
-    declared: float | Expression | None  # its value, in declared units; None where there is none
+    declared: float | Expression | None  # its value, in its unit; None where there is none
+    unit: str = "1"  # in which it is declared, and given
 
 
 def place(experiment: Experiment, name: str) -> Place:
@@ -36,14 +38,15 @@ def place(experiment: Experiment, name: str) -> Place:
     virtual = Model(experiment.assembly.virtual_model, declaration.parameters)
     head, _, rest = name.partition(".")
     if name in virtual.parameters:
-        return Place(("parameters", name), _parameter(virtual, name))
+        return Place(("parameters", name), *_parameter(virtual, name))
     if name in virtual.state_names:
-        return Place(("initial", name), declaration.initial.get(name, _initial(virtual, name)))
+        start, unit = _initial(virtual, name)
+        return Place(("initial", name), declaration.initial.get(name, start), unit)
     if name in _NUMBERS:
         return Place((name,), getattr(declaration, name))
     if head == PLANT and rest in experiment.assembly.plant_model.parameters:
         own = {n: x for n, x in plant.parameters.items() if n in experiment.assembly.plant_model.parameters}
-        return Place((PLANT, rest), _parameter(Model(experiment.assembly.plant_model, own), rest))
+        return Place((PLANT, rest), *_parameter(Model(experiment.assembly.plant_model, own), rest))
     effects = {effect.label: effect for effect in experiment.twin.effects} | {
         effect.path.removeprefix("effects."): effect for effect in experiment.twin.effects
     }
@@ -53,7 +56,7 @@ def place(experiment: Experiment, name: str) -> Place:
         if key in effect.entry.parameters:
             use = effect.path.removeprefix("effects.")
             value = effect.parameters.get(key, effect.entry.parameters[key].value)
-            return Place(("effects", use, "parameters", key), value)
+            return Place(("effects", use, "parameters", key), value, _unit_of(experiment, effect, key))
     if rest and head in type(declaration).model_fields:
         return Place((head, *rest.split(".")), None)
     allowed = [*virtual.parameters, *virtual.state_names, *_NUMBERS]
@@ -63,24 +66,27 @@ def place(experiment: Experiment, name: str) -> Place:
     raise DeclarationError(Problem(None, name, message, nearest(name, allowed)))
 
 
-def unit(experiment: Experiment, where: Place) -> str:
-    """Declared unit of a parameter of the virtual system or of the plant's model; nothing for 1 and others."""
-    models = {"parameters": experiment.assembly.virtual_model, PLANT: experiment.assembly.plant_model}
-    model, name = models.get(where.path[0]), where.path[-1]
-    found = model.parameters[name].unit if model and name in model.parameters else "1"
-    return "" if found == "1" else pretty(found)
+def _unit_of(experiment: Experiment, effect: PlacedEffect, key: str) -> str:
+    """Unit of a parameter of an effect, by its place."""
+    known = experiment.twin.model.declaration.parameters.get(f"{effect.label}_{key}")
+    sensor, actuators = experiment.assembly.plant.sensors.get(effect.at), experiment.instruments.actuators
+    letters = {"S": sensor.unit if sensor else "1"}
+    letters["U"] = experiment.instruments.unit(effect.at) if effect.at in actuators else "1"
+    return known.unit if known else combined(effect.entry.parameters[key].unit, letters)
 
 
-def _parameter(model: Model, name: str) -> float:
-    """Parameter in its declared unit."""
-    return model.value(name) / model.units.conversions[model.declaration.parameters[name].unit].factor
+def _parameter(model: Model, name: str) -> tuple[float, str]:
+    """Parameter in its declared unit, and that unit."""
+    unit = model.declaration.parameters[name].unit
+    return model.value(name) / model.units.conversions[unit].factor, unit
 
 
-def _initial(model: Model, name: str) -> float | None:
-    declared = model.declaration.coordinates.get(name.rstrip("'"))
-    if declared is None:
-        return model.declaration.states[name].initial
-    return declared.initial_velocity if name.endswith("'") else declared.initial
+def _initial(model: Model, name: str) -> tuple[float | None, str]:
+    """Initial value of a state in its declared unit, and that unit."""
+    d, unit = model.declaration, model.shown[name].unit
+    if (coordinate := d.coordinates.get(name.rstrip("'"))) is None:
+        return d.states[name].initial, unit
+    return (coordinate.initial_velocity if name.endswith("'") else coordinate.initial), unit
 
 
 def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]) -> Experiment:

@@ -30,7 +30,7 @@ from masking.model.effects import Effect, Setting, attach
 from masking.model.modelling import ensembles, input_series
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.lowering import module
-from masking.model.modelling.scales import Units
+from masking.model.modelling.scales import Shown, Units
 
 if TYPE_CHECKING:
     import control
@@ -347,6 +347,18 @@ class Model:
         """Size of a declared unit in SI units, or in the declared scales."""
         size = self.units.conversions[unit].factor
         return size / self.units.size(unit, self.overrides) if self.is_dimensionless else size
+
+    @cached_property
+    def shown(self) -> dict[str, Shown]:
+        """How each state is shown, by its name as `state_names` has it: divided by the size, it is in the unit."""
+        d, found = self.declaration, dict[str, Shown]()
+        for is_rate, prime in ((False, ""), (True, "'")):
+            found |= {f"{n}{prime}": self.shown_in(c.unit, is_rate=is_rate) for n, c in d.coordinates.items()}
+        return found | {n: self.shown_in(z.unit) for n, z in d.states.items()}
+
+    def shown_in(self, unit: str, *, is_rate: bool = False) -> Shown:
+        """How what is declared in a unit is shown; as `Units.shown`."""
+        return self.units.shown(unit, dimensionless=self.is_dimensionless, is_rate=is_rate)
 
     def validate(self) -> None:
         """Refuse what can be refused without running: units, equations that cannot be made explicit, values.

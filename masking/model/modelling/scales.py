@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import lazy_loader as lazy
 
@@ -20,7 +20,7 @@ from masking.errors import DeclarationError, ModelError, Problem, nearest
 from masking.model.declaration import schema
 from masking.model.declaration.checks import bounded
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.units import Conversion, conversion
+from masking.model.declaration.units import Conversion, combined, conversion
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -29,6 +29,16 @@ else:
 
 PLAIN = "1"
 SECOND = "s"
+
+
+class Shown(NamedTuple):
+    """How a quantity is read, shown and recorded: its unit, and how much of what is computed with one of it is."""
+
+    unit: str
+    size: float
+
+    def __str__(self) -> str:
+        return "" if self.unit == PLAIN else self.unit
 
 
 @dataclass(frozen=True)
@@ -116,6 +126,16 @@ class Units:
         """Return what the scales make of a unit's dimension, in SI units; 1 where there are no scales for it."""
         known = self.conversions.get(unit)
         return known.scale(self.scale_values(overrides)) if known is not None else 1.0
+
+    def shown(self, unit: str, *, dimensionless: bool, is_rate: bool = False) -> Shown:
+        """How a quantity with a declared unit is shown: in that unit, or as a multiple of the declared scales.
+
+        What the scales leave as it is, such as an angle, keeps its unit. Its rate is per second, or per unit of time.
+        """
+        found = self.conversions[unit]
+        if dimensionless and any(found.exponents.values()):
+            return Shown(PLAIN, 1.0)
+        return Shown(combined("U/s", {"U": unit}) if is_rate and not dimensionless else unit, found.factor)
 
     def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Every parameter in SI units, each after those that its expression holds."""

@@ -226,7 +226,9 @@ def test_pictures_name_words_units_and_shares():
         "tau_s": np.array([3.0, 3.0, 4.0, 4.0, 5.0, 5.0]), "alpha": 1.0 + 1e-7 * np.arange(6),
     }  # fmt: skip
     over = [{"name": "m", "grid": [1.0, 2.0, 3.0], "factor": False, "unit": "kg"}]
-    shares, curve, flat = figures({"over": over, "measures": ["end", "tau_s", "alpha"]}, columns)
+    shares, curve, flat = figures(
+        {"over": over, "measures": ["end", "tau_s", "alpha"], "units": {"tau_s": "units of time"}}, columns
+    )
     axes = shares.figure.axes[0]
     assert axes.get_xlabel() == "$m$ (kg)"
     assert axes.get_xlim() == (0.5, 3.5)
