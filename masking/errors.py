@@ -90,9 +90,16 @@ class DeclarationError(MaskingError):
 
 
 class ModelError(MaskingError):
-    """The equations of a model cannot be brought into the form that was asked for."""
+    """The equations of a model cannot be brought into the form that was asked for; `problem` says where, if known."""
 
     exit_status = 2
+
+    def __init__(self, message: str, problem: Problem | None = None) -> None:
+        self.problem = problem
+        super().__init__(message, problem)
+
+    def __str__(self) -> str:
+        return str(self.problem if self.problem and self.problem.place else self.args[0])
 
 
 class ActuationError(MaskingError):

@@ -13,7 +13,7 @@ from matplotlib.colors import ListedColormap
 
 from masking.analysis.stability.basins import LABELS, Basins
 from masking.analysis.stability.modes import Mode
-from masking.analysis.stability.study import Stability, position_words
+from masking.analysis.stability.study import Stability
 from masking.compile.numerics.arrays import Array
 from masking.display.palette import PAPER
 from masking.reports import style
@@ -39,7 +39,7 @@ def _eigenvalues(found: Stability) -> CaptionedFigure:
     # Smaller ones are on top: equilibria that mirror each other have the same eigenvalues.
     for size, (point, modes), colour in zip(range(12, 0, -2), found.points[:_MOST], COLOURS, strict=False):
         z = modes.eigenvalues
-        points.append(Line(z.real, z.imag, colour, 0.0, position_words(point), marker="o", size=size, edge=PAPER))
+        points.append(Line(z.real, z.imag, colour, 0.0, point.words, marker="o", size=size, edge=PAPER))
     points = [replace(point, key=point.key if i < _NAMED else "") for i, point in enumerate(points)]
     axis = Level(0.0, MUTED, axis="x", is_dashed=False)
     caption = "Eigenvalues at the equilibria: motion dies out to the left of the line, grows to the right of it."
@@ -59,7 +59,7 @@ def _shapes(found: Stability) -> CaptionedFigure:
     panels = [_shape(found, mode) for mode in shown]
     panels += [Panel(finish=lambda axes: axes.set_visible(False))] * (-len(panels) % columns)
     caption = (
-        f"Shapes of the modes near {position_words(point)}: complex amplitudes of the coordinates, the largest is 1. "
+        f"Shapes of the modes near {point.words}: complex amplitudes of the coordinates, the largest is 1. "
         "Above each is its eigenvalue."
     )
     parts = zip(COLOURS, ("real", "imaginary"), strict=False)

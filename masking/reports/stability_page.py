@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from masking.analysis.stability.study import Stability, phase, position_words
+from masking.analysis.stability.study import Stability, phase
 from masking.reports import html, stability_figures
 
 
@@ -19,6 +19,5 @@ def save(found: Stability, folder: str | Path) -> None:
         title=f"stability of {found.name}",
         result=found,
         certificate=found.certificate,
-        position=position_words,
         phase=phase,
     )

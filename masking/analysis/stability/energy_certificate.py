@@ -7,7 +7,8 @@ set, and the equilibria in it, make the conclusion. Theorems 5.1, 7.1, 8.1 and 9
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import sympy as sp
@@ -24,6 +25,7 @@ from masking.analysis.stability.sublevel import Basin, basins
 from masking.display.json_text import plain
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
+from masking.model.modelling.scales import Shown
 
 _MOST_POINTS = 64
 _MOST_SETS = 6  # of motions that a sentence lists
@@ -73,13 +75,14 @@ class Certificate:
     others: tuple[RestPoint, ...] | None = None  # equilibria outside of its families; None where they are not found
     reasons: tuple[str, ...] = ()  # what is missing for more, or must be known to read the conclusion
     basins: tuple[Basin, ...] = ()  # inner estimates, where not every motion converges to one equilibrium
+    shown: Mapping[str, Shown] = field(default_factory=dict)  # how coordinates and velocities are shown, by name
 
     def __str__(self) -> str:
         lines = [f"{self.status}: {self.conclusion}"]
         if self.hypotheses:
             lines.append(f"  for {', '.join(self.hypotheses)}")
         if (lost := self.dissipation) is not None:
-            where = "" if lost.box is None else f" on {_box(lost.box)}"
+            where = "" if lost.box is None else f" on {_box(lost.box, self.shown)}"
             sign = "V' <= 0, " if lost.status == "proved" and lost.rate != 0 else ""
             lines.append(f"  V' = {lost.rate}: {sign}{lost.method}{where} ({lost.status})")
         if self.boundedness is not None:
@@ -123,6 +126,10 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
 
     The box is for what is not proved everywhere; see `dissipation`.
     """
+    return replace(_derived(model, box), shown=model.shown)
+
+
+def _derived(model: Model, box: Box | None) -> Certificate:
     given = Hypotheses(model)
     try:
         motion = Motion(model, given)
@@ -130,7 +137,7 @@ def certificate(model: Model, box: Box | None = None) -> Certificate:
     except ModelError as error:
         return Certificate(model.name, "open", f"not shown: {error}")
     if lost.status == "refuted":
-        where = ", ".join(f"{n} = {x:g}" for n, x in (lost.counterexample or {}).items())
+        where = ", ".join(f"{n} = {model.shown[n].text(x)}" for n, x in (lost.counterexample or {}).items())
         growth = f"V' >= {lost.growth:.3g} > 0 at {where}"
         text = f"the energy can grow: {growth}, at the declared values; it certifies nothing"
         hypotheses = (*given.inputs, *(f"{name} = {value:g}" for name, value in given.values.items()))
@@ -151,7 +158,7 @@ def _concluded(motion: Motion, lost: Dissipation, bounded: Boundedness) -> Certi
     """Certificate where the energy does not grow."""
     found, others, reasons, status = None, None, tuple[str, ...](), lost.status
     if lost.box is not None:
-        text = f"the energy does not grow while the motion stays in the box {_box(lost.box)}"
+        text = f"the energy does not grow while the motion stays in the box {_box(lost.box, motion.model.shown)}"
         reasons = ("That motion stays there is not shown, so that nothing follows for its end.",)
     elif not lost.forms:  # V' is no sum of squares of velocities, so that there is no elimination
         stays = "every motion is bounded" if bounded.is_shown else "whether motion is bounded is not shown"
@@ -191,8 +198,16 @@ def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
     )
 
 
-def _box(box: dict[str, tuple[float, float]]) -> str:
-    return ", ".join(f"|{n}| <= {b:.4g}" if a == -b else f"{a:.4g} <= {n} <= {b:.4g}" for n, (a, b) in box.items())
+def _box(box: Box, shown: Mapping[str, Shown]) -> str:
+    def side(name: str, low: float, high: float) -> str:
+        one = shown[name]
+        return (
+            f"|{name}| <= {one.text(high, 4)}"
+            if low == -high
+            else f"{one.text(low, 4)} <= {name} <= {one.text(high, 4)}"
+        )
+
+    return ", ".join(side(name, *ends) for name, ends in box.items())
 
 
 def _conclusion(  # noqa: PLR0911  # one way each
@@ -260,7 +275,7 @@ def _others(
     points = []
     for point in numeric.points:
         if not any(_is_near(family, point.position) for family in found.families):
-            texts = {n: f"{x:.6g}" for n, x in point.position.items()}
+            texts = {n: point.shown[n].text(x) for n, x in point.position.items()}
             proved = " (proved)" if point.is_unstable else " (by its eigenvalues)"
             if point.verdict == UNDECIDED:
                 proved = ""
@@ -384,4 +399,7 @@ def _exact_point(motion: Motion, point: dict[sp.Symbol, sp.Expr]) -> RestPoint:
     else:
         verdict = stability_of(motion.model, values)[1]
         words = "its stability is not shown" if verdict == UNDECIDED else f"{verdict} (by its eigenvalues)"
-    return RestPoint({str(q): str(point[q]) for q in motion.q}, values, words, is_unstable)
+    # Exactly, where the unit is that of what is computed.
+    shown = {q: motion.model.shown[q.name] for q in motion.q}
+    texts = {q.name: str(point[q]) if shown[q].size == 1.0 else shown[q].text(values[q.name]) for q in motion.q}
+    return RestPoint(texts, values, words, is_unstable)

@@ -27,6 +27,7 @@ from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, nearest
 from masking.model.modelling.model import Model
+from masking.model.modelling.scales import Shown
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -52,6 +53,12 @@ class Equilibrium:
     # whether an eigenvalue with positive real part is proved to exist: the determinant of the stiffness is negative all
     # over the box, that of the mass positive
     is_unstable: bool
+    shown: Mapping[str, Shown]  # how each coordinate is shown
+
+    @property
+    def words(self) -> str:
+        """Where it is, in the declared units."""
+        return ", ".join(f"{name} = {self.shown[name].text(x)}" for name, x in self.position.items())
 
 
 def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, str]:
@@ -81,10 +88,12 @@ class Equilibria:
     is_complete: bool  # whether there are no others in the box
     is_global: bool  # whether there are none outside of the box either; angles modulo one turn
     undecided: Array  # boxes in which it could not be decided whether there are equilibria: least and largest (m, n, 2)
+    shown: Mapping[str, Shown]  # how each coordinate is shown
 
     def __str__(self) -> str:
-        count, sides = len(self.points), ", ".join(f"{n} in [{a:.4g}, {b:.4g}]" for n, (a, b) in self.box.items())
-        where = "" if self.is_global else f" in the box {sides}"
+        count = len(self.points)
+        sides = (f"{n} in [{a / self.shown[n].size:.4g}, {self.shown[n].text(b, 4)}]" for n, (a, b) in self.box.items())
+        where = "" if self.is_global else f" in the box {', '.join(sides)}"
         if self.is_complete:
             return f"{count} equilibri{'um' if count == 1 else 'a'}{where}, and no other (proved)"
         return f"{count} isolated equilibria{where}; in {len(self.undecided)} small boxes it is not decided"
@@ -208,7 +217,7 @@ class _Rest:
         doubtful = [np.stack([low, high], axis=1)[None] for (low, high), ok in zip(roots, sure, strict=True) if not ok]
         undecided = np.concatenate([undecided, *doubtful])
         points = tuple(self._point(low, high) for (low, high), ok in zip(roots, sure, strict=True) if ok)
-        return Equilibria(points, box, not len(undecided), is_global, undecided)
+        return Equilibria(points, box, not len(undecided), is_global, undecided, self.model.shown)
 
     def _cut(self, whole: Interval) -> tuple[list[tuple[Array, Array]], Array]:
         sides = whole.width[0]
@@ -306,7 +315,8 @@ class _Rest:
         is_unstable = self._is_unstable(low, high)
         if is_unstable and verdict == STABLE:  # one of the two is wrong
             is_unstable, verdict = False, UNDECIDED
-        return Equilibrium(position, 0.5 * float(np.max(high - low, initial=0.0)), values, verdict, is_unstable)
+        radius, shown = 0.5 * float(np.max(high - low, initial=0.0)), self.model.shown
+        return Equilibrium(position, radius, values, verdict, is_unstable, shown)
 
     def _is_unstable(self, low: Array, high: Array) -> bool:
         """Whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""

@@ -51,7 +51,7 @@ class Stability:
         lines = [self.name, ""]
         lines += [f"equilibria: {self.rest}" if self.rest else f"equilibria: {self.reason}"]
         for point, found in self.points:
-            lines.append(f"  {position_words(point)}: {point.verdict}" + " (proved)" * point.is_unstable)
+            lines.append(f"  {point.words}: {point.verdict}" + " (proved)" * point.is_unstable)
             lines += [f"    {mode_words(mode)}" for mode in found.modes]
         if self.upsilon is not None:
             lines.append(f"upsilon = {self.upsilon:.4g}, 1/|Re| of the slowest eigenvalue of the sum (8.13)")
@@ -69,9 +69,10 @@ class Stability:
                 "sentence": str(self.rest),
                 "is_complete": self.rest.is_complete,
                 "is_global": self.rest.is_global,
-                "box": self.rest.box,
+                "units": {name: self.rest.shown[name].unit for name in self.coordinates},
+                "box": {n: [x / self.rest.shown[n].size for x in sides] for n, sides in self.rest.box.items()},
                 "points": [{
-                    "position": point.position,
+                    "position": {n: x / point.shown[n].size for n, x in point.position.items()},
                     "radius": point.radius,
                     "verdict": point.verdict,
                     "is_proved_unstable": point.is_unstable,
@@ -93,13 +94,15 @@ def study(model: Model, box: Box | None = None) -> Stability:
     Args:
         model: in SI units or in its scales; inputs are 0.
         box: least and largest value of coordinates, between which equilibria are looked for, and of coordinates and
-            velocities (`x1'`), for what the energy does not prove everywhere; see `equilibria` and `dissipation`.
+            velocities (`x1'`), for what the energy does not prove everywhere, in the declared units, or in the scales;
+            see `equilibria` and `dissipation`.
 
     Raises:
         ModelError: the box names what is no coordinate or velocity, or has no inside.
     """
     check_box(model, box or {})
-    places = {name: sides for name, sides in (box or {}).items() if name in model.coordinates}
+    box = {n: (low * model.shown[n].size, high * model.shown[n].size) for n, (low, high) in (box or {}).items()}
+    places = {name: sides for name, sides in box.items() if name in model.coordinates}
     rest, reason = None, ""
     try:
         rest = equilibria(model, places)
@@ -122,11 +125,6 @@ def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, vi
     values = values[np.lexsort((-values.imag, np.round(-values.real, 9)))]
     distance = max((float(np.min(np.abs(values - x))) for x in virtual), default=0.0)
     return LoopModes(values, distance)
-
-
-def position_words(point: Equilibrium) -> str:
-    """Name an equilibrium by its coordinates."""
-    return ", ".join(f"{name} = {x:.6g}" for name, x in point.position.items())
 
 
 def mode_words(mode: Mode) -> str:

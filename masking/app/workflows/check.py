@@ -74,7 +74,8 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
     except DeclarationError as error:
         return Checked(str(file), kind or "file", error.problems)
     except MaskingError as error:
-        return Checked(str(file), kind or "file", (Problem(Place(str(file), 1, 1), "", str(error)),))
+        known = error.problem if isinstance(error, ModelError) else None
+        return Checked(str(file), kind or "file", (known or Problem(Place(str(file), 1, 1), "", str(error)),))
     return Checked(str(file), kind, ())
 
 

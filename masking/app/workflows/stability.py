@@ -39,7 +39,7 @@ def stability(
         kind: 'model' or 'experiment', where a name stands for both; by default the model.
         changes: parameters that replace the declared ones, in the declared units.
         box: where equilibria are looked for, and where what is not proved everywhere is, by coordinate and velocity
-            (`x1'`), in the scales of the system, or in SI units.
+            (`x1'`), in the scales of the system, or in the declared units.
         exponent: time over which the largest Lyapunov exponent of the motion from the initial state is found, in the
             scales of the system, or in s; it is not where none is given.
         out: folder to save `stability.html`, `stability.json` and figures in; by default nothing is saved.

@@ -80,8 +80,8 @@ class SweepSettings:
         runs: drawn from distributions at each point of the grid; a plant's noise has another seed in each.
         seed: of what is drawn.
         measure: of each run: 'alpha', 'eps', 'tau_s', 'phase', 'verdict', 'end', 'period', 'chi', 'peak', 'used',
-            'chi.x1', 'peak.V1', 'maxima.x1', "section.x1@x2'", or functions of a recording that return a number; by
-            default those of two oscillators, and of the rig.
+            'chi.x1', 'peak.V1', 'maxima.x1', "section.x1@x2'", 'end.x1', or functions of a recording that return a
+            number; by default those of two oscillators, and of the rig.
         sampling: 'random', 'latin' (hypercube) or 'sobol'.
         virtual: integrate the virtual system by itself, without a rig, which is much faster.
         continuation: of the virtual system: follow the last grid up and down, each run from the end of the one before.

@@ -61,9 +61,8 @@ class Estimate:
         return f"<{type(self).__name__} {values}; chi {_each(self.chi)}>"
 
     def _repr_html_(self) -> str:
-        declared = {name: p.unit for name, p in self.twin.model.declaration.parameters.items() if p.unit != "1"}
         rows = [
-            (symbols.markup(name), f"{value:.6g}", f"{Z_975 * std:.2g}", declared.get(name, ""))
+            (symbols.markup(name), f"{value:.6g}", f"{Z_975 * std:.2g}", self.unit(name))
             for name, value, std in zip(self.names, self.values, self.std, strict=True)
         ]
         kinds = {"error chi": self.chi, "chi of the noise alone": self.floor, "chi on unseen data": self.validation}
@@ -91,16 +90,22 @@ class Estimate:
         std = np.maximum(self.std, 1e-300)
         return np.asarray(self.covariance / np.outer(std, std))
 
+    def unit(self, name: str) -> str:
+        """Declared unit of a parameter; "" where it has none."""
+        found = self.twin.model.declaration.parameters.get(name)
+        return "" if found is None or found.unit == "1" else found.unit
+
     def parameters(self) -> dict[str, Any]:
-        """Values and deviations as JSON can hold them."""
+        """Values and deviations as JSON can hold them, in the units that they have there."""
         pairs = zip(self.names, self.values, self.std, strict=True)
-        return {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
+        found = {name: {"value": float(value), "std": float(std)} for name, value, std in pairs}
+        return {name: {**one, **({"unit": unit} if (unit := self.unit(name)) else {})} for name, one in found.items()}
 
     def lines(self) -> list[str]:
         """Line for each parameter, with half its 95 % interval, and one for the errors."""
         width = max(map(len, self.names), default=0)
         every = zip(self.names, self.values, self.std, strict=True)
-        rows = [f"  {name:{width}}  {value:<12.6g} +- {Z_975 * std:.2g}" for name, value, std in every]
+        rows = [f"  {n:{width}}  {x:<12.6g} +- {Z_975 * std:.2g} {self.unit(n)}".rstrip() for n, x, std in every]
         kinds = {"chi": self.chi, "on unseen data": self.validation, "the noise alone": self.floor}
         return [*rows, "; ".join(f"{kind} {_each(chi)}" for kind, chi in kinds.items() if chi)]
 

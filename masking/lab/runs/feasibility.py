@@ -25,7 +25,7 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import complete, loop_state, rig_state
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step
-from masking.model.declaration.quantities import percent
+from masking.model.declaration.quantities import number, percent
 from masking.model.modelling import input_series
 
 if TYPE_CHECKING:
@@ -383,7 +383,7 @@ def _outward(factor: float) -> float:
 
 
 def _digits(value: float) -> str:
-    return f"{value:.2g}" if abs(value) < 100.0 else f"{value:.0f}"
+    return number(value, 2) if abs(value) < 100.0 else number(round(value), 7)
 
 
 def _problem(experiment: Experiment, error: MaskingError) -> Problem:

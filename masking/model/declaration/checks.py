@@ -12,6 +12,7 @@ from masking.model.declaration import expansion_size
 from masking.model.declaration.couplings import definitions_with, driven_outputs, motions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ModelDeclaration
+from masking.model.declaration.shorthand import SHORT
 from masking.model.declaration.syntax import LARGEST
 from masking.model.declaration.tables import TABLES
 
@@ -62,6 +63,12 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
     yield from ((f"equations.{left}", side) for left, right in model.equations.items() for side in (left, right))
 
 
+def used(model: ModelDeclaration) -> set[str]:
+    """Names that the expressions of a model hold, its drawing included."""
+    drawn = (formula for shape in model.drawing for formula in shape.formulas)
+    return {name for _, expression in [*formulas(model), *drawn] for name in expression.names}
+
+
 def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:
     """Yield the path of every formula with a delay, with the problem that it is where none may be."""
     for path, expression in formulas(model):
@@ -82,7 +89,8 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
     It is whole if the schema refused nothing of it; `lost` are names in a section whose key is not known, which pass
     for anything.
     """
-    problems = [*_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
+    outside = [*_outside(model)]
+    problems = [*outside, *_names(model, lost), *_symbols(model, lost), *_drawing(model, lost)]
     may_be_late = ("equations.", "forces.", "definitions.")
     problems += [problem for path, problem in delayed(model) if not path.startswith(may_be_late)]
     if whole:
@@ -93,7 +101,8 @@ def check_model(model: ModelDeclaration, whole: bool = True, lost: Collection[st
             remedy = f"at most {LARGEST} are allowed: a definition that holds another one twice doubles it"
             problems.append(problem_at(model, path, message, remedy))
         problems += check_parameters(model, {})
-    return problems
+    places = {problem.path for problem in outside}  # of which nothing else need be said
+    return [problem for problem in problems if problem in outside or problem.path not in places]
 
 
 def problem_at(declaration: Declaration, path: str, message: str, remedy: str = "", at_key: bool = False) -> Problem:
@@ -368,14 +377,33 @@ def _joined(words: Sequence[str], last: str) -> str:
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
+def _outside(model: ModelDeclaration) -> Iterator[Problem]:
+    """Find fields of an entry, such as its unit, that stand beside it instead of inside of it."""
+    names = used(model)
+    for section in ("coordinates", "states", "inputs", "parameters"):
+        before = ""
+        for name, entry in getattr(model, section).items():
+            short = entry.model_fields_set == {SHORT[section]}
+            if before and short and name in type(entry).model_fields and name not in names:
+                message = f"'{name}' stands among the {section}, and is a field of one, such as of '{before}'"
+                remedy = f"indent it below '{before}:', or write {before}: {{..., {name}: ...}}"
+                yield problem_at(model, f"{section}.{name}", message, remedy, at_key=True)
+            before = name
+
+
 def _unused(model: ModelDeclaration) -> Iterator[Problem]:
-    drawn = [formula for shape in model.drawing for formula in shape.formulas]
-    used = set().union(*(expression.names for _, expression in [*formulas(model), *drawn]))
+    """Find what has no use; parameters of a model with inputs may be those of what an experiment feeds to them."""
+    names = used(model)
     for section in ("parameters", "definitions", "inputs"):
-        for name in getattr(model, section):
-            if name not in used:
-                message = f"the {section.removesuffix('s')} '{name}' is not used"
-                yield problem_at(model, f"{section}.{name}", message, "remove it or use it", at_key=True)
+        yield from unused(model, section, model.parameters if section == "parameters" and model.inputs else names)
+
+
+def unused(model: ModelDeclaration, section: str, names: Collection[str]) -> Iterator[Problem]:
+    """Find what a section of a model declares that is not among the names that are used."""
+    for name in getattr(model, section):
+        if name not in names:
+            message = f"the {section.removesuffix('s')} '{name}' is not used"
+            yield problem_at(model, f"{section}.{name}", message, "remove it or use it", at_key=True)
 
 
 def _cycles(model: ModelDeclaration, section: str, expressions: Mapping[str, Expression]) -> Iterator[Problem]:

@@ -14,9 +14,12 @@ from masking.model.declaration.checks import (
     check_parameters,
     check_symbols,
     problem_at,
+    unused,
+    used,
     velocities,
 )
 from masking.model.declaration.couplings import is_commanded
+from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 
 LARGEST_RECORDING = 2**31  # bytes of one that is in memory
@@ -55,7 +58,18 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
     if plant.limits.missed is not None and plant.limits.missed > 1.0:
         message = f"missed is a share of the samples, not {plant.limits.missed:g}"
         problems.append(problem_at(plant, "limits.missed", message, "write a number up to 1, such as 0.05"))
-    return problems
+    return [*problems, *_unused(plant, model)]
+
+
+def _unused(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+    """Find parameters of a model with inputs that neither the model nor its plant uses."""
+    if not model.inputs:
+        return
+    values = (value for use in plant.effects.values() for value in use.parameters.values())
+    given = [*plant.limits.coordinates, *plant.limits.velocities, *plant.allocation.values(), *values]
+    every = [*given, *(sensor.measures for sensor in plant.sensors.values())]
+    names = used(model).union(*(x.names for x in every if isinstance(x, Expression)))
+    yield from unused(model, "parameters", names)
 
 
 def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:

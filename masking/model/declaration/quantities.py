@@ -38,6 +38,8 @@ def number(value: Any, digits: int = 3) -> str:  # noqa: ANN401  # a number, or 
 def percent(part: float, digits: int = 2) -> str:
     """Write a part in percent with a few digits; none of those before the point is rounded off."""
     value = 100.0 * part
+    if abs(value) >= 10.0**_PLAIN:
+        return f"{number(value, digits)} %"
     return f"{value:.0f} %" if abs(value) >= 10.0**digits - 0.5 else f"{float(f'{value:.{digits}g}'):g} %"
 
 

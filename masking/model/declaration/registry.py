@@ -29,14 +29,13 @@ from masking.model.declaration.schema import (
     ModelDeclaration,
     PlantDeclaration,
 )
+from masking.model.declaration.shorthand import SHORT
 from masking.model.declaration.strict_yaml import Node, Places
 from masking.model.declaration.validate import in_order, plain_mapping, read
 
 D = TypeVar("D", bound=Declaration)
 
-_SHORT = dict.fromkeys(("coordinates", "states", "inputs"), "meaning")
-_SHORT |= {"parameters": "value", "outputs": "expression"}
-_MERGED = {*_SHORT, "definitions", "equations", "forces", "scales", "elements", "events"}
+_MERGED = {*SHORT, "definitions", "equations", "forces", "scales", "elements", "events"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> Mode
         _, node, data = chain.pop()
         merged = _extended(merged, data)
         places.add(node)
-        for section, key in _SHORT.items():
+        for section, key in SHORT.items():
             for name, entry in data.get(section, {}).items():
                 if not isinstance(entry, dict):
                     places.values[f"{section}.{name}.{key}"] = places.values[f"{section}.{name}"]
@@ -273,7 +272,7 @@ def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
             result[key] = dict(base[key])
             for name, entry in value.items():
                 old, new = result[key].get(name, {}), entry
-                if key in _SHORT:
+                if key in SHORT:
                     old, new = _full(key, old), _full(key, new)
                 result[key][name] = old | new if isinstance(old, dict) and isinstance(new, dict) else new
         else:
@@ -282,7 +281,7 @@ def _extended(base: dict[str, Any], child: dict[str, Any]) -> dict[str, Any]:
 
 
 def _full(section: str, entry: Any) -> dict[str, Any]:  # noqa: ANN401  (plain data of YAML)
-    return entry if isinstance(entry, dict) else {_SHORT[section]: entry}
+    return entry if isinstance(entry, dict) else {SHORT[section]: entry}
 
 
 def _add_terms(result: dict[str, Any], terms: dict[Text, Text | Real]) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
+# The field of an entry of a model that a bare scalar stands for.
+SHORT = dict.fromkeys(("coordinates", "states", "inputs"), "meaning") | {"parameters": "value", "outputs": "expression"}
 _JSON_TYPES = {str: "string", bool: "boolean", int: "number", float: "number"}
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +161,7 @@ class _Level:
     path: str
     keys: dict[str, Place] = field(default_factory=dict)
     key: str | None = None
+    is_dropped: bool = False  # whether the value of the key is none, and is left out
 
     def child_path(self) -> str:
         name = self.key if isinstance(self.value, dict) else str(len(self.value))
@@ -170,7 +171,8 @@ class _Level:
 
     def add(self, node: Node) -> None:
         if isinstance(self.value, dict):
-            self.value[str(self.key)] = node
+            if not self.is_dropped:
+                self.value[str(self.key)] = node
             self.key = None
         else:
             self.value.append(node)
@@ -224,7 +226,36 @@ class _Builder:
                 if follow and (key < 0 or self.lines[key].rstrip().endswith(":")):
                     return self.without_colon(follow[0], _indent(self.lines[follow[0]]))
                 is_deeper = key >= 0 and len(text[:column].split()) == 1 and _indent(text) > _indent(self.lines[key])
-                remedy = "begin it in the column of the line above" if is_deeper else "quote a text that holds ': '"
+                if is_deeper:
+                    return self.indented(line, key)
+                remedy = "quote a text that holds ': '"
+        if "did not find expected key" in message or "expected <block end>" in message:
+            closed = text[:column].rstrip()
+            if closed.endswith(("}", "]")):
+                ends = f"'{closed[-1]}' ends the value, and '{text[column:].strip()}' follows it"
+                return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {ends}",
+                               f"write it before the '{closed[-1]}', or in a line of its own")  # fmt: skip
+            if _indent(text) == column and column not in self.open_columns(line):
+                return self.indented(line, None)
+        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", remedy)
+
+    def open_columns(self, line: int) -> list[int]:
+        """Columns, from 0, in which blocks that are open above a line begin, the innermost first."""
+        found = list[int]()
+        for above in reversed(self.lines[:line]):
+            if _CONTENT.match(above) and (not found or _indent(above) < found[-1]):
+                found.append(_indent(above))
+        return found
+
+    def indented(self, line: int, above: int | None) -> Problem:
+        """Describe a line in a column in which nothing may begin; the one above holds a whole value, if it is given."""
+        column, text = _indent(self.lines[line]), self.lines[line].strip()
+        name, columns = text.partition(":")[0], [str(x + 1) for x in self.open_columns(line)]
+        message = f"'{name}' begins in column {column + 1}, the lines above in column {' and '.join(columns)}"
+        remedy = "begin it in one of these, below the key that it stands beside"
+        if above is not None:
+            message = f"'{name}' is indented below '{self.lines[above].strip()}', which is complete"
+            remedy = f"begin it in column {_indent(self.lines[above]) + 1}, as the line above"
         return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", remedy)
 
     def without_colon(self, line: int, column: int) -> Problem:
@@ -267,13 +298,29 @@ class _Builder:
         node = self.scalar(event)
         if key == "<<" and not event.style:
             self.stop(event, "a merge key is not allowed", "write the values out")
+        level.key, level.is_dropped = key, False
         if not isinstance(node.value, str):
-            self.report(place, f"the key {key or 'null'} is not a text", "quote it or give it a name")
-        level.key = key
+            self.refuse_key(level, key, place)
         if key in level.keys:
             message = f"the key '{key}' stands here twice"
             self.report(place, message, f"the first is in line {level.keys[key].line}")
         level.keys.setdefault(key, place)
+
+    def refuse_key(self, level: _Level, key: str, place: Place) -> None:
+        """Report a key that is a number or null; what follows half of a number with a decimal comma is dropped."""
+        before = re.search(r"[-+]?\d+(?=,$)", self.lines[place.line - 1][: place.column - 1])
+        if before and key.isdigit():
+            level.is_dropped = True
+            place = replace(place, column=before.start() + 1)
+            self.problems.append(
+                Problem(place, self.path().rpartition(".")[0], f"'{before[0]},{key}' is no number",
+                        f"a number has a decimal point: write {before[0]}.{key}")
+            )  # fmt: skip
+            return
+        remedy = "quote it or give it a name"
+        if level.path == "equations":
+            remedy = f"write what it is on the left, such as x'': ..., or the number in quotes: '{key}': ..."
+        self.report(place, f"the key {key or 'null'} is not a text", remedy)
 
     def scalar(self, event: yaml.ScalarEvent) -> Node:
         """Read a scalar; a plain one may be null, true, false or a number, any other is a text."""

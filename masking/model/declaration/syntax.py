@@ -215,7 +215,9 @@ class _Walker:
                 remedy = "write where(x > 0, a, b)"
                 raise self.refuse(start, end, "a comparison is allowed only as the condition of where", remedy)
             case ast.Tuple():
-                raise self.refuse(start, end, "a comma stands only between the arguments of a function", "")
+                decimal = re.search(r"(\d+),(\d+)", self.text[start:end])
+                remedy = f"a number has a decimal point: write {decimal[1]}.{decimal[2]}" if decimal else ""
+                raise self.refuse(start, end, "a comma stands only between the arguments of a function", remedy)
             case _:
                 raise self.refuse(start, end, "this is not allowed in an expression", "")
 

@@ -116,7 +116,10 @@ def _translate(kind: type[Declaration], errors: Iterable[ErrorDetails], places: 
             case "missing":
                 yield Problem(place, path, f"the key '{location[-1]}' is missing")
             case "model_type" | "model_attributes_type" | "dict_type":
-                yield Problem(place, path, "must be a mapping", "write 'key: value' lines or {key: value}")
+                remedy = "write 'key: value' lines or {key: value}"
+                if details["input"] is None:
+                    remedy = "indent the lines below it that belong to it, or write {key: value}"
+                yield Problem(place, path, "must be a mapping", remedy)
             case "tuple_type" | "list_type":
                 yield Problem(place, path, "must be a list", "write [a, b]")
             case "literal_error":

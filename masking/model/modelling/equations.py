@@ -7,12 +7,13 @@ dissipation and generalised forces.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import lazy_loader as lazy
+import numpy as np
 
 from masking.compile.codegen.linear_systems import solve
 from masking.errors import ModelError
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     import sympy as sp
 else:
     sp = lazy.load("sympy")
+
+_PART = 1e-9  # of a combination of equations: a smaller one is none of it
 
 
 @dataclass(frozen=True)
@@ -260,12 +263,49 @@ class Equations:
 
     def _check_linear(self, mass: sp.Matrix) -> None:
         """Refuse equations that are not linear in the accelerations."""
-        if mass.free_symbols & set(self.symbols.a):
-            names = ", ".join(sorted(s.name for s in mass.free_symbols & set(self.symbols.a)))
-            raise ModelError(
-                f"{self.name}: the equations are not linear in {names}; accelerations may appear on both sides, "
-                "but only to the first power"
+        if not (bad := mass.free_symbols & set(self.symbols.a)):
+            return
+        names = ", ".join(sorted(symbol.name for symbol in bad))
+        message = f"{self.name}: the equations are not linear in {names}"
+        remedy = (
+            "accelerations may appear on both sides, but only to the first power; write an equation that is solved for "
+            f"{names}, and the square of a speed as {names.partition(',')[0][:-1]}**2"
+        )
+        for side in (side for sides in self.declaration.motion.items() for side in sides):
+            inside = {
+                s for s in self.symbols.a if not jacobian([self.symbolic(side)], [s]).free_symbols.isdisjoint(bad)
+            }
+            if step := next((side.first(s.name) for s in inside if s.name in side.symbols), None):
+                problem = side.problem(step, f"this is not linear in {step.value}", remedy)
+                raise ModelError(f"{message}; {remedy}", problem)
+        raise ModelError(f"{message}; {remedy}")
+
+    def singular(self, values: Mapping[sp.Symbol, float]) -> ModelError:
+        """Error of a mass matrix that is singular at some values: a mass that is 0, or equations that say the same."""
+        zero = [p.name for p in self.symbols.p if p in self.mass.free_symbols and values[p] == 0.0]
+        crowd, names = ([], []) if zero or not self.declaration.motion else self._dependent(values)
+        if len(crowd) < 2:
+            stated = f" ({', '.join(f'{name} = 0' for name in zero)})" if zero else ""
+            return ModelError(
+                f"{self.name}: the matrix of the accelerations is singular at the declared values; look for a mass "
+                f"that is 0{stated}, and give it a value above 0 and bounds such as [1e-6, null]"
             )
+        given = " and ".join(f"'{left.text}'" for left in crowd)
+        message = f"{given} hold the same combination of {' and '.join(names)}, and do not determine each of them"
+        remedy = "write equations of which none follows from the others: each body has one of its own"
+        return ModelError(
+            f"{self.name}: {message}; {remedy}", crowd[-1].problem((0, len(crowd[-1].text)), message, remedy)
+        )
+
+    def _dependent(self, values: Mapping[sp.Symbol, float]) -> tuple[list[Expression], list[str]]:
+        """Left sides of equations whose accelerations are those of others at some values, and these accelerations."""
+        motion = list(self.declaration.motion.items())
+        rows = jacobian([self.symbolic(left) - self.symbolic(right) for left, right in motion], self.symbols.a)
+        matrix = np.array(rows.subs(values).evalf().tolist(), dtype=float)
+        matrix /= np.maximum(np.abs(matrix).max(axis=1, keepdims=True), 1e-300)
+        left_vectors, _, right_vectors = np.linalg.svd(matrix)
+        crowd = [left for (left, _), x in zip(motion, left_vectors[:, -1], strict=True) if abs(x) > _PART]
+        return crowd, [a.name for a, x in zip(self.symbols.a, right_vectors[-1], strict=True) if abs(x) > _PART]
 
     def _euler_lagrange(self, lagrangian: sp.Expr) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         """M and f of d/dt dL/dv - dL/dq = Q - dR/dv, with Rayleigh's dissipation R and forces Q.

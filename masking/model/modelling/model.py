@@ -387,12 +387,7 @@ class Model:
         point |= {z: self.declaration.states[z.name].initial for z in s.s}
         matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
         if np.linalg.matrix_rank(matrix) < len(matrix):
-            zero = [p.name for p in s.p if p in e.mass.free_symbols and point[p] == 0.0]
-            stated = f" ({', '.join(f'{name} = 0' for name in zero)})" if zero else ""
-            raise ModelError(
-                f"{self.name}: the matrix of the accelerations is singular at the declared values; look for a mass "
-                f"that is 0{stated}, and give it a value above 0 and bounds such as [1e-6, null]"
-            )
+            raise e.singular(point)
         if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
             raise ModelError(
                 f"{self.name}: the kinetic energy is not positive at the declared values: the mass matrix has the "

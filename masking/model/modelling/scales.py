@@ -37,8 +37,9 @@ class Shown(NamedTuple):
     unit: str
     size: float
 
-    def __str__(self) -> str:
-        return "" if self.unit == PLAIN else self.unit
+    def text(self, value: float, digits: int = 6) -> str:
+        """Value that is computed, in words: 180 deg."""
+        return f"{value / self.size:.{digits}g}{'' if self.unit == PLAIN else f' {self.unit}'}"
 
 
 @dataclass(frozen=True)
@@ -130,12 +131,14 @@ class Units:
     def shown(self, unit: str, *, dimensionless: bool, is_rate: bool = False) -> Shown:
         """How a quantity with a declared unit is shown: in that unit, or as a multiple of the declared scales.
 
-        What the scales leave as it is, such as an angle, keeps its unit. Its rate is per second, or per unit of time.
+        What the scales leave as it is, such as an angle, keeps its unit. Its rate is per second, or per unit of time in
+        scales and in a model without any unit.
         """
         found = self.conversions[unit]
         if dimensionless and any(found.exponents.values()):
             return Shown(PLAIN, 1.0)
-        return Shown(combined("U/s", {"U": unit}) if is_rate and not dimensionless else unit, found.factor)
+        is_timed = is_rate and not dimensionless and not self.is_plain
+        return Shown(combined("U/s", {"U": unit}) if is_timed else unit, found.factor)
 
     def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Every parameter in SI units, each after those that its expression holds."""

@@ -149,7 +149,6 @@ def test_rates(text, hertz):
          ["7:6: parameters.k: unknown symbol 'v'; allowed: w, k"]),
         (("+ u1", ""), ["4:10: inputs.u1: the input 'u1' is not used; remove it or use it"]),
         (("force: spring", "force: k"), []),
-        (("k: w**2", "k: w**2\n  q: 1"), ["8:3: parameters.q: the parameter 'q' is not used; remove it or use it"]),
         (("value: 0.5", "value: -2, unit: kg"), ["6:14: parameters.w.value: w = -2 kg is below its lower bound 0"]),
         (("[0, null]", "[3, 1]"), ["6:47: parameters.w.bounds: the lower bound 3 is above the upper bound 1"]),
         (("  x2'': spring - w*x2'\n", "  2*x1'': spring - w*x2'\n"),
@@ -736,8 +735,8 @@ def test_a_misspelt_section_is_one_problem(folder, section):
         ("p:\n  w\n  k: 2\n", "2:3: p: not YAML: no ':' after 'w'; write w: ..."),
         ("a: b: c", "1:5: a: not YAML: mapping values are not allowed in this context; quote a text that holds ': '"),
         ("name: foo\n  bar: 2",
-         "2:6: name: not YAML: mapping values are not allowed in this context; "
-         "begin it in the column of the line above"),
+         "2:3: name: not YAML: 'bar' is indented below 'name: foo', which is complete; "
+         "begin it in column 1, as the line above"),
     ],
 )  # fmt: skip
 def test_what_is_not_yaml(text, expected):

@@ -248,7 +248,7 @@ class TestErrors:
             _ = model.equations.accelerations
         assert str(caught.value) == (
             "test: the equations are not linear in x''; accelerations may appear on both sides, but only to the "
-            "first power"
+            "first power; write an equation that is solved for x'', and the square of a speed as x'**2"
         )
 
     def test_a_lagrangian_without_a_mass(self, declared):
