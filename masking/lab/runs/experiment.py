@@ -23,6 +23,7 @@ from masking.control.observer import Differences, Kalman, Observer
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController, SampledLoop
 from masking.control.stepwise_controller import LawStep, SampledStep
+from masking.control.zero_dynamics import Held
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.lab.records.recording import Recording
 from masking.lab.runs import experiment_card, manifest, offline, record_rate
@@ -290,9 +291,8 @@ class Experiment:
 
     def _passive(self, rig: Model, transform: Transform, lengths: Array) -> Passive | None:
         eta, parameters = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
-        return (
-            Passive(rig, transform, parameters, lengths, eta, self.declaration.initial) if transform.passive else None
-        )
+        held = Held(rig, transform, parameters, lengths, eta)
+        return Passive(held, self.declaration.initial) if transform.passive else None
 
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
@@ -305,7 +305,7 @@ class Experiment:
         end, n = self.sampled.end, len(self.plant.coordinates)
         if self.match.is_same:
             return end
-        own = Passive(self.plant, self.match.view, {}, np.ones(n), end, self.declaration.initial)
+        own = Passive(Held(self.plant, self.match.view, {}, np.ones(n), end), self.declaration.initial)
         return own.held.placed(own.initial()[: len(own.names)] if own.names else np.empty(0)).at
 
     @property

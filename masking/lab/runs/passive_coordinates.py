@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Transform
 from masking.control.zero_dynamics import Held, ZeroDynamics
 from masking.errors import ModelError
 from masking.model.declaration import dimensions, units
@@ -23,27 +22,23 @@ _ROWS: Final = 5000  # of a run, at which its energy is looked at
 class Passive:
     """Rig coordinates that no virtual one stands for."""
 
-    plant: Model  # the model of the rig, SI units
-    transform: Transform  # from rig to virtual coordinates
-    parameters: Mapping[str, float]  # values of the transform's own parameters
-    lengths: Array  # size in SI units of one unit of each rig coordinate as the transform sees it (n,)
-    eta: Array  # virtual coordinates at the start (k,)
+    held: Held  # the rig with the virtual coordinates held where the run begins
     given: Mapping[str, float]  # the experiment's initial values, in declared units
+
+    @property
+    def plant(self) -> Model:
+        """Model of the rig, SI units."""
+        return self.held.plant
 
     @property
     def indices(self) -> list[int]:
         """Where they are among the rig's coordinates."""
-        return list(self.transform.passive)
+        return self.held.passive
 
     @property
     def names(self) -> tuple[str, ...]:
         """Their names."""
         return tuple(self.plant.coordinates[i] for i in self.indices)
-
-    @property
-    def held(self) -> Held:
-        """Rig whose virtual coordinates are held where the run begins."""
-        return Held(self.plant, self.transform, self.parameters, self.lengths, self.eta)
 
     @cached_property
     def zero_dynamics(self) -> ZeroDynamics:
@@ -60,7 +55,7 @@ class Passive:
 
     def initial(self) -> Array:
         """Their values, then their velocities, at the start (2 m,), SI units: as given, else at rest."""
-        names = [name for name in self.names if name not in self.transform.virtual.coordinates]
+        names = [name for name in self.names if name not in self.held.transform.virtual.coordinates]
         sizes = {name: self.plant.shown[name].size for name in names}
         values = [self.given.get(name) if name in sizes else None for name in self.names]
         rest = self.zero_dynamics.rest if None in values else np.zeros(len(values))
@@ -70,7 +65,7 @@ class Passive:
 
     def check_still(self) -> None:
         """Refuse initial velocities, which a controller that reads sensors cannot give."""
-        moving = [n for n in self.names if self.given.get(f"{n}'") and n not in self.transform.virtual.coordinates]
+        moving = [n for n in self.names if self.given.get(f"{n}'") and n not in self.held.transform.virtual.coordinates]
         if moving:
             raise ModelError(
                 f"initial.{moving[0]}': a rig that is read by sensors starts at rest; leave it out, or take 'observer: "
