@@ -82,5 +82,12 @@ def predicate(conditions: Sequence[str], arguments: Iterable[str], linked: Linke
     """Conditions as one function of the values of the arguments."""
     text = " and ".join(f"({one})" for one in conditions)
     names = {"linked": linked, "within": within, "kept": kept, "are_terms": are_terms}
-    made: Callable[..., bool] = eval(f"lambda {', '.join(arguments)}: {text}", names)  # noqa: S307  # of kernels alone
-    return made
+    found: Callable[..., bool] = eval(f"lambda {', '.join(arguments)}: {text}", names)  # noqa: S307  # of kernels alone
+
+    def holds(*values: Any) -> bool:  # noqa: ANN401
+        try:
+            return found(*values)
+        except IndexError:  # of a table that has not what a condition looks at
+            return False
+
+    return holds

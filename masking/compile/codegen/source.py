@@ -113,7 +113,8 @@ class Module:
         """
         name, types = _read(signature)
         made = self.parts[name] = Expressions(types, graph, results, loads, returns)
-        self._export(name, types, "None" if returns is None else "float")
+        whole = [f"{one}.shape[1] == {lanes}" for one in types] if lanes > 1 else []
+        self._export(name, types, "None" if returns is None else "float", requires=whole)
         self.definitions[name] = llvm_text.function(machine_code.symbol(name), made, free, lanes)
 
     def add_choice(

@@ -219,6 +219,9 @@ def watch() -> Kernel:
 
     @compiled
     @requires(
+        f"len(known.counts) >= {tables.COUNTS} and len(known.settings) >= {tables.SETTINGS} and len(known.report) > 2",
+        f"known.sensors.shape[1] >= {tables.SENSOR_COLUMNS} and known.seen.shape[1] >= {tables.SEEN_COLUMNS}",
+        f"known.limits.shape[1] >= {tables.LIMIT_COLUMNS} and known.reaction.shape[1] > 1 and len(work) > 1",
         "(n := len(s)) <= min(len(known.sensors), len(known.seen), len(known.model), known.past.shape[1])",
         "n + (channels := known.sent.shape[1]) <= known.model.shape[1] and channels <= len(known.reaction)",
         "0 < (rows := len(known.past)) <= len(known.sent) and max(n, channels) <= work.shape[1]",
