@@ -216,6 +216,7 @@ def jumps(conditions: Kernel, events: int, targets: tuple[tuple[int, int], ...],
         assign = assignment(assign, event, state, events + i)
 
     @compiled
+    @requires(f"min(len(below), len(counts)) >= {events}")
     def jump(t: float, y: Vector, p: Vector, below: Vector, counts: Vector, w: Vector) -> int:
         has_ended = 0
         conditions(t, y, p, w)
