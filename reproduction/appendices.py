@@ -99,12 +99,12 @@ def red_spring() -> Entry:
         linear = si[f"w{i}"] ** 2 * si["l"] / (si[f"c{i}"] * si["nu"])
         full = sum(rho[f"rho{i}{j}"] for j in range(6))
         rows.append(Value(f"static input at full stroke over the linear one, {NAMES[i - 1]}", full / linear))
-    linear = Twin.load("linear_rig")
+    linear_rig = Twin.load("linear_rig")
     why = "with the printed spring the printed linear model would fit the red oscillator half as well as it does"
     less = "the printed spring leaves twice as much as that of Fig. 4.6, and is nearer to what the rig had"
     chi: dict[str, float] = {}
     for spring, chosen in (("Fig. 4.6", {}), ("Table B.4", printed_spring())):
-        chi[spring] = simulate(linear, free_motion(chosen)).chi["s2"]
+        chi[spring] = simulate(linear_rig, free_motion(chosen)).chi["s2"]
         excited = simulate(alone(2, is_true=False), multisine_record(2, chosen)).chi["s"]
         rows += [
             Value(f"chi, multisine, red, spring of {spring}", excited, 0.1025, "Table 4.3", within=0.25, why=why),
@@ -170,7 +170,11 @@ def fig_b_1() -> Entry:
         "Fig. 4.2.",
     )
     title = "Convergence of the phases of the multisine of 25 lines"
-    picture = lines([(2.0 * powers, each) for each in phases.T], ("2p", r"$\varphi_k\,/\,\pi$"), title)
+    picture = lines(
+        [(np.asarray(2.0 * powers, dtype=np.float64), np.asarray(each, dtype=np.float64)) for each in phases.T],
+        ("2p", r"$\varphi_k\,/\,\pi$"),
+        title,
+    )
     return Entry("Fig. B.1", title, "figure", rows, words, picture)
 
 
