@@ -19,7 +19,7 @@ from masking.control.sampled_controller import SampledController
 from masking.control.virtual_inputs import Feed, FromPush, FromSensor
 from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
 from masking.lab import signals
-from masking.lab.records import readers
+from masking.lab.records import column_units, readers
 from masking.lab.runs.offline import TwinRun
 from masking.model.declaration import registry, schema
 from masking.model.declaration.input_definitions import CELLS, cell
@@ -156,7 +156,8 @@ def _file(path: Path, source: InputSource, name: str) -> tuple[Array, Array]:
     """Times and values of a column of a file: that of the input's name where none is named."""
     wanted = source.column or name
     recording = readers.read(path)
-    column = next((c for c in (wanted, f"input.{wanted}") if c in recording.columns), None)
+    names = (wanted, column_units.split(wanted)[0], f"input.{wanted}")
+    column = next((c for c in names if c in recording.columns), None)
     if column is None:
         raise RecordError(f"{path}: no column '{wanted}'; {nearest(wanted, [*recording.columns])}")
     return recording.t, recording[column]
