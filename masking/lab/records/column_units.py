@@ -33,7 +33,10 @@ _SAME = {
 }
 _CASED = {"Nm": "N*m", "kNm": "kN*m", "mNm": "mN*m", "Nmm": "N*mm", "nm": "nm", "G": "gauss"}  # capitals decide
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-_SYMBOL = r"(?:[numkMGd]?(?:m|s|g|N|V|A|W|J|Pa|Hz|rad|K|ohm|C|F|H|T|bar)|cm|dm|deg|rev|turn|rpm|minute|h|lbf|kgf|psi|inch|in|ft)"
+_SYMBOL = (
+    r"(?:[numkMGd]?(?:m|s|g|N|V|A|W|J|Pa|Hz|rad|K|ohm|C|F|H|T|bar)"
+    r"|cm|dm|deg|rev|turn|rpm|minute|h|lbf|kgf|psi|inch|in|ft)"
+)
 _KNOWN = re.compile(rf"(?:1|{_SYMBOL}(?:\*\*\(?-?\d\)?)?)(?:[*/]\(?{_SYMBOL}(?:\*\*\(?-?\d\)?)?\)?)*", re.ASCII)
 _WORD = re.compile(r"(?:.*[_ .])?([^_ .]+)")
 
