@@ -260,7 +260,7 @@ def test_a_model_that_lacks_something_is_noted(linear, record):
 
 def test_it_can_be_written_as_json(found):
     told = json.loads(json.dumps(found.as_dict()))
-    assert told["parameters"]["w1"] == {"value": found.values[0], "std": found.std[0]}
+    assert told["parameters"]["w1"] == {"value": found.values[0], "std": found.std[0], "unit": "rad/s"}
     assert set(told["chi"]["train"]) == {"s1", "s2", "s3"}
     assert "NIS" in str(found)
 
