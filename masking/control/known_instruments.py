@@ -33,6 +33,14 @@ class Instruments:
     # slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each
     driven: Array | None = None
 
+    def __post_init__(self) -> None:
+        wrapping = [name for name, sensor in self.plant.sensors.items() if sensor.wraps]
+        if wrapping:
+            raise ModelError(
+                f"{self.plant.name}: readings of {', '.join(wrapping)} wrap, and a controller follows readings that go "
+                "on: count the turns where they are read, and declare the sensor without wraps for runs"
+            )
+
     @classmethod
     def of(cls, twin: Twin) -> Instruments:
         """Instruments of a twin, whose model the controller has."""

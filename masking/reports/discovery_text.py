@@ -38,7 +38,7 @@ NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured
 def sentence(found: Discovery) -> str:
     """Finding in a few sentences without a full stop at the end."""
     notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
-    sentences = [unit_remark(found), *_verdict(found), withheld_causes(found), *notes, hold_remark(found)]
+    sentences = [*found.notes, unit_remark(found), *_verdict(found), withheld_causes(found), *notes, hold_remark(found)]
     return ". ".join(filter(None, sentences))
 
 

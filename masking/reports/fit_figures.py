@@ -217,4 +217,4 @@ def summary(made: Simulated) -> str:
     """Verdict of a simulation, and a table of its errors, for the terminal."""
     errors = (("error chi", made.chi), ("noise floor", made.floor))
     rows = [("", *made.sensors), *((what, *(percent(part[name]) for name in made.sensors)) for what, part in errors)]
-    return "\n".join([f"{verdict(made, '')}.", *aligned(rows)])
+    return "\n".join([*made.record.notes, f"{verdict(made, '')}.", *aligned(rows)])

@@ -67,12 +67,13 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
         Path(folder, "simulation.html"),
         "fit",
         figures,
-        {"record": made.record.name, "chi": made.chi, "floor": made.floor},
+        {"record": made.record.name, "chi": made.chi, "floor": made.floor, "notes": made.record.notes},
         names=made.sensors,
         title="Simulation",
         sentence=sentence,
         parameters={},
         errors={"error chi": made.chi, "noise floor": made.floor},
+        remarks=made.record.notes,
     )
 
 

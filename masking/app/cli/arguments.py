@@ -128,6 +128,7 @@ _FORMS: Final[dict[str, dict[str, Any]]] = {
     "part": {"metavar": "K/N", "type": _reader("--part", "'{}' is no part", "1/4", _part)},
     "rates": {"metavar": "LOW:HIGH", "type": bounds},
     "columns": {"metavar": "t,V1,s1", "help": "names of the columns of a text without a line of names, in order"},
+    "resample": {"metavar": "HZ"},
     "page": {"metavar": "PORT", "type": int, "nargs": "?", "const": 0},
     "out": {"metavar": "DIR"},
 }

@@ -19,7 +19,7 @@ VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identifi
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to correct first."""
-    given = sys.argv[1:] if arguments is None else [*arguments]
+    given = _with_units(sys.argv[1:] if arguments is None else [*arguments])
     parser = _parser()
     call: Call | None = None
     try:
@@ -52,6 +52,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"masking: what it says cannot be written ({error.strerror}); make room", file=sys.stderr)
         return MaskingError.exit_status
     return status
+
+
+def _with_units(given: Sequence[str]) -> list[str]:
+    """Arguments, with the unit behind a rate in one with it: `--resample 200 Hz`."""
+    made = list[str]()
+    for text in given:
+        if text in {"Hz", "kHz"} and made[-2:-1] == ["--resample"]:
+            made[-1] += f" {text}"
+        else:
+            made.append(text)
+    return made
 
 
 def _renamed(argument: str) -> str:

@@ -47,7 +47,8 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
     form = TextForm(settings.header_rows, settings.encoding)
 
     def one(path: str | Path) -> Data:
-        found = Data.read(path, twin, settings.hold, settings.columns, settings.dt, form=form)
+        names, dt, resample = settings.columns, settings.dt, settings.resample
+        found = Data.read(path, twin, settings.hold, names, dt, form=form, resample=resample)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "

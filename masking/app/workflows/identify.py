@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -43,6 +43,8 @@ class Identify:
         dt: time between samples in s, for a table without a clock.
         header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
         encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
+        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
+            not steady, are interpolated; by default these are refused.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
@@ -62,6 +64,7 @@ class Identify:
     dt: float | None = None
     header_rows: int | None = None
     encoding: str | None = None
+    resample: float | str | None = None
     out: str | Path | None = None
     overwrite: bool = False
     progress: Callable[[float], None] | None = None
@@ -87,7 +90,10 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     names = given.parameters or prior.uncertain(twin)
     written = TextForm(given.header_rows, given.encoding)
     train, held_out = (
-        [Data.read(path, twin, given.hold, given.columns, given.dt, form=written) for path in paths]
+        [
+            Data.read(path, twin, given.hold, given.columns, given.dt, form=written, resample=given.resample)
+            for path in paths
+        ]
         for paths in (records, given.validation)
     )
     more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
@@ -97,6 +103,9 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         found = extended_kalman.extended_kalman(twin, train[0], names, form, **more)
     else:
         found = fits.fit(twin, train, names, shooting_interval=given.shooting_interval, **more)
+    found = replace(
+        found, notes=(*dict.fromkeys(note for one in (*train, *held_out) for note in one.notes), *found.notes)
+    )
     if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)
         fit_files.save(found, given.out)

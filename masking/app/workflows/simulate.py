@@ -33,6 +33,8 @@ class Simulate:
         dt: time between samples in s, for a table without a clock.
         header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
         encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
+        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
+            not steady, are interpolated; by default these are refused.
         initial: s from the beginning in which readings are taken for the initial state; by default all.
         shooting_interval: length in s of intervals, each simulated from an initial state of its own, as an error of a
             discovery may be stated; by default the record is one.
@@ -48,6 +50,7 @@ class Simulate:
     dt: float | None = None
     header_rows: int | None = None
     encoding: str | None = None
+    resample: float | str | None = None
     initial: float | None = None
     shooting_interval: float | None = None
     out: str | Path | None = None
@@ -74,7 +77,8 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
     twin = discovery_inputs.rig(None, model) if alone else discovery_inputs.rig(model, plant)
     form = TextForm(settings.header_rows, settings.encoding)
     try:
-        given = Data.read(record, twin, settings.hold, settings.columns, settings.dt, form=form)
+        names, resample = settings.columns, settings.resample
+        given = Data.read(record, twin, settings.hold, names, settings.dt, form=form, resample=resample)
     except ColumnError as error:
         if plant is not None or alone:
             raise

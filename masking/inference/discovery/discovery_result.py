@@ -251,6 +251,11 @@ class Discovery(Explained):
         estimated, white = states / self.validation_record.readings.size, (one.white for one in seen)
         return is_closed(at_noise=self.is_at_noise_floor, white=white, estimated=estimated, rules=self.problem.rules)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How its records were read, and what in them is doubtful."""
+        return tuple(dict.fromkeys((*self.problem.record.notes, *self.validation.record.notes)))
+
     def as_dict(self) -> dict[str, Any]:
         """Discovery as JSON can hold it."""
         small = [{"name": one.name, "on": one.on, "parameters": one.parameters} for one in self.imperfections]
@@ -258,7 +263,7 @@ class Discovery(Explained):
             *("verdict", "closed", "effects", "simulation_error", "unexplained_fraction", "next_experiment"),
             *("first_order_hold", "exchanged", "law", "none_of_these", "unit", "withheld", "shooting_interval"),
         )
-        every = {name: getattr(self, name) for name in names}
+        every = {name: getattr(self, name) for name in names} | {"notes": self.notes}
         return dict(plain({**every, "imperfections": small, "search_ended_early": self.problem.work.is_cut}))
 
 

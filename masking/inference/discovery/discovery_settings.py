@@ -30,6 +30,8 @@ class DiscoverySettings:
         dt: time between samples in s, for a table without a clock.
         header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
         encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
+        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
+            not steady, are interpolated; by default these are refused.
         effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
         rules: the thresholds of all decisions.
 
@@ -46,6 +48,7 @@ class DiscoverySettings:
     dt: float | None = None
     header_rows: int | None = None
     encoding: str | None = None
+    resample: float | str | None = None
     effects: str | Path | None = None
     rules: DecisionRules = RULES
 

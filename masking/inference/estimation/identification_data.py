@@ -14,10 +14,12 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig import channel_units
 from masking.control.rig.twin import Twin
 from masking.errors import ColumnError, ModelError, RecordError, nearest
-from masking.lab.records import clock, column_units, readers
+from masking.lab.records import clock, column_units, readers, soundness, time_base
 from masking.lab.records.input_hold import Hold, InputHold, Names, TextForm
 from masking.lab.records.noise import white_noise
 from masking.lab.records.recording import Recording
+from masking.lab.records.soundness import Signals
+from masking.lab.records.time_base import Resampling
 
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 NOT_LATE = np.zeros(())
@@ -33,6 +35,13 @@ def is_first_order(hold: str) -> bool:
     if hold not in get_args(Hold):
         raise ModelError(_refusal(hold))
     return hold == "first-order"
+
+
+def _hold(twin: Twin, hold: InputHold | None) -> InputHold:
+    """Hold of the inputs of a record, by default that of the plant; a ModelError where it is not known."""
+    if hold is not None and hold not in get_args(InputHold):
+        raise ModelError(_refusal(hold))
+    return hold or ("first-order" if twin.measured_actuators else "zero-order")
 
 
 def _refusal(hold: str) -> str:
@@ -62,6 +71,7 @@ class Data:
     # straight lines between samples, for inputs that were measured, not commanded. `band_limited` makes such lines of
     # inputs that were filtered before they were sampled
     hold: Hold = "zero-order"
+    notes: tuple[str, ...] = ()  # how it was read, and what in it is doubtful
 
     def __post_init__(self) -> None:
         is_first_order(self.hold)
@@ -86,17 +96,26 @@ class Data:
             ModelError: `hold` is not known.
             RecordError: a column is missing or not finite, time is not steady, nothing moves, or it is too short.
         """
-        if hold is None:
-            hold = "first-order" if twin.measured_actuators else "zero-order"
-        if hold not in get_args(InputHold):
-            raise ModelError(_refusal(hold))
+        hold = _hold(twin, hold)
         commands = _columns(recording, "input", twin, name)
         readings = _columns(recording, "sensor", twin, name)
+        turns = twin.turns()
+        for sensor, values in zip(twin.sensors, readings.T, strict=True):
+            values[:] = time_base.going_on(values, turns.get(sensor, 0.0))
         rate = clock.rate(np.asarray(recording.t, dtype=float), name)
+        signals = Signals(
+            name,
+            recording.t,
+            dict(zip(twin.actuators, commands.T, strict=True)),
+            dict(zip(twin.sensors, readings.T, strict=True)),
+            {sensor: declared.unit for sensor, declared in twin.declaration.sensors.items()},
+            turns,
+        )
+        notes = (*recording.notes, *soundness.doubts(signals))
         if hold == "zero-order":
-            found = cls(name, rate, commands, readings, twin.late(rate))
+            found = cls(name, rate, commands, readings, twin.late(rate), notes=notes)
         else:
-            found = cls(name, rate, commands, readings, hold="first-order")
+            found = cls(name, rate, commands, readings, hold="first-order", notes=notes)
         found.check(twin)
         return found.band_limited() if hold == "band-limited" else found
 
@@ -110,6 +129,7 @@ class Data:
         dt: float | None = None,
         *,
         form: TextForm = TextForm(),  # noqa: B008  (frozen)
+        resample: float | str | None = None,
     ) -> Data:
         """Read what a file, or a part of one, holds of a plant's actuators and sensors; see `readers.read` and `of`.
 
@@ -120,12 +140,21 @@ class Data:
             columns: of the file, by the names that they get.
             dt: time between samples in s, for a file without a clock.
             form: the lines above the numbers of a text, and its encoding.
+            resample: samples per second, or text as "200 Hz", for channels on several clocks or one that is uneven.
 
         Raises:
             ModelError: `hold` is not known.
             RecordError: the record cannot be read, or has no information about the plant.
         """
-        read = readers.read(path, columns, dt, (*twin.actuators, *twin.sensors), form)
+        held = twin.actuators if _hold(twin, hold) == "zero-order" else ()
+        turns = twin.turns()
+        resampling = Resampling.of(
+            resample,
+            {one for name in held for one in (name, f"input.{name}")},
+            {one: turn for name, turn in turns.items() for one in (name, f"sensor.{name}")},
+        )
+        wanted = (*twin.actuators, *twin.sensors)
+        read = readers.read(path, columns, dt, wanted, form, resampling=resampling)
         return cls.of(read, twin, str(path), hold)
 
     def check(self, twin: Twin) -> None:

@@ -25,6 +25,9 @@ _SURE = 80.0  # reduction of the squares, in those of the jitter, by which two l
 _SPREAD = 8.0  # deviations of the jitter that instants are off a line at most
 _CHANGES = 7  # of the rate: more are wandering
 _MANY = 10  # gaps that a record is not cut at
+_WHOLE = 0.1  # of a period: gaps that are no nearer to a whole number of these are holes
+_BITS = (16, 24, 32)  # of counters that begin anew
+_TURNS = 5.0  # usual steps that stamps of such a counter are apart at most
 _FAR = 20.0  # periods that single stamps may come late
 
 
@@ -35,6 +38,7 @@ class _Break:
     first: int
     missing: int
     rates: tuple[float, float] = (0.0, 0.0)
+    periods: float = 0.0  # from the sample before
 
 
 def rate(t: Array, name: str) -> float:
@@ -65,31 +69,60 @@ def _cause(t: Array, name: str) -> str:
     """Cause of unequal distances between samples, and its remedy."""
     breaks = _whole_gaps(t) or _breaks(t)
     changes, gaps = [b for b in breaks if not b.missing], [b for b in breaks if b.missing]
-    part = _longest(t, [0, *(b.first for b in breaks), len(t)], name)
+    part = longest(t, [0, *(b.first for b in breaks), len(t)], name)
     if changes:
         before, after = changes[0].rates
         others = len(changes) - 1
         more = f", and {others} more time{'s' * (others > 1)}" if others else ""
         at = f"{t[changes[0].first]:.9g}"
         return f"the rate changes from {before:.5g} to {after:.5g} Hz at t = {at} s{more}; use one part{part}"
+    resample = "interpolate it at one rate, such as --resample {:.6g}"
     if gaps:
-        missing, others = gaps[0].missing, len(gaps) - 1
+        others = len(gaps) - 1
         more = f", and there {'are' if others > 1 else 'is'} {others} more gap{'s' * (others > 1)}" if others else ""
-        remedy = "cut the record there, and" if others < _MANY else "resample the record to one rate, or"
-        what = f"{missing} samples are" if missing > 1 else "1 sample is"
-        return f"{what} missing after t = {t[gaps[0].first - 1]:.9g} s{more}; {remedy} use one part{part}"
+        remedy = "cut the record there, and" if others < _MANY else f"{resample.format(_usual(t))}, or"
+        return f"{_gap(t, gaps[0])} after t = {t[gaps[0].first - 1]:.9g} s{more}; {remedy} use one part{part}"
     period, off = _line(t)
     if np.abs(off).max() <= _FAR * period and np.median(np.abs(off)) <= 0.5 * period:
         return (
             f"the time stamps are rounded or jitter by up to {np.abs(off).max():.2g} s; if the samples are regular, "
-            f"leave the clock out and give --dt {period:.6g}; if not, resample the record to one rate"
+            f"leave the clock out and give --dt {period:.6g}; if not, {resample.format(1.0 / period)}"
         )
     steps, count = np.diff(t), max(1, len(t) // 10)
     rates = count / (t[count::count] - t[:-count:count])
     return (
         f"its clock is not steady: samples are from {steps.min():.4g} s to {steps.max():.4g} s apart, and the rate "
-        f"goes from {rates.min():.5g} to {rates.max():.5g} Hz; resample the record to one rate"
+        f"goes from {rates.min():.5g} to {rates.max():.5g} Hz; {resample.format(1.0 / period)}"
     )
+
+
+def _usual(t: Array) -> float:
+    """Samples per second, by the median of the steps."""
+    return 1.0 / float(np.median(np.diff(t)))
+
+
+def _gap(t: Array, gap: _Break) -> str:
+    """What a clock (samples,) has in place of missing samples, in words: a hole need be no whole number of them."""
+    if abs(gap.periods - round(gap.periods)) > _WHOLE:
+        length = float(t[gap.first] - t[gap.first - 1])
+        return f"there is a hole of {length:.4g} s, {gap.periods:.4g} sample periods,"
+    return f"{gap.missing} samples are missing" if gap.missing > 1 else "1 sample is missing"
+
+
+def running_on(counts: Array) -> Array:
+    """Stamps of a counter of 16, 24 or 32 bits that begins anew, as they would go on; all others as they are.
+
+    A counter begins anew where its stamps, whole numbers (samples,), fall, and a turn of it makes that a usual step.
+    """
+    steps = np.diff(counts)
+    falls = np.flatnonzero(steps < 0.0)
+    if not len(falls) or counts.min() < 0.0 or (counts != np.rint(counts)).any():
+        return counts
+    turn = next((2.0**bits for bits in _BITS if counts.max() < 2.0**bits), np.inf)
+    usual = float(np.median(steps))
+    if (steps[falls] + turn > _TURNS * usual).any() or (steps[falls] + turn <= 0.0).any():
+        return counts
+    return np.asarray(counts + turn * np.concatenate([[0], np.cumsum(steps < 0.0)]))
 
 
 def _whole_gaps(t: Array) -> list[_Break]:
@@ -173,13 +206,13 @@ def _kind(t: Array, at: int, noise: float) -> _Break | None:
     shift = float((t[at] - off_after[0]) - (t[at - 1] - off[-1])) / before - 1.0
     missing = max(0, round(shift))
     if _split(np.concatenate([t[:at], t[at:] - shift * before]), noise) is None:
-        return _Break(at, missing) if missing else None
+        return _Break(at, missing, periods=shift + 1.0) if missing else None
     meet = at + round(shift * before / (before - after))
     return _Break(min(max(meet, 1), len(t) - 1), 0, (1.0 / before, 1.0 / after))
 
 
-def _longest(t: Array, ends: list[int], name: str) -> str:
-    """Longest part of a file between some of its samples, in words."""
+def longest(t: Array, ends: list[int], name: str) -> str:
+    """Longest part of a file between some of its samples, in words: ", such as FILE@:10"; "" where there is no file."""
     a, b = max(pairwise(ends), key=lambda part: part[1] - part[0])
     whole = Part.of(name)
     if not Path(whole.file).exists():

@@ -1,7 +1,8 @@
 """Formats: records that other programs wrote, as recordings, beside our own folders.
 
-A table needs numbers in columns and a clock in seconds under the name `t`; columns may be renamed, and a clock that is
-missing is made of the time between samples. A part of a long record is a record, too: `record.csv@10:20`.
+A table needs numbers in columns and a clock in seconds under the name `t`, or clocks of its channels; columns may be
+renamed, and a clock that is missing is made of the time between samples. A part of a long record is a record, too:
+`record.csv@10:20`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import re
 import warnings
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-from masking.lab.records import column_units, columns_on_disk, loggers, matlab_5, numpy_files
+from masking.lab.records import clock, column_units, columns_on_disk, loggers, matlab_5, numpy_files, time_base
 from masking.lab.records.column_units import SECONDS, Asked
 from masking.lab.records.input_hold import Names, TextForm
 from masking.lab.records.nested_data import first_line, parsed, vectors, without_doubles
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lab.records.text_table import TextTable
+from masking.lab.records.time_base import CLOCK, Channels, Resampling
 from masking.lab.records.time_slice import Part, exists
 
 if TYPE_CHECKING:
@@ -38,12 +41,12 @@ else:
     scipy_io = lazy.load("scipy.io", suppress_warning=True)
 
 Column = NDArray[np.float64]
-CLOCK = "t"
 PREFIXES = ("input", "sensor")
 _EPOCH = {1e17: "ns", 1e14: "us", 1e11: "ms"}  # instants since 1970 from which on they are no longer in larger units
 _NEXT = re.compile(r",(?=[^,=]*=)")  # a comma behind which another name follows, such as in t=time,q=Force, kN
 _LARGEST_JSON = 2**27  # bytes; in memory they are some ten times as many
 _TEXT = {".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"}
+_LOGGERS = {".tdms", ".mf4", ".mcap"}
 _KNOWN = "a folder of a recording, or a .parquet, .csv, .lvm, .mat, .h5, .npz, .json, .tdms, .mf4 or .mcap file"
 
 
@@ -53,6 +56,8 @@ def read(
     dt: float | None = None,
     needed: Collection[str] = (),
     form: TextForm = TextForm(),  # noqa: B008  (frozen)
+    *,
+    resampling: Resampling | None = None,
 ) -> Recording:
     """Read a record, or a part of one.
 
@@ -64,24 +69,22 @@ def read(
             `run/*/1` joins all that it fits, in the order of the file. For a text without a line of names: the names
             of all its columns, in order. A column may be given with its unit, `{"t": "time:ms", "y1": "speed:rpm"}`;
             one that stands in its name, `time [ms]`, or below it is read there. The clock is converted to s, and other
-            columns keep their units in `Recording.units`.
+            columns keep their units in `Recording.units`. A column that has a clock of its own is given with it, as
+            `{"y1": "slow/y@slow/time:ms"}`; channels of data loggers have theirs.
         dt: time between samples in s, for a table without a clock.
         needed: channels that must be finite, such as `u1`, which is read from `input.u1` or `u1`; other columns that
             are not finite, or of another length than these, are left out.
         form: the lines above the numbers of a text, and its encoding.
+        resampling: how columns on several clocks, or on one that is not steady, are put on a steady one; their samples
+            that are not numbers are missing then. By default they are refused.
 
     Raises:
-        RecordError: there is no such file or column, it holds no table of numbers, it has no clock or one in a unit
-            that is none or in doubt, columns that are needed differ in length, or the part is none of the record.
+        RecordError: there is no such file or column, it holds no table of numbers, it has no clock, several, or one in
+            a unit that is none or in doubt, columns that are needed differ in length, or the part is none of the
+            record.
     """
     part = Part.of(path)
-    file = part.file
-    if exists(file) and file.is_dir():
-        file /= TABLE
-    if not exists(file):
-        raise RecordError(f"{file}: no such record; give {_KNOWN}")
-    if not file.is_file():
-        raise RecordError(f"{file}: it is no regular file; give {_KNOWN}")
+    file = _existing(part.file)
     if dt is not None and not (np.isfinite(dt) and dt > 0.0):
         raise RecordError(f"{file}: the time between samples is {dt:g} s; give a positive number of seconds")
     given = dict(names) if isinstance(names, Mapping) else {}
@@ -91,39 +94,48 @@ def read(
         raise RecordError(f"{file}: its columns have names; rename them, such as --map t=time, in place of {option}")
     table = TextTable.opened(file, heading, form) if file.suffix.lower() in _TEXT else None
     is_timed = dt is None and CLOCK not in given
-    found, text = (table.columns(), None) if table else _columns(file, part if is_timed else None)
-    asked = column_units.named(found, given, table.units if table else _declared(text))
-    seconds = {one.name: _seconds(file, one, found) for one in asked if one.name == CLOCK and dt is None}
-    columns = {one.name: _named(file, found, one.column) * seconds.get(one.name, 1.0) for one in asked}
+    held, text = (Channels(table.columns()), None) if table else _columns(file, part if is_timed else None)
+    asked, columns, own = _by_names(file, held, given, table.units if table else _declared(text), is_timed=dt is None)
     if dt is not None:
         columns.pop(CLOCK, None)
     wanted = {CLOCK, *needed, *given, *(f"{prefix}.{name}" for prefix in PREFIXES for name in needed)}
-    columns = _of_one_length(file, columns, wanted, given)
+    own = {name: times for name, times in own.items() if name in columns and name in wanted}
+    if own and resampling is None:
+        columns |= time_base.joined(part, {n: c for n, c in columns.items() if n in wanted}, own, None)[0]
+    if resampling is None or dt is not None:
+        columns = _of_one_length(file, columns, wanted, given)
     if dt is not None:
-        length = max((len(c) for c in columns.values()), default=0)
+        length, own = max((len(c) for c in columns.values()), default=0), {}
         columns[CLOCK] = np.arange(length, dtype=np.float64) * np.float64(dt)
-    if CLOCK not in columns:
+    if CLOCK not in columns and not own:
         raise RecordError(
             f"{file}: there is no column t; name the clock, such as --map t={_clock(columns)}, or give the time "
             f"between samples, such as --dt 0.001{_above(table)}"
         )
-    chosen = part.samples(columns[CLOCK])
-    if table is not None:
-        table.check(
-            part,
-            {a.column: columns[a.name] for a in asked if a.name in wanted & columns.keys()},
-            chosen,
-            columns[CLOCK],
-        )
-    columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
-    columns = {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
+    notes: tuple[str, ...] = ()
+    if resampling is not None:
+        columns, notes = time_base.joined(part, {n: c for n, c in columns.items() if n in wanted}, own, resampling)
+    else:
+        columns = _of_part(part, table, columns, wanted, asked)
     units = {one.name: {"unit": one.unit, "column": one.column} for one in asked if one.name != CLOCK}
     try:
-        return Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
+        made = Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
     except RecordError as error:
         is_rising = dt is not None or bool((np.diff(columns[CLOCK]) > 0.0).all())
         remedy = "" if is_rising else "; if samples are equally far apart, leave the clock out and give --dt"
         raise RecordError(f"{part.name}: {error}{remedy}") from error
+    return replace(made, notes=(*made.notes, *notes)) if notes else made
+
+
+def _existing(file: Path) -> Path:
+    """File of a record, or of the table in its folder; a RecordError where there is none."""
+    if exists(file) and file.is_dir():
+        file /= TABLE
+    if not exists(file):
+        raise RecordError(f"{file}: no such record; give {_KNOWN}")
+    if not file.is_file():
+        raise RecordError(f"{file}: it is no regular file; give {_KNOWN}")
+    return file
 
 
 def digest(path: str | Path) -> str:
@@ -146,8 +158,21 @@ def mapping(text: str) -> dict[str, str]:
     return found
 
 
-def _columns(file: Path, part: Part | None) -> tuple[dict[str, Column], bytes | None]:
-    """Columns of a file that is no text, and the manifest of one of our own.
+def _of_part(
+    part: Part, table: TextTable | None, columns: dict[str, Column], wanted: Collection[str], asked: Collection[Asked]
+) -> dict[str, Column]:
+    """Samples of a part of a record, of columns that are wanted, which must be numbers, or are."""
+    chosen = part.samples(columns[CLOCK])
+    if table is not None:
+        cells = {one.column: columns[one.name] for one in asked if one.name in wanted & columns.keys()}
+        table.check(part, cells, chosen, columns[CLOCK])
+    columns = columns if chosen.all() else {n: c[chosen] for n, c in columns.items()}
+    time_base.check_there(part, {n: c for n, c in columns.items() if n in wanted})
+    return {n: c for n, c in columns.items() if n in wanted or np.isfinite(c).all()}
+
+
+def _columns(file: Path, part: Part | None) -> tuple[Channels, bytes | None]:
+    """Columns of a file that is no text, with clocks of their own, and the manifest of one of our own.
 
     `part` is that of a long record, which is read with what lies around it; None where its clock is not its own.
     """
@@ -155,11 +180,13 @@ def _columns(file: Path, part: Part | None) -> tuple[dict[str, Column], bytes | 
     if kind == ".parquet":
         found, text = parquet.read(file) if part is None else columns_on_disk.read(file)
         if not isinstance(found, columns_on_disk.StoredColumns) or part is None:
-            return dict(found), text
+            return Channels(dict(found)), text
         (first, last), rows = (found.spans[0][0], found.spans[-1][-1]), found.rows
-        return found.around(*part.within(first, last, (last - first) / max(1, rows - 1))), text
+        return Channels(found.around(*part.within(first, last, (last - first) / max(1, rows - 1)))), text
+    if kind in _LOGGERS:
+        return loggers.read(file), None
     if kind in _NESTED:
-        return _NESTED[kind](file), None
+        return Channels(_NESTED[kind](file)), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
 
 
@@ -217,6 +244,31 @@ def _nested(file: Path, held: object) -> dict[str, Column]:
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found
+
+
+def _by_names(
+    file: Path, held: Channels, given: Mapping[str, str], units: Mapping[str, str], *, is_timed: bool
+) -> tuple[list[Asked], dict[str, Column], dict[str, Column]]:
+    """Columns of a file by the names that they get, how these were asked for, and clocks of their own, in s."""
+    parted = {name: _parted(held.columns, path) for name, path in given.items()}
+    asked = column_units.named(held.columns, {name: column for name, (column, _) in parted.items()}, units)
+    columns = {one.name: _named(file, held.columns, one.column) for one in asked}
+
+    def times(one: Asked) -> Column:
+        return clock.running_on(_named(file, held.columns, one.column)) * _seconds(file, one, held.columns)
+
+    columns |= {one.name: times(one) for one in asked if one.name == CLOCK and is_timed}
+    own = {one.name: held.clocks[one.column] for one in asked if one.column in held.clocks}
+    for name, (_, at) in parted.items():
+        if at:
+            own[name] = times(column_units.named(held.columns, {CLOCK: at}, units)[0])
+    return asked, columns, own
+
+
+def _parted(columns: Mapping[str, Column], path: str) -> tuple[str, str]:
+    """Path of a column and that of its clock, as in `slow/y@slow/time`; the clock is empty where none is given."""
+    column, at, times = path.rpartition("@")
+    return (path, "") if path in columns or not at else (column, times)
 
 
 def _seconds(file: Path, clock: Asked, columns: Mapping[str, Column]) -> float:
@@ -287,5 +339,4 @@ _NESTED: Mapping[str, Callable[[Path], dict[str, Column]]] = {
     ".npz": lambda file: _nested(file, numpy_files.read(file)),
     ".json": _json,
     **dict.fromkeys((".h5", ".hdf5"), _hdf5),
-    **dict.fromkeys((".tdms", ".mf4", ".mcap"), loggers.read),
 }

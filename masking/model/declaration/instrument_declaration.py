@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
 from masking.model.declaration.shorthand import Short
 
 _NUMBER = Short("value", (int, float))
+_TEXT = Short("text", (str,))
 
 
 class _Part(BaseModel):
@@ -23,6 +24,24 @@ class Quantity(_Part):
     unit: TextField = "1"
 
 
+class Turn(_Part):
+    """The size of a turn, after which a reading begins anew: a number with its unit, also as text, `360 deg`."""
+
+    value: Positive
+    unit: TextField
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_text(cls, given: object) -> object:
+        if not isinstance(given, dict) or given.keys() != {"text"}:
+            return given
+        number, _, unit = str(given["text"]).strip().partition(" ")
+        try:
+            return {"value": float(number), "unit": unit.strip()}
+        except ValueError:
+            return {"value": number, "unit": unit.strip()}
+
+
 class Limit(_Part):
     """The largest allowed magnitude."""
 
@@ -33,7 +52,8 @@ class Limit(_Part):
 class Sensor(_Part):
     """What a sensor measures, and how many of its own units one unit of that gives.
 
-    `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit.
+    `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit. A
+    reading that begins anew after each turn `wraps`.
     """
 
     measures: Formula
@@ -42,6 +62,7 @@ class Sensor(_Part):
     meaning: TextField = ""
     range: tuple[Number, Number] | None = None
     jump: Positive | None = None
+    wraps: Annotated[Turn, _TEXT] | None = None
 
 
 class Actuator(_Part):

@@ -13,12 +13,12 @@ from masking.errors import DeclarationError, Problem
 from masking.model.declaration.checks import problem_at
 from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.instrument_declaration import Actuator, Limit, PowerLimit, Quantity, Sensor
+from masking.model.declaration.instrument_declaration import Actuator, Limit, PowerLimit, Quantity, Sensor, Turn
 from masking.model.declaration.schema import ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 from masking.model.declaration.units import Dimension, describe, dimension_of, factor_of, instead_of
 
 _POWER = "W"
-_Entry = Actuator | Limit | PowerLimit | Quantity | Sensor
+_Entry = Actuator | Limit | PowerLimit | Quantity | Sensor | Turn
 _Symbols = Mapping[str, Dimension | None]
 
 
@@ -32,6 +32,7 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
         **{f"actuators.{name}": actuator for name, actuator in plant.actuators.items()},
         **{f"sensors.{name}": sensor for name, sensor in plant.sensors.items()},
         **{f"sensors.{name}.gain": sensor.gain for name, sensor in plant.sensors.items()},
+        **{f"sensors.{name}.wraps": sensor.wraps for name, sensor in plant.sensors.items() if sensor.wraps},
     }
     problems: list[Problem] = []
     for path, entry in entries.items():
@@ -41,6 +42,10 @@ def check_plant_units(plant: PlantDeclaration, model: ModelDeclaration) -> list[
             problems.append(unit_problem(plant, f"{path}.unit", error))
     if problems:
         return problems
+    for name, sensor in plant.sensors.items():
+        if sensor.wraps and dimension_of(sensor.wraps.unit) != dimension_of(sensor.unit):
+            message = f"{name} is read in {sensor.unit}, and its turn is in {sensor.wraps.unit}"
+            problems.append(problem_at(plant, f"sensors.{name}.wraps", message, "give it in a unit of the reading"))
     power = plant.limits.power
     if power and _is_written(power) and dimension_of(power.unit) != dimension_of(_POWER):
         problems.append(problem_at(plant, "limits.power.unit", f"a power is in {_POWER}, the limit in {power.unit}"))

@@ -5,7 +5,7 @@ import pytest
 
 from masking.errors import RecordError
 from masking.inference.procedures.channels import Source
-from masking.lab.records.clock import rate
+from masking.lab.records.clock import rate, running_on
 from masking.lab.records.recording import Recording
 
 N = 20_000
@@ -90,7 +90,10 @@ def test_a_rate_that_changes(t, words):
         (without(T, (4000, 12000)), "8000 samples are missing after t = 7.998 s; cut"),
         (without(np.round(T + normal(2e-5), 4), (9000, 9003)), "3 samples are missing after t = 17.998 s; cut"),
         (without(np.round(INDEX / 600.0, 3), (9000, 9001)), "1 sample is missing after t = 14.998 s; cut"),
-        (T[np.random.default_rng(0).random(N) > 0.2], "more gaps; resample the record to one rate, or use one part"),
+        (
+            T[np.random.default_rng(0).random(N) > 0.2],
+            "more gaps; interpolate it at one rate, such as --resample 500, or use one part",
+        ),
         (np.array([0.0, 1.0, 2.0, 4.0]), "1 sample is missing after t = 2 s; cut"),
     ],
     ids=["one", "two", "three", "pause", "jitter", "rounded", "fifth", "short"],
@@ -110,7 +113,7 @@ def test_gaps(t, words):
 def test_a_clock_that_wanders(t):
     words = told(t)
     assert "its clock is not steady: samples are from 0.00198 s to 0.002" in words
-    assert words.endswith("Hz; resample the record to one rate")
+    assert "Hz; interpolate it at one rate, such as --resample 50" in words
 
 
 @pytest.mark.parametrize(
@@ -131,3 +134,23 @@ def test_procedures_and_identification_have_one_rule():
     source = Source("the record", Recording({"t": T + normal(4e-6), "x": T}))
     with pytest.raises(RecordError, match="the record: the time stamps are rounded or jitter by up to"):
         source.rate()
+
+
+@pytest.mark.parametrize(("late", "periods"), [(0.5, "1.5"), (1.3, "2.3"), (20.5, "21.5"), (100.25, "101.3")])
+@pytest.mark.parametrize("jitter", [0.0, 1e-6])
+def test_a_hole_that_is_no_whole_number_of_samples_is_said_to_be_one(late, periods, jitter):
+    t = T[:2000] + normal(jitter)[:2000] if jitter else T[:2000].copy()
+    t[1000:] += late / 500.0
+    assert f"{periods} sample periods, after t = 1.99" in told(t)
+
+
+@pytest.mark.parametrize("bits", [16, 24, 32])
+def test_stamps_of_a_counter_that_begins_anew_go_on(bits):
+    counts = 2000.0 * INDEX + 1500.0
+    np.testing.assert_array_equal(running_on(np.mod(counts, 2.0**bits)), counts - (1500 // 2**bits) * 2**bits)
+
+
+def test_a_clock_that_goes_back_by_itself_is_no_counter_that_begins_anew():
+    counts = np.concatenate([2000.0 * INDEX[:100], 2000.0 * INDEX[50:100]])
+    np.testing.assert_array_equal(running_on(counts), counts)
+    np.testing.assert_array_equal(running_on(T - 1.0), T - 1.0)
