@@ -331,11 +331,6 @@ class Twin:
         actuators = [e for a in self.actuators for e in self._on("actuator", a) if e.entry.expression]
         return actuators + [e for s in self.sensors for e in self._on("sensor", s)]
 
-    def turns(self) -> dict[str, float]:
-        """Turns of the sensors whose readings wrap, by their names, in their units."""
-        wrapping = {name: (s.wraps, s.unit) for name, s in self.declaration.sensors.items() if s.wraps}
-        return {name: turn.value * self.size(turn.unit) / self.size(unit) for name, (turn, unit) in wrapping.items()}
-
     def gain(self, sensor: str) -> float:
         """Readings of a sensor per SI unit of what it measures."""
         declared, factors = self.declaration.sensors[sensor], self.kernels.meta["factors"]
@@ -496,8 +491,8 @@ def _units(plant: schema.PlantDeclaration, model: schema.ModelDeclaration) -> se
     """Text of every unit in a plant file, and of the inputs of its model."""
     limits = plant.limits
     found = {"1", *(a.unit for a in plant.actuators.values()), *(x.unit for x in limits.inputs.values())}
-    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain)} | {x.unit for x in model.inputs.values()}
-    found |= {s.wraps.unit for s in plant.sensors.values() if s.wraps}
+    found |= {x.unit for s in plant.sensors.values() for x in (s, s.gain, s.wraps) if x}
+    found |= {x.unit for x in model.inputs.values()}
     found |= {x.unit for x in limits.coordinates.values()} | {x.unit for x in limits.velocities.values()}
     if limits.power is not None:
         found |= {limits.power.unit, limits.power.heating.unit if limits.power.heating else "1"}

@@ -99,7 +99,7 @@ class Data:
         hold = _hold(twin, hold)
         commands = _columns(recording, "input", twin, name)
         readings = _columns(recording, "sensor", twin, name)
-        turns = twin.turns()
+        turns = turns_of(twin)
         for sensor, values in zip(twin.sensors, readings.T, strict=True):
             values[:] = time_base.going_on(values, turns.get(sensor, 0.0))
         rate = clock.rate(np.asarray(recording.t, dtype=float), name)
@@ -147,7 +147,7 @@ class Data:
             RecordError: the record cannot be read, or has no information about the plant.
         """
         held = twin.actuators if _hold(twin, hold) == "zero-order" else ()
-        turns = twin.turns()
+        turns = turns_of(twin)
         resampling = Resampling.of(
             resample,
             {one for name in held for one in (name, f"input.{name}")},
@@ -294,6 +294,12 @@ class Data:
             return replace(self, commands=self.commands[begin:end], readings=self.readings[begin:end])
         acting = replace(self, late=whole).acting[begin:end]
         return replace(self, commands=acting, readings=self.readings[begin:end], late=self.late - whole)
+
+
+def turns_of(twin: Twin) -> dict[str, float]:
+    """Turns of the sensors of a plant whose readings wrap, by their names, in their units."""
+    every = twin.declaration.sensors.items()
+    return {n: s.wraps.value * twin.size(s.wraps.unit) / twin.size(s.unit) for n, s in every if s.wraps}
 
 
 def _columns(recording: Recording, prefix: str, twin: Twin, where: str) -> Array:

@@ -26,7 +26,7 @@ _SPREAD = 8.0  # deviations of the jitter that instants are off a line at most
 _CHANGES = 7  # of the rate: more are wandering
 _MANY = 10  # gaps that a record is not cut at
 _WHOLE = 0.1  # of a period: gaps that are no nearer to a whole number of these are holes
-_BITS = (16, 24, 32)  # of counters that begin anew
+_BITS = (16, 24, 32)  # of counters that start again
 _TURNS = 5.0  # usual steps that stamps of such a counter are apart at most
 _FAR = 20.0  # periods that single stamps may come late
 
@@ -110,9 +110,9 @@ def _gap(t: Array, gap: _Break) -> str:
 
 
 def running_on(counts: Array) -> Array:
-    """Stamps of a counter of 16, 24 or 32 bits that begins anew, as they would go on; all others as they are.
+    """Stamps of a counter of 16, 24 or 32 bits that starts again, as they would go on; all others as they are.
 
-    A counter begins anew where its stamps, whole numbers (samples,), fall, and a turn of it makes that a usual step.
+    A counter starts again where its stamps, whole numbers (samples,), fall, and a turn of it makes that a usual step.
     """
     steps = np.diff(counts)
     falls = np.flatnonzero(steps < 0.0)

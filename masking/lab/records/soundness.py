@@ -19,7 +19,7 @@ _AGAIN = 3  # times that something happens again and again
 _JUMP, _STEP = 0.6, 0.25  # of the range: a step that a turn makes at least, and steps beside it at most
 _ONE_SIZE = 0.03  # relative: sizes of jumps that are one
 _FAST = 0.4  # of a turn between samples, from which turns may be miscounted
-_AROUND = 4  # samples on either side of a jump that tell how the reading moves
+_AROUND = 4  # samples on either side of a jump that show how the reading moves
 _FLAT = 3  # samples of one value in a row
 _CUT = 3.0  # times the resolution: least step into a stretch that is clipped
 _ROUNDED = 12.0  # resolutions that step times samples exceed there; 4 at the rounded top of a parabola
@@ -95,7 +95,7 @@ def _fast(signals: Signals, name: str, values: Array) -> str:
     if part < _FAST:
         return ""
     return (
-        f"{name} moves by up to {part:.2g} of a turn from one sample to the next: whole turns are told by less than "
+        f"{name} moves by up to {part:.2g} of a turn from one sample to the next: turns are counted by less than "
         "half of one; record it at a higher rate"
     )
 

@@ -45,7 +45,7 @@ class Channels:
 class Resampling:
     """Samples per second of a record that is put on one clock.
 
-    `held` are the channels whose values act until the next, `turns` those that begin anew after a turn, in their units.
+    `held` are the channels that act until the next, `turns` those that start again after a turn, in their unit.
     """
 
     rate: float
@@ -132,7 +132,7 @@ def joined(
 
 
 def going_on(values: Column, turn: float) -> Column:
-    """Readings that begin anew after each turn, as they go on, the first nearest to 0; as they are without."""
+    """Readings that start again after each turn, as they go on, the first nearest to 0; as they are without."""
     if not turn:
         return values
     made = np.unwrap(values, period=turn)

@@ -25,7 +25,7 @@ class Quantity(_Part):
 
 
 class Turn(_Part):
-    """The size of a turn, after which a reading begins anew: a number with its unit, also as text, `360 deg`."""
+    """The size of a turn, after which a reading starts again: a number with its unit, also as text, `360 deg`."""
 
     value: Positive
     unit: TextField
@@ -53,7 +53,7 @@ class Sensor(_Part):
     """What a sensor measures, and how many of its own units one unit of that gives.
 
     `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit. A
-    reading that begins anew after each turn `wraps`.
+    reading that starts again after each turn `wraps`.
     """
 
     measures: Formula
