@@ -310,8 +310,14 @@ def step_by_hand(readings, memory, sampled, h, delay):
     r2 = wanted(q + h * ahead[3:6] + 0.5 * h**2 * r0, ahead[3:6] + h * r0)
     r0 = wanted(q, v)
     u0 = inputs(q, v, 0.0)
-    u1 = inputs(q + 0.5 * h * v + h**2 / 48 * (5 * r0 + r2), v + h / 8 * (3 * r0 + r2), 0.5 * h)
-    u2 = inputs(q + h * v + h**2 / 6 * (2 * r0 + r2), v + 0.5 * h * (r0 + r2), h)
+    middle = q + 0.5 * h * v + h**2 / 48 * (5 * r0 + r2), v + h / 8 * (3 * r0 + r2)
+    u1, r1 = inputs(*middle, 0.5 * h), wanted(*middle)
+    end = q + h * v + h**2 / 6 * (r0 + 2 * r1), v + h * r1
+    u2, r2 = inputs(*end, h), wanted(*end)
+    # The middle again, its velocity by all three accelerations.
+    more = ahead[3:6] + h / 12 * LAMBDA @ (4 * u1 - 3 * u0 - u2) - v
+    middle = q + 0.5 * h * v + h**2 / 48 * (5 * r0 + r2), v + 0.75 * more + h / 16 * (3 * r0 + 6 * r1 - r2)
+    u1 = inputs(*middle, 0.5 * h)
     u = 4 / 3 * u1 - (u0 + u2) / 6
     demanded = u
     largest, heating, limit, time = table.T
