@@ -54,11 +54,11 @@ def save(found: Calibration) -> None:
         reached=reached(twin, found.records.fit),
         units={what.text: (limit.unit, twin.size(limit.unit)) for what, limit in limits.items()},
         parameters=rows,
-        differing=int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum()),
+        differing=0 if fit.doubt else int((np.abs(fit.values - before) > _FAR * fit.std)[fit.std > 0.0].sum()),
         far=f"{_FAR:g}",
         has_marks=any(row[3].endswith("*") for row in rows),
         lumped=_lumped(found),
-        parameter_notes=[*found.best.fit.notes, *_pairs(found)],
+        parameter_notes=[*found.best.fit.remarks, *_pairs(found)],
         remarks=[f"{one.title}. {one.caption}" for one in figures if one.figure is None],
         records=NAMES,
         written=[PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)],
@@ -95,7 +95,7 @@ def _cautions(found: Calibration) -> list[str]:
             f"Samples were missed ({counts}) and are interpolated: errors and noise are larger than the rig's own. A "
             "computer with less else to do misses fewer."
         )
-    sentences += [f"{capital(note)}." for note in fit.notes]
+    sentences += [f"{capital(note)}." for note in fit.remarks]
     return sentences
 
 
@@ -103,7 +103,7 @@ def _parameters(found: Calibration) -> list[list[str]]:
     """Values and deviations beside those of the plant file."""
     fit, rows = found.best.fit, []
     model = fit.twin.model.declaration.parameters
-    for name, value, std in zip(fit.names, fit.values, fit.std, strict=True):
+    for name, value, std in zip(fit.names, fit.values, 0.0 * fit.std if fit.doubt else fit.std, strict=True):
         before, entry = _declared(found, name), model.get(name)
         part = f"{100.0 * (value / before - 1.0):+.2g} %" if np.isfinite(before) and before else ""
         by = abs(value - before) / std if std > 0.0 else np.nan

@@ -32,7 +32,7 @@ def model(fit: Fit | KalmanFit, folder: Path) -> dict[str, Any]:
     """Content of a model file that extends the fitted model."""
     base = fit.twin.base
     values = {
-        name: model_files.parameter(value, std)
+        name: model_files.parameter(value, 0.0 if fit.doubt else std)
         for name, value, std in zip(fit.names, fit.values, fit.std, strict=True)
         if name in base.parameters
     }

@@ -57,7 +57,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
         sentence=sentence,
         parameters=content["parameters"],
         errors={"error chi": chi["train"], "validation error": chi["validation"], "noise floor": content["floor"]},
-        remarks=found.notes,
+        remarks=found.remarks,
     )
 
 

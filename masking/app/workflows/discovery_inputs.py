@@ -16,7 +16,7 @@ from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
 from masking.lab.records.input_hold import TextForm
 from masking.lab.records.time_slice import Part
-from masking.model.declaration import registry
+from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import beyond_ordinary
 from masking.model.declaration.couplings import driven_outputs
 from masking.model.declaration.expression import Expression
@@ -98,11 +98,15 @@ def _between(start: float, end: float) -> str:
     return f" from {start:.9g} s {'on' if np.isinf(end) else f'to {end:.9g} s'}"
 
 
-def rig(model: str | Path | None, plant: str | Path | None) -> Twin:
+def rig(model: str | Path | None, plant: str | Path | None = None) -> Twin:
     """Rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
 
-    Raises a `DeclarationError` where neither is given, or one is wrong, and a `ModelError` where a mass is 0.
+    Where one of both is given, its content tells which it is. Raises a `DeclarationError` where neither is given, or
+    one is wrong, and a `ModelError` where a mass is 0.
     """
+    given = plant if model is None else model
+    if given is not None and (model is None or plant is None):
+        model, plant = (None, given) if catalogue.kind_of(given) == "plant" else (given, None)
     if plant is not None:
         twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     elif model is None:

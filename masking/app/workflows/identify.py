@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import showing
-from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
 from masking.inference.estimation import extended_kalman
@@ -28,8 +28,10 @@ class Identify:
     """Settings of an identification.
 
     Args:
-        plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted.
-        model: a model that replaces the plant's own and the effects in its elements.
+        plant: a plant file, or a packaged plant: sensors, actuators, allocation, delay, and what is to be fitted;
+            without one, the outputs of the model are its sensors, or else its coordinates or states, and its inputs are
+            the actuators.
+        model: a model; in place of the plant's own and of the effects in its elements if both are given.
         parameters: parameters to fit, of the model, and of effects as `<effect>_<parameter>`; by default all that the
             equations of the model hold.
         validation: held-out recordings, which validate the fit.
@@ -51,7 +53,7 @@ class Identify:
         progress: called with the fraction done.
     """
 
-    plant: str | Path
+    plant: str | Path | None = None
     model: str | Path | None = None
     parameters: Sequence[str] = ()
     validation: Sequence[str | Path] = ()
@@ -85,8 +87,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     given = Identify(**settings)
     _check_method(given, len(records))
     check_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite)
-    twin = Twin.load(given.plant) if given.model is None else Twin.load(given.plant).as_model(given.model)
-    twin.validate()
+    twin = discovery_inputs.rig(given.model, given.plant)
     names = given.parameters or prior.uncertain(twin)
     written = TextForm(given.header_rows, given.encoding)
     train, held_out = (

@@ -73,14 +73,13 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
     """
     record, plant, initial, interval = settings.record, settings.plant, settings.initial, settings.shooting_interval
     check_folder(settings.out, "simulation.json", overwrite=settings.overwrite)
-    alone = plant is None and catalogue.kind_of(model) == "plant"
-    twin = discovery_inputs.rig(None, model) if alone else discovery_inputs.rig(model, plant)
+    twin = discovery_inputs.rig(model, plant)
     form = TextForm(settings.header_rows, settings.encoding)
     try:
         names, resample = settings.columns, settings.resample
         given = Data.read(record, twin, settings.hold, names, settings.dt, form=form, resample=resample)
     except ColumnError as error:
-        if plant is not None or alone:
+        if plant is not None or catalogue.kind_of(model) == "plant":
             raise
         remedy = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
         raise ColumnError(f"{error}; {remedy}") from None

@@ -17,11 +17,13 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, Damping, Linearised, Patience, System, minimise
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, continuation, excluded_laws, initial_states
+from masking.inference.discovery import compiled_laws, continuation, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES, DecisionRules
-from masking.inference.estimation.simulation import FIRST_READINGS, PARTS, STUCK
+from masking.inference.discovery.smoothing import sizes
+from masking.inference.estimation.initial_states import FIRST_READINGS
+from masking.inference.estimation.simulation import PARTS, STUCK
 from masking.model.declaration.expression import Expression
 
 MOST_ROUNDS = 40
@@ -103,7 +105,7 @@ def fit(
         IntegrationError: the motion is not finite from where it begins.
     """
     x = problem.prior.mean if theta is None else theta
-    begun = Begun(tuple(instances), x, initial_states.first(problem, x) if start is None else start)
+    begun = Begun(tuple(instances), x, problem.first_states(x) if start is None else start)
     shortest = cache(partial(_in_shortest, problem, begun))
 
     def is_behind() -> bool:
@@ -183,7 +185,7 @@ def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> tupl
 def _in_part(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
     """Fit to a part of a record in short intervals, whose initial states are guessed, and what it costs."""
     samples = max(4, min(20, part.interval_samples // continuation.LINE))
-    return _at_stage(part, replace(begun, start=initial_states.first(part, begun.theta, samples)), frozen=frozen)
+    return _at_stage(part, replace(begun, start=part.first_states(begun.theta, samples)), frozen=frozen)
 
 
 def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
@@ -242,7 +244,7 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float =
         signs = np.ones(record.readings.shape[1])
         signs[folded] = sides
         turned = replace(problem, record=replace(record, readings=signs * record.readings))
-        start = initial_states.first(turned, hypothesis.theta)
+        start = turned.first_states(hypothesis.theta)
         with suppress(IntegrationError):
             for part in PARTS:
                 if part * len(record) >= FIRST_READINGS:
@@ -311,7 +313,7 @@ class _LeastSquares:
     @cached_property
     def sizes(self) -> Array:
         """Sizes of initial states that are estimated (w * e,); 0 of unseen ones."""
-        return np.tile(initial_states.sizes(self.problem)[self.free], len(self.start))
+        return np.tile(sizes(self.problem)[self.free], len(self.start))
 
     def resistance(self, matrix: Array) -> Array:
         """Addition of steps to the diagonal of the normal equations (n,).

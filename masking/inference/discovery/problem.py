@@ -17,6 +17,7 @@ from masking.inference.discovery.prior import Prior
 from masking.inference.discovery.rules import RULES, DecisionRules
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import Data, is_first_order
+from masking.inference.estimation.initial_states import FIRST_READINGS, guessed_state
 from masking.inference.estimation.sensitivity import symmetric, terms
 from masking.inference.estimation.simulation import relative
 
@@ -67,6 +68,18 @@ class EstimationProblem:
     def dt(self) -> float:
         """Time between samples in s."""
         return 1.0 / self.record.rate
+
+    def first_states(self, theta: Array, samples: int = FIRST_READINGS) -> Array:
+        """Guess of initial states (w, states), from straight lines through some samples of the first readings."""
+        rig, record, acting = self.rig, self.record, self.record.acting
+        found = []
+        for begin in range(0, len(record), self.interval_samples):
+            early = min(begin, max(len(record) - samples, 0))  # the line of a short last interval begins before it
+            read = record.readings[early:][:samples]
+            times = (np.arange(len(read)) + early - begin) / record.rate
+            at_rest = rig.reading(theta, rig.rest, acting[begin])
+            found.append(guessed_state(rig.rest, at_rest, rig.twin.free, times, read, n=len(rig.coordinates), degree=1))
+        return np.array(found)
 
     def equations(
         self,

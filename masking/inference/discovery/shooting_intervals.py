@@ -14,7 +14,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError, RecordError
-from masking.inference.discovery import fitting, initial_states
+from masking.inference.discovery import fitting
 from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -59,7 +59,7 @@ def substeps(problem: EstimationProblem) -> int:
     """How many integration steps between samples simulate the readings within their noise."""
     least = problem.rules.stiff_steps if driven_states(problem.rig.twin.base) else 1
     theta = problem.prior.mean
-    start = initial_states.first(problem, theta)
+    start = problem.first_states(theta)
 
     def simulated(number: int) -> Array:
         return replace(problem, substeps=number).equations(theta, start).simulated

@@ -24,7 +24,7 @@ from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import is_first_order
-from masking.inference.estimation.simulation import guessed_state
+from masking.inference.estimation.initial_states import guessed_state
 from masking.model.effects import Effect
 
 WALKS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # intensities that are tried, of that which moves the sensors as their noise does
@@ -172,6 +172,15 @@ def fastest(rig: AugmentedModel, theta: Array) -> complex:
     """Eigenvalue of largest magnitude of the rig at rest, rad/s; 0 of a rig that has no states."""
     found = modes(rig, theta) if rig.twin.state_names else np.zeros(1)
     return complex(found[int(np.argmax(np.abs(found)))])
+
+
+def sizes(problem: EstimationProblem) -> Array:
+    """Sizes of states by the largest readings (states,); 0 of those that no sensor sees."""
+    rig, mean, record = problem.rig, problem.prior.mean, problem.record
+    n, (at_rest, jacobian) = len(rig.coordinates), rig.reading(mean, rig.rest, record.acting[0])
+    found = np.abs(decompositions.inverse(jacobian)) @ np.abs(record.readings - at_rest).max(axis=0)
+    found[n : 2 * n] = np.maximum(found[n : 2 * n], abs(fastest(rig, mean)) * found[:n])
+    return np.asarray(found)
 
 
 def _unit(rig: AugmentedModel, theta: Array, sigma: Array, rate: float) -> Array:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, initial_states
+from masking.inference.discovery import fitting
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.verdict import Key
@@ -208,7 +208,7 @@ def _simulated(problem: EstimationProblem) -> Hypothesis | None:
     """Model as declared, its initial state fitted; None if its motion is not finite."""
     mean = problem.prior.mean
     try:
-        begun = fitting.Begun((), mean, initial_states.first(problem, mean))
+        begun = fitting.Begun((), mean, problem.first_states(mean))
     except IntegrationError:
         return None
     return fitting.solved(problem, begun, rounds=ROUNDS, frozen=True)

@@ -71,9 +71,9 @@ class KalmanFit(Estimate):
             "floor": self.floor,
             "nis": {"mean": mean, "low": low, "high": high},
             "whiteness": self.whiteness,
-            "notes": list(self.notes),
+            "notes": list(self.remarks),
         }
 
     def __str__(self) -> str:
         mean, low, high = self.consistency
-        return "\n".join([*self.lines(), f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.notes])
+        return "\n".join([*self.lines(), f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.remarks])

@@ -210,15 +210,16 @@ class Sensitivity:
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
 
-    def sensed(self, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
+    def sensed(self, state: Array, commands: Array | None = None, theta: Array | None = None) -> tuple[Array, Array]:
         """Readings in a state of the twin (sensors,), and their derivatives by it (sensors, states).
 
-        Sensors may read commands (actuators,) at once; these are 0 by default.
+        Sensors may read commands (actuators,) at once; these are 0 by default, and parameters (k,) as declared.
         """
         sensors, affected = len(self.twin.sensors), len(self.affected)
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
         read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
-        self.equations.sensed(0.0, state, given, self.parameters(self.start()), np.zeros(sensors), read, jy, jp)
+        p = self.parameters(self.start() if theta is None else theta)
+        self.equations.sensed(0.0, state, given, p, np.zeros(sensors), read, jy, jp)
         return read, jy
 
     def normal_equations(

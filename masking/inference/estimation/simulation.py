@@ -10,19 +10,19 @@ from functools import cache, partial
 
 import numpy as np
 
-from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
 from masking.control.rig.initial_internal_states import reaches
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError
+from masking.inference.estimation import initial_states
 from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.inference.estimation.initial_states import FIRST_READINGS, InitialPrior
 from masking.inference.estimation.sensitivity import NormalEquations, Sensitivity
 
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
 PARTS = (1 / 64, 1 / 8)
 DOUBLED = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # the same where these lead nowhere
-FIRST_READINGS = 20  # readings that the initial state is guessed from
 STUCK = 4.0  # cost per reading from which another initial state is sought
 CLEAN = 1.2  # the same where time is no matter
 SMALL = 1e-6  # part of a motion in which forces that grow faster than the displacement vanish
@@ -244,16 +244,27 @@ def _nearest(
     first, basis = start.copy(), sensing.basis(theta)
     substeps, at = steps or twin.resolving(record.rate), len(theta) + free
 
-    def linearised(x: Array) -> Linearised[NormalEquations]:
+    def linearised(known: InitialPrior, part: float, x: Array) -> Linearised[NormalEquations]:
         first[free] = x
         made = sensing.normal_equations(basis, first, record, weights, substeps)
-        equations = System(made.matrix[np.ix_(at, at)], made.gradient[at]).with_prior(rest[free] - x, reach)
+        (cost, gradient), held = known.off(first), part * known.information[np.ix_(free, free)]
+        equations = System(made.matrix[np.ix_(at, at)] + held, made.gradient[at] + part * gradient[free])
         off = (x - rest[free]) / reach
-        return Linearised(float(weights @ made.squares + off @ off), equations, made)
+        cost = float(weights @ made.squares + off @ off) + part * cost
+        return Linearised(cost, equations.with_prior(rest[free] - x, reach), made)
 
-    best = minimise(linearised, first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS, tolerance=lambda at: SETTLED * at.cost)
-    first[free] = best.x
-    return first, best.at.extra
+    reading, noise, part = partial(sensing.sensed, theta=theta), weights**-0.5, 1.0
+    while True:  # what a model leaves beyond the noise makes its readings less certain than those of the rig
+        known = initial_states.prior(reading, first, record, noise, len(twin.model.coordinates))
+        best = minimise(
+            partial(linearised, known, part), first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS,
+            tolerance=lambda at: SETTLED * at.cost,
+        )  # fmt: skip
+        first[free] = best.x
+        left = float(weights @ best.at.extra.squares) / record.readings.size
+        if part > 1.0 or left < STUCK:
+            return first, best.at.extra
+        part = left
 
 
 def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, parts: Sequence[float]) -> Iterator[Array]:
@@ -287,28 +298,5 @@ def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
     for sides in itertools.islice(itertools.product((above, below), repeat=len(folded)), MOST_SIDES):
         for sensor, slopes in zip(folded, sides, strict=True):
             jacobian[sensor] = slopes[sensor]
-        yield guessed_state(rest, (read, jacobian), sensing.twin.free, times, record.readings[:count], n=n, degree=2)
-
-
-def guessed_state(
-    rest: Array, at_rest: tuple[Array, Array], free: Sequence[int], t: Array, readings: Array, *, n: int, degree: int
-) -> Array:
-    """Guess of a state (states,) from a polynomial through the readings around it.
-
-    Args:
-        rest: the state at rest (states,), in which the states that are not free stay.
-        at_rest: readings there (sensors,), and their derivatives by the state (sensors, states).
-        free: indices of the states that may begin anywhere.
-        t: times of the readings, from the instant of the state, s (m,).
-        readings: (m, sensors).
-        n: number of coordinates, which are the first states; their velocities are the next.
-        degree: of the polynomial.
-    """
-    y, (read, jacobian) = rest.copy(), at_rest
-    value, *slope = np.polynomial.polynomial.polyfit(t, readings, min(degree, len(t) - 1))[:2]
-    seen = [i for i in free if not n <= i < 2 * n]
-    inverse = decompositions.inverse(jacobian[:, seen])
-    y[seen] += inverse @ (value - read)
-    if slope:
-        y[n : 2 * n] = inverse[:n] @ slope[0]
-    return y
+        readings, free = record.readings[:count], sensing.twin.free
+        yield initial_states.guessed_state(rest, (read, jacobian), free, times, readings, n=n, degree=2)

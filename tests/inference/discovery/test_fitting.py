@@ -9,7 +9,7 @@ from scipy import optimize, signal
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
-from masking.inference.discovery import fitting, initial_states, shooting_intervals
+from masking.inference.discovery import fitting, shooting_intervals
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
@@ -325,7 +325,7 @@ def test_first_states_of_windows_lie_on_the_readings_also_where_the_last_is_shor
     readings = np.add(np.outer(t, (1e-3, -2e-3, 3e-3)), (1e-3, 2e-3, 0.0))
     record = Data("a line", RATE, np.zeros_like(readings), readings)
     windows = replace(problem, record=record, interval=500)
-    found = initial_states.first(windows, problem.rig.start)
+    found = windows.first_states(problem.rig.start)
     offset, sensing = problem.rig.reading(problem.rig.start, np.zeros(6))
     assert found.shape == (3, 6)
     np.testing.assert_allclose(offset + sensing @ found[2], readings[1000], atol=1e-12)
