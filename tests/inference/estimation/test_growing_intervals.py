@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg, stats
 
 from masking.app.workflows import discovery_inputs, identify, simulate
-from masking.inference.estimation import simulation
+from masking.inference.estimation import growing_intervals, simulation
 from masking.inference.estimation.fit import fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.sensitivity import Sensitivity
@@ -26,13 +26,13 @@ def written(folder, *, c=TRUE["c"], k=TRUE["k"], cube="0", name="model"):
     return path
 
 
-def motion(seconds, *, begin=(0.0, 0.0), driven=5.0, still=0.0, c=TRUE["c"]):
+def motion(seconds, *, begin=(0.0, 0.0), driven=5.0, still=0.0):
     """Return held forces and the displacement, exact from sample to sample by a matrix exponential."""
     count = round(seconds * RATE)
     u = driven * np.repeat(np.random.default_rng(7).standard_normal(count // 10 + 1), 10)[:count]
     u[: round(still * RATE)] = 0.0
     block = np.zeros((3, 3))
-    block[0, 1], block[1, :] = 1.0, (-TRUE["k"], -c, 1.0)
+    block[0, 1], block[1, :] = 1.0, (-TRUE["k"], -TRUE["c"], 1.0)
     step, state, found = linalg.expm(block / RATE), np.array([*begin, 0.0]), np.empty(count)
     for i in range(count):
         found[i], state[2] = state[0], u[i]
@@ -57,12 +57,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
     np.testing.assert_allclose(np.std(errors), 1.0, atol=0.3)
 
 
-def test_a_fit_that_loses_phase_begins_again_in_intervals_that_grow(tmp_path):
-    """In free motion a frequency that is 30 % off has a local minimum for each period by which it is ahead."""
-    twin = discovery_inputs.rig(written(tmp_path, c=0.03, k=170.0))
-    found = fit(twin, record(40.0, 1e-4, begin=(1.0, 0.0), driven=0.0, c=0.02), ("c", "k"))
-    np.testing.assert_allclose(found.values, [0.02, TRUE["k"]], rtol=1e-3)
-    assert "local minimum" in " ".join(found.notes)
+def test_intervals_grow_from_one_period():
+    """A sine of period 0.5 s: 50 samples, then four times as many each, no more than half of the record."""
+    x = np.sin(4.0 * np.pi * np.arange(4000) / RATE)[:, None]
+    assert [*growing_intervals.lengths(Data("made", RATE, 0.0 * x, x), 4000)] == [50, 200, 800]
 
 
 def test_a_model_that_lacks_something_states_no_interval_and_says_why(tmp_path):
