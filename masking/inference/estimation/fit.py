@@ -107,7 +107,7 @@ class Estimate:
         return "" if found is None or found.unit == "1" else found.unit
 
     def parameters(self) -> dict[str, Any]:
-        """Values and deviations as JSON can hold them, in the units that they have there; no deviation where in doubt."""
+        """Values and deviations as JSON can hold them, in their units; no deviation where none is stated."""
         pairs = zip(self.names, self.values, self.std, strict=True)
         found = {n: {"value": float(value), "std": None if self.doubt else float(std)} for n, value, std in pairs}
         return {name: {**one, **({"unit": unit} if (unit := self.unit(name)) else {})} for name, one in found.items()}
