@@ -133,7 +133,7 @@ def test_expressions_have_the_unit_of_the_input_and_virtual_time():
 def test_a_masked_mass_feels_the_hand(name, own, against_the_hand):
     run = Experiment.load(name).run()
     hand = solve_ivp(
-        lambda t, y: [y[1], (-0.5 * np.sin(1.6 * np.pi * t) - 40 * y[0] - 2 * y[1]) / 0.3],
+        lambda t, y: [y[1], (0.5 * np.sin(1.6 * np.pi * t) - 40 * y[0] - 2 * y[1]) / 0.3],
         (0, run.t[-1]), [0.0, 0.0], "DOP853", run.t, rtol=1e-9, atol=1e-12,
     ).y[0]  # fmt: skip
     assert np.abs(hand).max() > 0.01

@@ -101,7 +101,7 @@ def _between(start: float, end: float) -> str:
 def rig(model: str | Path | None, plant: str | Path | None = None) -> Twin:
     """Rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
 
-    Where one of both is given, its content tells which it is. Raises a `DeclarationError` where neither is given, or
+    Where one of both is given, its content says which it is. Raises a `DeclarationError` where neither is given, or
     one is wrong, and a `ModelError` where a mass is 0.
     """
     given = plant if model is None else model

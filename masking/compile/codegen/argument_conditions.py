@@ -10,7 +10,7 @@ Conditions are Python expressions of the arguments by their names, fields of str
 * `within(indices, size)`: whether all indices of an array, or one, are those of an axis of this size;
 * `kept(begin, samples, every)`: the number of samples from `begin` on whose index is a multiple of `every`;
 * `are_terms(terms, values, rows, entries, columns)`: whether terms of a sum (3, m) with values (m,) are of tables with
-  so many rows and columns;
+  this number of rows and columns;
 * what a condition before it has named by `:=`.
 """
 
@@ -70,7 +70,7 @@ def kept(begin: int, samples: int, every: int) -> int:
 
 
 def are_terms(terms: Any, values: Any, rows: int, entries: int, columns: int) -> bool:  # noqa: ANN401  (arrays)
-    """Whether each term has a row, an entry and a column of tables with so many of them, and a value."""
+    """Whether each term has a row, an entry and a column of tables of such a size, and a value."""
     return (
         len(terms) >= 3
         and terms.shape[1] >= len(values)

@@ -185,8 +185,9 @@ class Kernels:
             if number >= 0:
                 raise IntegrationError(
                     f"chattering at t = {t:.6g} along {texts[number]} = 0: both sides lead back to it, so that it "
-                    "switches without end. Make the switch smooth: for sign(x) write tanh(x/w) with a width w, and for "
-                    "dry friction a law with a state, such as LuGre's"
+                    "switches without end. Make the switch smooth: for sign(x) write tanh(x/w) with a width w; declare "
+                    "dry friction under effects, where it sticks: {effect: dry_friction, at: ELEMENT, parameters: {fc: "
+                    "..., c: 500, hold: 500}}"
                 )
 
     @cached_property

@@ -142,7 +142,7 @@ class NativeFunction:
         """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds.
 
         `moved` gets the place, address and stride of each array with one axis more than the function takes, whose rows
-        are passed one by one, in so many runs; without it no array may have one.
+        are passed one by one, in this number of runs; without it no array may have one.
         """
         passed, single = list[Any](), [*values]
         for i, (name, kind) in enumerate(self.arguments.items()):

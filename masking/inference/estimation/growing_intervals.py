@@ -30,7 +30,7 @@ def lengths(record: Data, longest: int, shortest: int | None = None) -> Iterator
 
 
 def windows(record: Data, samples: int) -> list[Data]:
-    """The first of a record in as many intervals of about so many samples as are fitted at once."""
+    """The first of a record in as many intervals of about a number of samples as are fitted at once."""
     return record.part(0, min(len(record), MOST * samples)).windows(samples / record.rate)
 
 

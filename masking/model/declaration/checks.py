@@ -64,9 +64,10 @@ def formulas(model: ModelDeclaration) -> Iterator[tuple[str, Expression]]:
 
 
 def used(model: ModelDeclaration) -> set[str]:
-    """Names that the expressions of a model hold, its drawing included."""
-    drawn = (formula for shape in model.drawing for formula in shape.formulas)
-    return {name for _, expression in [*formulas(model), *drawn] for name in expression.names}
+    """Names that the expressions of a model hold, those of its drawing and its effects included."""
+    drawn = (formula for shape in model.drawing for _, formula in shape.formulas)
+    given = (x for use in model.effects.values() for x in use.parameters.values() if isinstance(x, Expression))
+    return {name for expression in [*(x for _, x in formulas(model)), *drawn, *given] for name in expression.names}
 
 
 def delayed(model: ModelDeclaration) -> Iterator[tuple[str, Problem]]:

@@ -149,7 +149,7 @@ class EffectUse(Block):
     """A physical effect that a plant has: which, where (an element, sensor or actuator, or several) and how strong.
 
     Each of its parameters is a number, in the unit of the dictionary of effects, or an expression over the
-    parameters of the plant's model.
+    parameters of the plant's model. A model declares those in its elements in the same way.
     """
 
     effect: TextField
@@ -365,6 +365,7 @@ class ModelDeclaration(Declaration):
     scales: dict[TextField, Scale] = {}
     oscillators: tuple[Name, ...] | None = None
     elements: dict[Name, Element] = {}
+    effects: dict[Name, EffectUse] = {}
     events: dict[Name, Event] = {}
     drawing: tuple[Shape, ...] = ()
 

@@ -143,6 +143,27 @@ def attach_all(declaration: ModelDeclaration, attachments: Iterable[Attachment])
     return result
 
 
+def with_own(declaration: ModelDeclaration) -> ModelDeclaration:
+    """Model with the effects that it declares, in its elements; a DeclarationError lists those that do not fit."""
+    bare = declaration.model_copy(update={"effects": {}})
+    problems = list[Problem]()
+    for name, use in declaration.effects.items():
+        given = {key: x.text if isinstance(x, Expression) else x for key, x in use.parameters.items()}
+        labels = [(at, f"{name}_{at}" if len(use.at) > 1 else name) for at in use.at]
+        try:
+            if not use.at:
+                remedy = f"write 'at: {next(iter(declaration.elements), 'an element, and declare it under elements')}'"
+                raise _refusal("", f"the effect {use.effect} needs a place: which element", remedy)
+            if use.enabled:
+                bare = attach_all(bare, [Attachment(use.effect, at, label, given) for at, label in labels])
+        except DeclarationError as error:
+            path = f"effects.{name}"
+            problems += [replace(one, place=declaration.key_place(path), path=path) for one in error.problems]
+    if problems:
+        raise DeclarationError(problems)
+    return bare
+
+
 def _with_effect(
     declaration: ModelDeclaration, attachment: Attachment, dimensions: Mapping[str, Dimension | None]
 ) -> ModelDeclaration:

@@ -26,7 +26,7 @@ from masking.model.declaration.catalogue import Reference
 from masking.model.declaration.couplings import motions
 from masking.model.declaration.dimensions import check_dimensions, check_scales
 from masking.model.declaration.units import pretty
-from masking.model.effects import Effect, Setting, attach
+from masking.model.effects import Effect, Setting, attach, with_own
 from masking.model.modelling import ensembles, input_series
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.lowering import module
@@ -70,6 +70,10 @@ class Model:
     declaration: schema.ModelDeclaration
     overrides: Mapping[str, float] = field(default_factory=dict)
     is_dimensionless: bool = False
+
+    def __post_init__(self) -> None:
+        if self.declaration.effects:
+            object.__setattr__(self, "declaration", with_own(self.declaration))
 
     def __repr__(self) -> str:
         return f"<Model {self.name}: {self._size_in_words}>"
