@@ -174,7 +174,7 @@ WISHES = {
 def pushed(t: Array) -> Array:
     """Return the motion (m,) of the cart of half the inertia under the force with which the hand pushes the rig."""
     made = solve_ivp(
-        lambda t, y: [y[1], float(hand.light_cart(t, y[:1], y[1:], -0.5 * np.sin(1.6 * np.pi * t))[0])],
+        lambda t, y: [y[1], float(hand.light_cart(t, y[:1], y[1:], 0.5 * np.sin(1.6 * np.pi * t))[0])],
         *((0.0, t[-1]), [0.0, 0.0], "DOP853", t),
         rtol=1e-9,
         atol=1e-12,

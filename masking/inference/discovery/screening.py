@@ -319,7 +319,8 @@ class Screen:
         blocks = Blocks(self.blocks * every, self.thin / record.rate, every, self.interval_samples)
         sources = Sources(at.astype(np.int64), np.full(many, -1) if initial is None else initial)
         motion = KnownMotion(self._states, self._commands)
-        rig.kernels.respond(blocks, is_direct, sources, motion, p, np.ascontiguousarray(features), found)
+        if many:
+            rig.kernels.respond(blocks, is_direct, sources, motion, p, np.ascontiguousarray(features), found)
         return found.reshape(self.blocks, sensors, many)
 
     def _means(self, table: Array, every: int = 0) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 import numpy as np
 import sympy as sp
@@ -25,7 +26,7 @@ def claimed(found: Certificate, truth: Truth) -> list[list[sp.Expr]]:
     if found.others is None:
         return [*sets, truth.at_rest]
     for point in found.others:
-        position = [_difference(q, truth.read(point.position[q.name]), truth) for q in truth.q]
+        position = [_difference(q, _place(point.position, q, truth), truth) for q in truth.q]
         sets.append([*position, *truth.v])
     return sets
 
@@ -34,6 +35,11 @@ def _modulo_turns(relation: sp.Expr, truth: Truth) -> sp.Expr:
     """Return a relation of angles modulo one turn; others as they are."""
     names = [s.name for s in relation.free_symbols]
     return 2 * sp.sin(relation / 2) if all(truth.entry.units.get(name) == "rad" for name in names) else relation
+
+
+def _place(position: Mapping[str, str], q: sp.Symbol, truth: Truth) -> sp.Expr:
+    """Return where an equilibrium is, without its unit."""
+    return truth.read(position[q.name].removesuffix(f" {truth.entry.units.get(q.name, '')}"))
 
 
 def _difference(q: sp.Symbol, value: sp.Expr, truth: Truth) -> sp.Expr:
@@ -113,7 +119,7 @@ def _is_bounded(path: np.ndarray, n: int) -> bool:
 def _wrong_points(found: Certificate, truth: Truth) -> str:
     """Compare equilibria with eigenvalues, and a complete list with what Newton's method finds."""
     for point in found.others or ():
-        at = [truth.read(point.position[q.name]) for q in truth.q]
+        at = [_place(point.position, q, truth) for q in truth.q]
         largest = float(np.max(truth.eigenvalues(at)[0].real))
         says = re.match(r"(asymptotically stable|stable|unstable)?", point.stability)[1]
         if (says == "unstable" and largest < 1e-9) or (says and says != "unstable" and largest > 1e-7):
