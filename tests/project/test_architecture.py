@@ -42,7 +42,7 @@ FLOORS: dict[str, set[str]] = {
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
     "control": {"numerics", "declaration", "display", "codegen", "modelling", "rig"},
     "plants": {"numerics", "codegen", "records", "rig"},
-    "exports": {"numerics", "codegen", "modelling", "rig", "control"},
+    "exports": {"numerics", "codegen", "declaration", "modelling", "rig", "control"},
     "runs": {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),
         *("control", "plants", "signals"),
@@ -275,12 +275,14 @@ def test_no_function_imports_our_own_modules():
 
 
 def test_nothing_that_runs_text_is_called():
+    """But for conditions of kernels: their text stands beside machine code in a module that is run in any case."""
     assert not [
         f"{path.relative_to(ROOT)}:{node.lineno}: {called(node)}"
         for path in FILES
         for node in ast.walk(TREES[path])
         if isinstance(node, ast.Call)
         and called(node) in FORBIDDEN_CALLS
+        and path != ROOT / "compile/codegen/argument_conditions.py"
         # re.compile makes a pattern, no code
         and not (isinstance(node.func, ast.Attribute) and ast.unparse(node.func) == "re.compile")
     ]

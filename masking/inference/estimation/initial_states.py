@@ -20,6 +20,7 @@ from masking.inference.estimation.identification_data import Data
 
 Reading = Callable[[Array, Array], tuple[Array, Array]]
 
+ALLOWED = 2.0  # deviations of the prior within which a state that all readings determine is taken
 FIRST_READINGS = 20  # the window: readings that tell how a record begins
 
 
@@ -35,6 +36,14 @@ class InitialPrior:
     def information(self) -> Array:
         """Inverse covariance (states, states), of rank r at most."""
         return np.asarray((self.rows.T / self.deviations**2) @ self.rows)
+
+    def allows(self, state: Array) -> bool:
+        """Whether a state (states,) is within `ALLOWED` deviations, in the rms."""
+        return bool(self.off(state)[0] <= ALLOWED**2 * len(self.targets))
+
+    def without(self) -> InitialPrior:
+        """The same where nothing is known."""
+        return InitialPrior(self.rows[:0], self.targets[:0], self.deviations[:0])
 
     def off(self, state: Array) -> tuple[float, Array]:
         """Cost of a state (states,), and minus half its gradient (states,)."""

@@ -253,6 +253,7 @@ def _nearest(
         cost = float(weights @ made.squares + off @ off) + part * cost
         return Linearised(cost, equations.with_prior(rest[free] - x, reach), made)
 
+    # Where a model leaves no more than the noise, the state that all readings determine is taken.
     reading, noise, part = partial(sensing.sensed, theta=theta), weights**-0.5, 1.0
     while True:  # what a model leaves beyond the noise makes its readings less certain than those of the rig
         known = initial_states.prior(reading, first, record, noise, len(twin.model.coordinates))
@@ -262,9 +263,18 @@ def _nearest(
         )  # fmt: skip
         first[free] = best.x
         left = float(weights @ best.at.extra.squares) / record.readings.size
-        if part > 1.0 or left < STUCK:
+        if left < STUCK:
+            break
+        if part > 1.0:
             return first, best.at.extra
         part = left
+    alone = minimise(
+        partial(linearised, known.without(), part), first[free], NO_BOUNDS, DAMPING, rounds=ROUNDS,
+        tolerance=lambda at: SETTLED * at.cost,
+    )  # fmt: skip
+    by_readings = first.copy()
+    by_readings[free] = alone.x
+    return (by_readings, alone.at.extra) if known.allows(by_readings) else (first, best.at.extra)
 
 
 def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, parts: Sequence[float]) -> Iterator[Array]:

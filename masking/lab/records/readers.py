@@ -252,12 +252,13 @@ def _by_names(
     """Columns of a file by the names that they get, how these were asked for, and clocks of their own, in s."""
     parted = {name: _parted(held.columns, path) for name, path in given.items()}
     asked = column_units.named(held.columns, {name: column for name, (column, _) in parted.items()}, units)
-    columns = {one.name: _named(file, held.columns, one.column) for one in asked}
 
     def times(one: Asked) -> Column:
-        return clock.running_on(_named(file, held.columns, one.column)) * _seconds(file, one, held.columns)
+        second = _seconds(file, one, held.columns)
+        return clock.running_on(_named(file, held.columns, one.column)) * second
 
-    columns |= {one.name: times(one) for one in asked if one.name == CLOCK and is_timed}
+    clocks = {one.name: times(one) for one in asked if one.name == CLOCK and is_timed}
+    columns = {one.name: clocks.get(one.name, _named(file, held.columns, one.column)) for one in asked}
     own = {one.name: held.clocks[one.column] for one in asked if one.column in held.clocks}
     for name, (_, at) in parted.items():
         if at:

@@ -290,7 +290,8 @@ def test_readings_that_follow_a_command_by_any_time_are_no_noise():
 
 def test_what_is_written_runs_and_has_the_values(linear, far, tmp_path):
     record = recorded(linear, sines(6.0))
-    found = fit(far, record, ("w1", "z1", "c3"))
+    names = ("w1", "z1", "c3")
+    found = fit(linear.with_parameters({n: far.parameter_value(n) for n in names}), record, names)
     paths = save(found, tmp_path / "out")
     twin = Twin.load(paths["plant"])
     twin.validate()
