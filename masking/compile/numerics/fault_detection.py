@@ -227,8 +227,9 @@ def watch() -> Kernel:
         "0 < (rows := len(known.past)) <= len(known.sent) and max(n, channels) <= work.shape[1]",
         f"within(known.counts[{tables.ROW}], rows) and known.settings[{tables.DELAY}] >= 0",
         f"2 * known.settings[{tables.HALF}] + known.settings[{tables.DELAY}] <= rows",
-        "(limits := len(known.limits)) <= min(len(known.weights), len(known.by_estimate))",
-        "limits == 0 or (n <= known.weights.shape[1] and len(estimate) <= known.by_estimate.shape[1])",
+        "(limits := len(known.limits)) <= len(known.weights) and (limits == 0 or n <= known.weights.shape[1])",
+        f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or limits <= len(known.by_estimate)",
+        f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or len(estimate) <= known.by_estimate.shape[1]",
     )
     def watch(missed: int, h: float, s: Vector, estimate: Vector, known: Watched, work: Matrix) -> int:
         cause = plausible(s, missed, known)

@@ -95,7 +95,7 @@ def _last_pages(file: int) -> list[stream_pages.Page]:
     size = os.fstat(file).st_size
     if size <= PART_HEAD:
         return []
-    with mmap.mmap(file, size, access=mmap.ACCESS_READ) as memory:
+    with mmap.mmap(file, 0, access=mmap.ACCESS_READ) as memory:  # a writer may cut off its end meanwhile
         pages = stream_pages.pages_of(memory, max(PART_HEAD, size - _TAIL), None)
         return [page for page in pages if page.is_sound]
 

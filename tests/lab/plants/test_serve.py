@@ -403,7 +403,7 @@ def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
             return command
 
         with pytest.raises(
-            PlantLostError, match=r"tick \d+: POSITION_LIMIT: x[12] - x3 is -?0\.005\d*, beyond its limit of 0\.005"
+            PlantLostError, match=r"tick \d+: POSITION_LIMIT: x[12] - x3 is -?5(\.\d+)? mm, beyond its limit of 5 mm"
         ):
             run_rig(driven, UdpPlant(found[0], patience=60.0), **{**RUN, "samples": 20000, "limits": np.full(3, 9.0)})
     finally:
