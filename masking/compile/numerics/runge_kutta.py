@@ -396,7 +396,7 @@ def sampled(step: Kernel, derivative: Kernel, size: int, coordinates: int) -> Ke
     @requires(
         "samples.every > 0",
         "(rows := kept(samples.begin, samples.samples, samples.every)) <= len(recorded.states)",
-        "rows <= len(recorded.inputs) and len(u) <= recorded.inputs.shape[1]",
+        f"rows <= len(recorded.inputs) and len(u) <= recorded.inputs.shape[1] and {size} <= recorded.states.shape[1]",
     )
     def run(
         samples: Samples, y: Vector, u: Vector, p: Vector, first: float, recorded: States, work: Matrix
