@@ -175,6 +175,7 @@ def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, 
         copy(u, known[INPUTS], inputs)
         copy(y[size:], known[BELOW], events)
         known[HEAD, 0], known[HEAD, 1] = t, y[size + events]
+        conditions(t, y, p, known[SEEN])  # here `codegen.argument_sizes` reads their sizes: below, p is in a tuple
         found = solve_with(t, y, times, known, p, accuracy, states, work[:24])
         copy(known[BELOW], y[size:], events)
         return found
