@@ -73,15 +73,15 @@ def prior(reading: Reading, state: Array, record: Data, noise: Array, n: int) ->
     varied = record.rate * np.diff(apart, axis=0)
     moved = np.zeros_like(jacobian)
     moved[:, n : 2 * n] = jacobian[:, :n]
-    tells = jacobian.any(axis=1) & (reading(state, commands + 1.0)[0] == read)
-    told = tells & jacobian[:, :n].any(axis=1) & ~jacobian[:, n:].any(axis=1)
+    shown = jacobian.any(axis=1) & (reading(state, commands + 1.0)[0] == read)
+    moving = shown & jacobian[:, :n].any(axis=1) & ~jacobian[:, n:].any(axis=1)
     values = curve[0] - read + jacobian @ state
     within = np.hypot(noise, np.abs(apart).max(axis=0))
     rates_within = np.hypot(np.sqrt(2.0) * record.rate * noise, np.abs(varied).max(axis=0))
     return InitialPrior(
-        np.concatenate([jacobian[tells], moved[told]]),
-        np.concatenate([values[tells], curve[1, told]]),
-        np.concatenate([within[tells], rates_within[told]]),
+        np.concatenate([jacobian[shown], moved[moving]]),
+        np.concatenate([values[shown], curve[1, moving]]),
+        np.concatenate([within[shown], rates_within[moving]]),
     )
 
 

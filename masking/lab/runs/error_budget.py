@@ -225,9 +225,7 @@ class _Bench:
     """An experiment that is run without some of the causes of its masking error."""
 
     experiment: Experiment
-    delay: int | None = (
-        None  # samples by which the rig is late, which the controller knows; as declared where it is None
-    )
+    delay: int | None = None  # samples by which the rig is late and the controller knows it; None: as declared
 
     @property
     def rate(self) -> float:
