@@ -1,21 +1,27 @@
-"""Zero dynamics: how the passive coordinates of a rig move while its actuators hold the virtual coordinates at rest.
+"""Zero dynamics: how the passive coordinates of a rig move while its virtual coordinates move as they are wanted.
 
 With a = a0(q, v) + B(q) u and eta = T(q), inputs that hold eta satisfy J B u = -J a0 - J' v. What remains of the rig's
-motion is that of its passive coordinates. It is linearised about the rest nearest to zero: where an eigenvalue has a
-positive real part, the rig cannot be masked for long, however well the virtual coordinates follow.
-Source: Isidori (1995), Nonlinear Control Systems, section 4.3; Spong (1994), partial feedback linearisation.
+motion is that of its passive coordinates. Small motions x of them are followed about the rest nearest to zero, where
+x' = A x, and along the wanted motion: over each of its periods x becomes Phi x, and grows or shrinks by the eigenvalues
+of Phi, the Floquet multipliers. Where they grow, the rig cannot be masked for long, however well the virtual
+coordinates follow.
+Source: Isidori (1995), Nonlinear Control Systems, section 4.3; Spong (1994), partial feedback linearisation; Nayfeh and
+Mook (1979), Nonlinear Oscillations, section 5.2.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from masking.compile.numerics.arrays import Array
+from masking.analysis.stability import modes
+from masking.compile.numerics.arrays import Array, Complex
 from masking.compile.numerics.newton import STEP, Root, equilibrium, jacobian, root
 from masking.control.blocks import Transform
 from masking.display.json_text import plain
@@ -23,39 +29,71 @@ from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
 
 MARGINAL: Final = 1e-6  # real part, relative to the largest eigenvalue, up to which motion neither decays nor grows
+_DIFFERENCES: Final = 1e-7  # of the size of the matrix: what slopes by differences are off by
 _CONVERGED: Final = 1e-12
 
 
 @dataclass(frozen=True)
 class ZeroDynamics:
-    """Motion of the passive coordinates with the virtual ones held."""
+    """Small motions of the passive coordinates about their rest, or along a wanted motion."""
 
     names: tuple[str, ...]  # of the passive coordinates
-    rest: Array  # where they rest (m,), SI units
-    matrix: Array  # of the linear motion of coordinates and rates about it (2 m, 2 m), SI units
+    rest: Array  # where they rest (m,), SI units; empty (0,) along a motion
+    # of small motions of coordinates, rates and internal states, each in units of its size (r, r): A of x' = A x, per
+    # second; Phi of x after one period; or a diagonal matrix of mean growths over a run, per second
+    matrix: Array
+    about: str = "at rest"  # which motion they are small motions about
+    period: float | None = None  # of the wanted motion, s; None about rest and over a run
+    spread: float = 0.0  # by how much mean growths over a run are uncertain, 1/s
 
     @cached_property
-    def eigenvalues(self) -> Array:
-        """Eigenvalues of the matrix (2 m,), 1/s."""
-        return np.linalg.eigvals(self.matrix).astype(np.complex128)
+    def _values(self) -> tuple[Complex, Array]:
+        """Eigenvalues of the matrix, and how far differences may have moved each (r,)."""
+        return modes.eigenvalues(self.matrix, _DIFFERENCES)
+
+    @property
+    def multipliers(self) -> Complex | None:
+        """Floquet multipliers (r,): the factors of a period; None where there is none."""
+        return None if self.period is None else self._values[0]
+
+    @cached_property
+    def eigenvalues(self) -> Complex:
+        """Growth and frequency of each small motion (r,), 1/s; of a period, log(multiplier)/period."""
+        with np.errstate(divide="ignore"):
+            values = self._values[0]
+            return values if self.period is None else np.asarray(np.log(values) / self.period, dtype=np.complex128)
+
+    @cached_property
+    def _is_neutral(self) -> NDArray[np.bool_]:
+        """Which small motions neither decay nor grow, as far as can be told (r,)."""
+        values, errors = self._values
+        if self.period is None:
+            slack = np.maximum(errors, max(MARGINAL * float(np.abs(values).max(initial=0.0)), self.spread))
+            return np.asarray(np.abs(values.real) <= slack)
+        return np.asarray(np.abs(np.abs(values) - 1.0) <= np.maximum(errors, MARGINAL))
+
+    @property
+    def _is_growing(self) -> bool:
+        return bool(np.any((self.eigenvalues.real > 0.0) & ~self._is_neutral))
 
     @property
     def drifts(self) -> bool:
         """Whether a small motion grows in proportion to the time: an eigenvalue counts more often than its vectors."""
-        values, size = self.eigenvalues, MARGINAL * float(np.linalg.norm(self.matrix, 2))
-        for value in values[np.abs(values.real) <= size]:
+        (values, errors), size = self._values, MARGINAL * float(np.linalg.norm(self.matrix, 2))
+        for value, error in zip(values[self._is_neutral], errors[self._is_neutral], strict=True):
             vectors = np.linalg.svd(self.matrix - value * np.eye(len(values)), compute_uv=False) <= size
-            if np.sum(np.abs(values - value) <= size) > np.sum(vectors):
+            if np.sum(np.abs(values - value) <= max(size, error)) > np.sum(vectors):
                 return True
         return False
 
     @property
     def verdict(self) -> Literal["stable", "marginal", "unstable"]:
         """Whether a small motion decays, goes on, or grows."""
-        largest, size = float(self.eigenvalues.real.max()), float(np.abs(self.eigenvalues).max())
-        if abs(largest) <= MARGINAL * size or size == 0.0:
+        if self._is_growing:
+            return "unstable"
+        if np.any(self._is_neutral):
             return "unstable" if self.drifts else "marginal"
-        return "unstable" if largest > 0.0 else "stable"
+        return "stable"
 
     @property
     def slowest(self) -> complex:
@@ -65,10 +103,19 @@ class ZeroDynamics:
     @property
     def how(self) -> str:
         """How a small motion decays, goes on or grows, in words."""
-        at, verdict = self.slowest, self.verdict
-        frequency = abs(at)
-        if verdict == "unstable" and self.drifts:
+        if self.verdict == "unstable" and not self._is_growing:
             return "drifts away in proportion to the time"
+        if self.period is not None:
+            return self._by_period
+        if not len(self.rest):
+            if self.verdict == "marginal":
+                return f"decays or grows by less than exp({self.spread:.2g} t), t in s"
+            return f"{'grows' if self._is_growing else 'decays'} like exp({self.slowest.real:.3g} t), t in s"
+        return self._at_rest
+
+    @property
+    def _at_rest(self) -> str:
+        at, verdict, frequency = self.slowest, self.verdict, abs(self.slowest)
         if verdict == "unstable":
             return f"grows like exp({at.real:.3g} t), t in s"
         if at.imag == 0.0:
@@ -77,14 +124,27 @@ class ZeroDynamics:
             return f"oscillates undamped at {frequency:.4g} rad/s"
         return f"{frequency:.4g} rad/s, damping ratio {-at.real / frequency:.3g}"
 
+    @property
+    def _by_period(self) -> str:
+        at, period = self.slowest, self.period or math.inf
+        if self.verdict == "marginal":
+            return "neither decays nor grows from period to period"
+        words = f"to {math.exp(at.real * period):.4g} of itself each period, like exp({at.real:.3g} t), t in s"
+        if self.verdict == "stable":
+            return f"decays {words}"
+        is_half = abs(at.imag * period - math.pi) <= MARGINAL  # a negative multiplier: it turns once in two periods
+        return f"grows {words}" + (", at half the frequency of the motion" if is_half else "")
+
     def __str__(self) -> str:
-        return f"{', '.join(self.names)} passive, zero dynamics {self.verdict}: {self.how}"
+        return f"{', '.join(self.names)} passive, zero dynamics {self.verdict} {self.about}: {self.how}"
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as JSON can hold it."""
-        rest = dict(zip(self.names, self.rest, strict=True))
-        own = {"coordinates": self.names, "rest": rest, "eigenvalues": self.eigenvalues}
-        tree: dict[str, Any] = plain({**own, "verdict": self.verdict, "how": self.how, "words": str(self)})
+        rest = dict(zip(self.names, self.rest, strict=True)) if len(self.rest) else None
+        own = {"coordinates": self.names, "about": self.about, "rest": rest, "period": self.period}
+        numbers = {"multipliers": self.multipliers, "eigenvalues": self.eigenvalues, "words": str(self)}
+        known = {**own, "verdict": self.verdict, "how": self.how, **numbers}
+        tree: dict[str, Any] = plain({name: one for name, one in known.items() if one is not None})
         return tree
 
 
@@ -171,4 +231,5 @@ class Held:
         fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
         damping = jacobian(lambda rates: self.accelerations(rest, rates), still, fastest * lengths)
         matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
-        return ZeroDynamics(names, rest, matrix)
+        sizes = np.concatenate([lengths, fastest * lengths])
+        return ZeroDynamics(names, rest, matrix * sizes / sizes[:, None])

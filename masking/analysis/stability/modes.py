@@ -99,10 +99,11 @@ def is_smooth(model: Model, at: Mapping[str, float]) -> bool:
     return bool(np.all((narrow.width <= 0.5 * wide.width) | (narrow.width <= _NEUTRAL * largest)))
 
 
-def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
-    """Eigenvalues of a matrix (m, m), and how far rounding may have moved each (m,).
+def eigenvalues(matrix: Array, error: float = _ROUNDING) -> tuple[Complex, Array]:
+    """Eigenvalues of a matrix (m, m), and how far its errors may have moved each (m,).
 
-    An eigenvalue moves by |dA|/|y^H x| with left and right eigenvectors y, x of norm 1.
+    The error is relative to the size of the matrix, by default that of rounding. An eigenvalue moves by |dA|/|y^H x|
+    with left and right eigenvectors y, x of norm 1.
     Source: Golub and Van Loan, Matrix Computations (2013), section 7.2.2.
     """
     values, right = np.linalg.eig(matrix)
@@ -112,7 +113,7 @@ def eigenvalues(matrix: Array) -> tuple[Complex, Array]:
         left = np.full_like(right, np.inf)
     size = float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
     with np.errstate(over="ignore"):
-        return values.astype(np.complex128), _ROUNDING * size * np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
+        return values.astype(np.complex128), error * size * np.sqrt(np.sum(np.abs(left) ** 2, axis=1))
 
 
 def _slopes(model: Model, given: dict[str, float], reach: float) -> Interval:

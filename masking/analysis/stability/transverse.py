@@ -8,7 +8,7 @@ exponents. Source: Pecora and Carroll (1998), Physical Review Letters 80, 2109; 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,20 +80,31 @@ def transverse(
     y = along @ model.initial_state(initial or {})
     _check_invariant(model, along, across, y)
     made, step = Variational(model), duration / pieces
-    frame = np.eye(across.shape[1])
-    logs = np.zeros((pieces, across.shape[1]))
+    flows = []
     for piece in range(pieces):
         y, phi = made.flow(y, step, tolerance, begin=piece * step)
         y = along @ y
-        frame, upper = np.linalg.qr(across.T @ phi @ across @ frame)
-        with np.errstate(divide="ignore"):
-            logs[piece] = np.log(np.abs(np.diag(upper)))
+        flows.append(across.T @ phi @ across)
+    exponents, spread = growth_of(flows, step)
+    return Transverse(exponents, spread, duration)
+
+
+def growth_of(flows: Sequence[Array], step: float) -> tuple[Array, float]:
+    """Mean growths of small motions (k,), the largest first, and by how much the largest is another over the last half.
+
+    `flows` are what the small motions become in each interval, one after the other (k, k), all of a length.
+    """
+    pieces, frame = len(flows), np.eye(len(flows[0]))
+    logs = np.zeros((pieces, len(frame)))
+    for piece, flow in enumerate(flows):
+        frame, upper = np.linalg.qr(flow @ frame)
+        logs[piece] = np.log(np.maximum(np.abs(np.diag(upper)), np.finfo(float).tiny))
     # Slopes of the sums over time, after the frame has turned towards the fastest growth: turns of complex pairs, which
     # a mean keeps until they have been averaged away, hardly touch them.
     sums, times = np.cumsum(logs, axis=0), np.asarray(step * np.arange(1, pieces + 1), dtype=np.float64)
     order = np.argsort(-_slopes(times, sums, pieces // 5))
     exponents, late = (_slopes(times, sums, first)[order] for first in (pieces // 5, pieces // 2))
-    return Transverse(exponents, float(abs(exponents[0] - late[0])), duration)
+    return exponents, float(abs(exponents[0] - late[0]))
 
 
 def _slopes(times: Array, sums: Array, first: int) -> Array:

@@ -7,6 +7,7 @@ so that it fits is found by simulating the changed motion.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,9 +21,12 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
 from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
-from masking.errors import DeclarationError, IntegrationError, MaskingError, Problem, SingularityError
+from masking.control.zero_dynamics import ZeroDynamics
+from masking.errors import DeclarationError, IntegrationError, MaskingError, ModelError, Problem, SingularityError
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import complete, loop_state, rig_state
+from masking.lab.runs.growth_along_motion import Growth
+from masking.lab.runs.offline import Run, complete, loop_state, rig_state
+from masking.lab.runs.passive_coordinates import Passive
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.model.declaration.quantities import number, percent
@@ -36,6 +40,7 @@ else:
 # Rows per unit of virtual time at first; they are doubled until no peak changes by more than the tolerance.
 ROWS_PER_UNIT = 10
 FEWEST_ROWS, MOST_ROWS = 1_000, 400_000
+MOST_HALVINGS = 10  # of a motion that cannot be followed to its end
 TOLERANCE = 1e-4  # relative error of a peak, and by how much a limit may be passed
 BISECTED = 1e-4  # of a factor, to which it is found
 # Tried in turn: slower motion up to 64 times, faster up to 16 times, and less stroke or amplitude down to 1/256.
@@ -116,7 +121,8 @@ class Feasibility:
     name: str  # of the experiment
     uses: tuple[Use, ...]  # each limit and how much of it is used
     remedies: tuple[Remedy, ...] = ()  # what was tried where a limit is passed; empty where the motion fits
-    notes: tuple[str, ...] = ()  # what could not be determined
+    notes: tuple[str, ...] = ()  # how what is passive moves, and what could not be determined
+    zero_dynamics: tuple[ZeroDynamics, ...] = ()  # of passive coordinates, at rest and along the wanted motion
 
     @property
     def fits(self) -> bool:
@@ -164,6 +170,7 @@ class Feasibility:
                 {"change": m.what, "factor": m.factor, "left": [u.label for u in m.left]} for m in self.remedies
             ],
             "notes": list(self.notes),
+            "zero_dynamics": [one.as_dict() for one in self.zero_dynamics],
         }
 
 
@@ -181,11 +188,13 @@ def feasibility(experiment: Experiment) -> Feasibility:
     try:
         uses, rows, settled = motion.resolve()
     except (SingularityError, IntegrationError) as error:
-        raise DeclarationError(_problem(experiment, error)) from error
+        raise DeclarationError(_problem(motion, error)) from error
     unsettled = () if settled else (f"peaks between the {rows} rows of the simulation may be higher",)
-    notes = (*motion.notes, *unsettled)
+    passive = motion.zero_dynamics(motion.simulate(rows))
+    notes = (*map(str, passive), *motion.notes, *unsettled)
     remedies = () if all(use.fits for use in uses) else tuple(_remedy(motion, what, rows, uses) for what in LADDERS)
-    return Feasibility(experiment.declaration.name, uses, remedies, notes)
+    known = tuple(one for one in passive if isinstance(one, ZeroDynamics))
+    return Feasibility(experiment.declaration.name, uses, remedies, notes, known)
 
 
 @dataclass(frozen=True)
@@ -202,14 +211,35 @@ class Motion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which limits cannot be compared, and how what is passive moves."""
-        power, passive = self.experiment.assembly.plant.limits.power, self.experiment.assumed_passive
-        notes = (*(() if passive is None else (str(passive.zero_dynamics),)), *self._unknown())
+        """What the controller's model does not have, and which limits cannot be compared."""
+        power, notes = self.experiment.assembly.plant.limits.power, self._unknown()
         live = [name for name, source in self.experiment.declaration.inputs.items() if source.is_live]
         notes = (*notes, f"without {', '.join(live)}, which is known in a run only") if live else notes
         if power is None or power.heating is not None:
             return notes
         return (*notes, "mean power is unknown: the plant file has no limits.power.heating")
+
+    def followed(self) -> Run | None:
+        """The motion over the first half of the run, or a half of that, as far as it can be followed; None if not."""
+        for halvings in range(1, MOST_HALVINGS):
+            with contextlib.suppress(SingularityError, IntegrationError):
+                return self.simulate(FEWEST_ROWS, part=0.5**halvings)
+        return None
+
+    def zero_dynamics(self, run: Run | None) -> tuple[ZeroDynamics | ModelError, ...]:
+        """How what is passive moves at rest and along a motion that `simulate` gave, or why that is not known."""
+        passive, found = self.experiment.assumed_passive, list[ZeroDynamics | ModelError]()
+        if passive is None:
+            return ()
+        moving: list[Passive | Growth] = [passive]
+        if run is not None:
+            moving.append(Growth(self.loop, run, self.experiment.inputs.of_rig(self.experiment.time_scale)))
+        for one in moving:
+            try:
+                found.append(one.zero_dynamics)
+            except ModelError as error:
+                found.append(error)
+        return tuple(found)
 
     def _unknown(self) -> tuple[str, ...]:
         """What of the plant the controller's model does not have."""
@@ -242,16 +272,13 @@ class Motion:
     def uses(self, rows: int, what: What = "time_scale", factor: float = 1.0) -> tuple[Use, ...]:
         """How much of each limit the motion uses, looked at in `rows` instants, with a change of the experiment.
 
-        Raises a SingularityError or IntegrationError where it could not be followed, and a ModelError as `feasibility`
-        does.
+        Raises what `simulate` does, and a ModelError as `feasibility` does.
         """
         experiment, instruments, model = self.experiment, self.experiment.instruments, self.experiment.law.model
         plant = instruments.plant
         table = instruments.limits()
-        times, states, inputs = self.simulate(rows, what, factor)
-        commands = inputs @ instruments.allocation_inverse.T
-        if not (np.isfinite(commands).all() and np.isfinite(states).all()):
-            raise IntegrationError("the state or the inputs are no longer finite numbers")
+        run = self.simulate(rows, what, factor)
+        times, states, commands = run.times, run.rig, run.inputs @ instruments.allocation_inverse.T
         found, sizes = [], experiment.twin.size
         for i, name in enumerate(instruments.actuators):
             declared = plant.limits.inputs[name]
@@ -271,11 +298,11 @@ class Motion:
             found.append(Use(expression.text, "coordinate", peak, limit.max, limit.unit))
         return tuple(found)
 
-    def simulate(self, rows: int, what: What, factor: float) -> tuple[Array, Array, Array]:
-        """Times of the rig (rows,), its states (rows, .) in SI units and its inputs (rows, inputs).
+    def simulate(self, rows: int, what: What = "time_scale", factor: float = 1.0, part: float = 1.0) -> Run:
+        """The motion at `rows` instants, with the states of the closed loop as those of the rig.
 
         The factor multiplies the seconds per unit of virtual time, the stroke that the transform uses, or all initial
-        values.
+        values; `part` of the duration is followed. A SingularityError or IntegrationError where it cannot be.
         """
         time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
         experiment, loop = self.experiment, self.loop
@@ -294,11 +321,14 @@ class Motion:
         before = (controller.model.values(), controller.virtual.values(), controller.transform.parameters)
         first = sum(len(part) for part in before)
         p[first : first + n] *= stroke
-        times = np.linspace(0.0, experiment.declaration.duration * changed.time_scale, rows)
+        times = np.linspace(0.0, part * experiment.declaration.duration * changed.time_scale, rows)
         schedule = experiment.inputs.of_rig(changed.time_scale)
         u, tolerance = np.zeros(len(loop.plant.inputs)), experiment.declaration.tolerance
         found = input_series.integrate(loop.kernels, times, state, u, p, schedule=schedule, tolerance=tolerance)
-        return times, found.states, complete(loop, times, found.states, p, schedule).inputs
+        run = complete(loop, times, found.states, p, schedule)
+        if not (np.isfinite(run.inputs).all() and np.isfinite(run.rig).all()):
+            raise IntegrationError("the state or the inputs are no longer finite numbers")
+        return run
 
 
 def mean_power(power: Array, step: float, time: float) -> Array:
@@ -386,16 +416,17 @@ def _digits(value: float) -> str:
     return number(value, 2) if abs(value) < 100.0 else number(round(value), 7)
 
 
-def _problem(experiment: Experiment, error: MaskingError) -> Problem:
+def _problem(motion: Motion, error: MaskingError) -> Problem:
     """Fault of an experiment whose ideal motion cannot be followed, and its place."""
-    declaration = experiment.declaration
+    experiment, declaration = motion.experiment, motion.experiment.declaration
+    passive = motion.zero_dynamics(motion.followed())
+    words = f" ({'; '.join(map(str, passive))})" if passive else ""
     if isinstance(error, SingularityError):
         path = "transform"
-        message = f"the transform or the decoupling matrix becomes singular on the way: {error}"
+        message = f"the transform or the decoupling matrix becomes singular on the way{words}: {error}"
         remedy = INVERTIBLE
     elif _can_follow_virtual(experiment):
-        path, passive = "transform", experiment.assumed_passive
-        words = f" ({passive.words})" if passive else ""
+        path = "transform"
         message = f"the rig cannot be held on the way, although the virtual motion goes on{words}: {error}"
         remedy = "map the virtual coordinates to others of the rig, so that those that are passive return to rest"
     else:

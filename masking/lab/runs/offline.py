@@ -288,12 +288,12 @@ class Mapped(Protocol):
         """Parameter array."""
 
 
-def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None) -> Array:
+def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, near: Array | None = None) -> Array:
     """Rig state (2 n,) that the transform maps to a virtual state, by Newton's method.
 
     `virtual_state` has virtual coordinates then velocities (2 k,); what follows is not looked at. `passive` are
-    coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default. A ModelError where
-    no rig position gives the virtual coordinates.
+    coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default, as coordinates
+    `near` (n,) at which Newton's method begins. A ModelError where no rig position gives the virtual coordinates.
     """
     lengths = loop.lengths
     k = len(loop.controller.virtual.coordinates)
@@ -302,14 +302,14 @@ def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None) 
     beside = np.zeros(2 * len(free)) if passive is None else passive
     whole, rates = np.append(eta, beside[: len(free)]), np.append(rate, beside[len(free) :])
     generator = np.random.default_rng(0)
-    random = [lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50)]
+    random = (lengths * generator.uniform(-1.0, 1.0, len(lengths)) for _ in range(50))
 
     def system(q: Array) -> tuple[Array, Array]:
         value, slope = _map(loop, q)
         return value - whole, slope
 
     error = 1e-13 * (1.0 + float(np.max(np.abs(whole))))
-    for start in (np.zeros(len(lengths)), *random):
+    for start in itertools.chain([np.zeros(len(lengths)) if near is None else near], random):
         with contextlib.suppress(RootError):
             q, slope = root(system, start, error=error, lengths=lengths, longest=2.0)
             return np.concatenate([q, np.linalg.lstsq(slope, rates, rcond=None)[0]])
