@@ -133,8 +133,8 @@ def test_check_names_what_the_model_does_not_have(tmp_path):
     made(tmp_path, SAMPLED, rig=rig)
     (found,) = check(tmp_path / "experiment.yaml")
     assert (
-        "z: the plant's own, not in the controller's model one mass (z passive, zero dynamics stable: 63.25 rad/s, "
-        "damping ratio 0.0158)" in str(found)
+        "z: the plant's own, not in the controller's model one mass (z passive, zero dynamics stable at rest: "
+        "63.25 rad/s, damping ratio 0.0158)" in str(found)
     )
     assert "far: not used, the controller's model one mass has nothing that it reads" in str(found)
 

@@ -68,7 +68,7 @@ def test_zero_dynamics_of_a_hanging_pendulum(alone):
     expected = frequency * (-damping + 1j * np.sqrt(1 - damping**2))
     np.testing.assert_allclose(found.slowest, expected, rtol=1e-6)
     assert found.verdict == "stable"
-    assert str(found) == "th passive, zero dynamics stable: 7.004 rad/s, damping ratio 0.0178"
+    assert str(found) == "th passive, zero dynamics stable at rest: 7.004 rad/s, damping ratio 0.0178"
 
 
 def _plant(tmp_path, text=lambda x: x, **parameters):
@@ -93,12 +93,12 @@ def test_an_unstable_pendulum_is_told(tmp_path):
     experiment = Experiment.load("cart_alone", plant=_plant(tmp_path, g=-9.81)).changed(duration=1)
     made = experiment.run()
     assert made.manifest["passive"]["verdict"] == "unstable"
-    assert "Not for long: th passive, zero dynamics unstable: grows like exp(" in summary_of(made)
+    assert "Not for long: th passive, zero dynamics unstable at rest: grows like exp(" in summary_of(made)
 
 
 def test_real_eigenvalues_in_words():
     found = ZeroDynamics(("z",), np.zeros(1), np.diag([-2.0, -0.5]))
-    assert str(found) == "z passive, zero dynamics stable: decays in 2 s"
+    assert str(found) == "z passive, zero dynamics stable at rest: decays in 2 s"
     assert "neither returns nor grows" in ZeroDynamics(("z",), np.zeros(1), np.zeros((2, 2))).how
 
 
@@ -135,7 +135,7 @@ def two_carts(tmp_path, force, duration):
 def test_a_free_cart_drifts(tmp_path):
     """No spring holds the passive cart: nothing brings it back."""
     found = two_carts(tmp_path, "0*k*z", 10).passive.zero_dynamics
-    assert str(found) == "z passive, zero dynamics unstable: drifts away in proportion to the time"
+    assert str(found) == "z passive, zero dynamics unstable at rest: drifts away in proportion to the time"
 
 
 def test_a_passive_cart_that_runs_away_is_named_as_the_cause(tmp_path):
