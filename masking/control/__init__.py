@@ -2,5 +2,5 @@
 
 In: a controller, a model and a plant.
 Out: the control law in blocks L, D, G and T, observers, and the closed loop.
-Imports: numerics, declaration, display, codegen, modelling, rig.
+Imports: analysis, numerics, declaration, display, codegen, modelling, rig.
 """

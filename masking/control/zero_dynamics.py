@@ -65,7 +65,7 @@ class ZeroDynamics:
 
     @cached_property
     def _is_neutral(self) -> NDArray[np.bool_]:
-        """Which small motions neither decay nor grow, as far as can be told (r,)."""
+        """Which small motions neither decay nor grow, as far as is known (r,)."""
         values, errors = self._values
         if self.period is None:
             slack = np.maximum(errors, max(MARGINAL * float(np.abs(values).max(initial=0.0)), self.spread))

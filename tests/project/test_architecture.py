@@ -40,7 +40,7 @@ FLOORS: dict[str, set[str]] = {
     "signals": {"numerics", "records"},
     "analysis": {"numerics", "codegen", "display", "modelling"},
     "rig": {"numerics", "declaration", "effects", "codegen", "modelling"},
-    "control": {"numerics", "declaration", "display", "codegen", "modelling", "rig"},
+    "control": {"analysis", "numerics", "declaration", "display", "codegen", "modelling", "rig"},
     "plants": {"numerics", "codegen", "records", "rig"},
     "exports": {"numerics", "codegen", "declaration", "modelling", "rig", "control"},
     "runs": {

@@ -8,7 +8,7 @@ exponents. Source: Pecora and Carroll (1998), Physical Review Letters 80, 2109; 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,25 +80,28 @@ def transverse(
     y = along @ model.initial_state(initial or {})
     _check_invariant(model, along, across, y)
     made, step = Variational(model), duration / pieces
-    flows = []
+    frame, logs = np.eye(across.shape[1]), []
     for piece in range(pieces):
         y, phi = made.flow(y, step, tolerance, begin=piece * step)
         y = along @ y
-        flows.append(across.T @ phi @ across)
-    exponents, spread = growth_of(flows, step)
+        frame, grown = orthonormal(across.T @ phi @ across @ frame)
+        logs.append(grown)
+    exponents, spread = mean_growth(np.array(logs), step)
     return Transverse(exponents, spread, duration)
 
 
-def growth_of(flows: Sequence[Array], step: float) -> tuple[Array, float]:
+def orthonormal(columns: Array) -> tuple[Array, Array]:
+    """Orthonormal directions of small motions (r, k), and the logarithms of their lengths across each other (k,)."""
+    frame, upper = np.linalg.qr(columns)
+    return frame, np.log(np.maximum(np.abs(np.diag(upper)), np.finfo(float).tiny))
+
+
+def mean_growth(logs: Array, step: float) -> tuple[Array, float]:
     """Mean growths of small motions (k,), the largest first, and by how much the largest is another over the last half.
 
-    `flows` are what the small motions become in each interval, one after the other (k, k), all of a length.
+    They are made orthonormal after each step; `logs` are the logarithms of their lengths before that (pieces, k).
     """
-    pieces, frame = len(flows), np.eye(len(flows[0]))
-    logs = np.zeros((pieces, len(frame)))
-    for piece, flow in enumerate(flows):
-        frame, upper = np.linalg.qr(flow @ frame)
-        logs[piece] = np.log(np.maximum(np.abs(np.diag(upper)), np.finfo(float).tiny))
+    pieces = len(logs)
     # Slopes of the sums over time, after the frame has turned towards the fastest growth: turns of complex pairs, which
     # a mean keeps until they have been averaged away, hardly touch them.
     sums, times = np.cumsum(logs, axis=0), np.asarray(step * np.arange(1, pieces + 1), dtype=np.float64)

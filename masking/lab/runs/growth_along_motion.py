@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from masking.analysis.stability.transverse import growth_of
+from masking.analysis.stability.transverse import mean_growth, orthonormal
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
@@ -34,6 +34,7 @@ _MOST_RETURNS: Final = 20  # that are looked at
 _CLOSED: Final = 1e-8  # of the size of each passive state, in closing
 _MOST_ROUNDS: Final = 12  # of shooting
 _PIECES: Final = 50  # of a run, after each of which small motions are made orthonormal again
+_MOST_DIRECTIONS: Final = 4  # of small motions that are followed over a run, as the fastest is asked for
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Growth:
     def zero_dynamics(self) -> ZeroDynamics:
         """Growth per period where the motion repeats, else over the run.
 
-        Raises a `ModelError` where it cannot be told.
+        Raises a `ModelError` where it is unknown.
         """
         if self.loop.kernels.meta.get("lags"):
             raise self._unknown("delays of the virtual system are not followed")
@@ -65,7 +66,11 @@ class Growth:
         eye = np.eye(len(start))
         try:
             closed = root(
-                lambda x: (flow(x) - x, _slope(flow, x) - eye), start, error=_CLOSED, longest=1.0, rounds=_MOST_ROUNDS
+                lambda x: (flow(x) - x, _slope(flow, x, eye) - eye),
+                start,
+                error=_CLOSED,
+                longest=1.0,
+                rounds=_MOST_ROUNDS,
             )
         except MaskingError:
             return self._over_run(f"period {period:.4g} s, with which {', '.join(self.names)} does not repeat")
@@ -79,19 +84,25 @@ class Growth:
     def _over_run(self, how: str) -> ZeroDynamics:
         """Mean growth over the run, as far as it can be followed."""
         times, every = self.run.times, max(1, (len(self.run.times) - 1) // _PIECES)
-        flows = list[Array]()
+        size, logs = len(self._sizes), list[Array]()
+        # Directions that are none of the axes: the fastest growth has a part in them.
+        frame, _ = orthonormal(np.random.default_rng(0).standard_normal((size, min(size, _MOST_DIRECTIONS))))
         for a, b in pairwise(range(0, len(times), every)):
             state = self.run.rig[a]
-            flow, x = self._flow((times[a], times[b]), state, self.run.virtual[a]), state[self._places] / self._sizes
+            flow = self._flow((times[a], times[b]), state, self.run.virtual[a])
             try:
-                flows.append(_slope(flow, x))
+                grown = _slope(flow, state[self._places] / self._sizes, frame)
             except MaskingError:
                 break
-        if not flows:
+            if not np.isfinite(grown).all():
+                break
+            frame, lengths = orthonormal(grown)
+            logs.append(lengths)
+        if not logs:
             raise self._unknown("no motion near it can be followed")
         step = float(times[every] - times[0])
-        growths, spread = growth_of(flows, step)
-        span = len(flows) * step
+        growths, spread = mean_growth(np.array(logs), step)
+        span = len(logs) * step
         about = f"along the wanted motion ({how}, over {span:.4g} s)"
         return ZeroDynamics(self.names, np.empty(0), np.diag(growths), about, spread=max(spread, 1.0 / span))
 
@@ -126,7 +137,7 @@ class Growth:
             virtual = complete(loop, times, states, loop.values(), self.schedule).virtual
             gap = (virtual[_PHASES:] - virtual[:_PHASES]) / self._ranges
             rate = virtual[_PHASES:, k : 2 * k] / loop.controller.time_scale / self._ranges[:k]
-            change = -float(np.sum(gap[:, :k] * rate) / np.sum(rate**2))
+            change = -float(np.sum(gap[:, :k] * rate) / (np.sum(rate**2) or np.inf))
             if abs(change) <= _TOLERANCE * period:
                 break
             period += change
@@ -186,5 +197,7 @@ class Growth:
         return flow
 
 
-def _slope(flow: Callable[[Array], Array], x: Array) -> Array:
-    return jacobian(flow, x, STEP * np.maximum(1.0, np.abs(x)))
+def _slope(flow: Callable[[Array], Array], x: Array, directions: Array) -> Array:
+    """Slope of a flow at x (r,) along directions (r, k)."""
+    steps = np.full(directions.shape[1], STEP * max(1.0, float(np.abs(x).max())))
+    return jacobian(lambda parts: flow(x + directions @ parts), np.zeros(len(steps)), steps)
