@@ -29,7 +29,7 @@ from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
 
 MARGINAL: Final = 1e-6  # real part, relative to the largest eigenvalue, up to which motion neither decays nor grows
-_DIFFERENCES: Final = 1e-7  # of the size of the matrix: what slopes by differences are off by
+_DIFFERENCES: Final = 1e-8  # of the size of Phi: what slopes by differences of motions are off by
 _CONVERGED: Final = 1e-12
 
 
@@ -68,7 +68,7 @@ class ZeroDynamics:
         """Which small motions neither decay nor grow, as far as is known (r,)."""
         values, errors = self._values
         if self.period is None:
-            slack = np.maximum(errors, max(MARGINAL * float(np.abs(values).max(initial=0.0)), self.spread))
+            slack = max(MARGINAL * float(np.abs(values).max(initial=0.0)), self.spread)
             return np.asarray(np.abs(values.real) <= slack)
         return np.asarray(np.abs(np.abs(values) - 1.0) <= np.maximum(errors, MARGINAL))
 
@@ -128,7 +128,8 @@ class ZeroDynamics:
     def _by_period(self) -> str:
         at, period = self.slowest, self.period or math.inf
         if self.verdict == "marginal":
-            return "neither decays nor grows from period to period"
+            least = max(MARGINAL, float(self._values[1][self._is_neutral].max()))
+            return f"decays or grows by less than {least:.2g} of itself each period"
         words = f"to {math.exp(at.real * period):.4g} of itself each period, like exp({at.real:.3g} t), t in s"
         if self.verdict == "stable":
             return f"decays {words}"
@@ -231,5 +232,14 @@ class Held:
         fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
         damping = jacobian(lambda rates: self.accelerations(rest, rates), still, fastest * lengths)
         matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
-        sizes = np.concatenate([lengths, fastest * lengths])
+        sizes = np.concatenate([lengths, rates_of(stiffness, lengths, fastest)])
         return ZeroDynamics(names, rest, matrix * sizes / sizes[:, None])
+
+
+def rates_of(stiffness: Array, lengths: Array, slowest: float) -> Array:
+    """Rates (m,) at which coordinates pass rest, each in oscillations by its length under its own stiffness.
+
+    Where a coordinate has none, as if it oscillated at `slowest`, in rad/s.
+    """
+    frequencies = np.sqrt(np.abs(np.diag(stiffness)))
+    return np.asarray(np.where(frequencies > 0.0, frequencies, slowest) * lengths)

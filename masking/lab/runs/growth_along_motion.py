@@ -21,7 +21,7 @@ from masking.analysis.stability.transverse import mean_growth, orthonormal
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
-from masking.control.zero_dynamics import ZeroDynamics
+from masking.control.zero_dynamics import ZeroDynamics, rates_of
 from masking.errors import MaskingError, ModelError
 from masking.lab.runs.offline import Run, complete, loop_state, rig_state
 from masking.model.modelling.input_series import Schedule, integrate
@@ -163,9 +163,8 @@ class Growth:
     def _placed(self, near: Array, virtual: Array, passive: Array) -> Array:
         """State of the loop with given virtual and passive states (r,), near another."""
         m, places = len(self.names), self._places
-        start = near[: len(self.loop.plant.coordinates)].copy()
-        start[places[:m]] = passive[:m]
-        state = loop_state(self.loop, virtual, rig_state(self.loop, virtual, passive[: 2 * m], start))
+        there = near[: len(self.loop.plant.coordinates)]
+        state = loop_state(self.loop, virtual, rig_state(self.loop, virtual, passive[: 2 * m], there))
         state[places] = passive
         return state
 
@@ -183,8 +182,7 @@ class Growth:
             return out[places[m : 2 * m]].copy()
 
         stiffness = jacobian(accelerations, state[places[:m]], STEP * lengths)
-        fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max()))
-        rates = lengths * (fastest or 1.0 / float(np.ptp(self.run.times)))
+        rates = rates_of(stiffness, lengths, 1.0 / float(np.ptp(self.run.times)))
         return np.concatenate([lengths, rates, np.where(internal > 0.0, internal, 1.0)])
 
     def _flow(self, span: tuple[float, float], state: Array, virtual: Array) -> Callable[[Array], Array]:

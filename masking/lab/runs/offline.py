@@ -309,7 +309,9 @@ def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, 
         return value - whole, slope
 
     error = 1e-13 * (1.0 + float(np.max(np.abs(whole))))
-    for start in itertools.chain([np.zeros(len(lengths)) if near is None else near], random):
+    first = np.zeros(len(lengths)) if near is None else near.copy()
+    first[free] = beside[: len(free)]
+    for start in itertools.chain([first], random):
         with contextlib.suppress(RootError):
             q, slope = root(system, start, error=error, lengths=lengths, longest=2.0)
             return np.concatenate([q, np.linalg.lstsq(slope, rates, rcond=None)[0]])
