@@ -168,7 +168,7 @@ def opened(name: str) -> tuple[Twin, Data, AugmentedModel]:
         np.savez(folder / "record.npz", **columns)  # type: ignore[arg-type]
         settings = Discover(model=folder / "model.yaml", plant=folder / "plant.yaml" if plant else None)
         twin = discovery_inputs.rig(settings.model, settings.plant)
-        given = discovery_inputs.read(twin, folder / "record.npz", settings)
+        given = discovery_inputs.read(twin, folder / "record.npz", None, settings)
     return twin, given.record, AugmentedModel(twin, twin.equation_parameters())
 
 

@@ -12,12 +12,13 @@ from masking.inference.discovery import discovery_stages as discovery
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.search import Tell
+from masking.lab.records.input_hold import RecordForm
 from masking.reports import discovery_files, discovery_page
 
 
 @dataclass(frozen=True, kw_only=True)
-class Discover(DiscoverySettings):
-    """Settings of a discovery, the rig, and where the result goes.
+class Discover(RecordForm, DiscoverySettings):
+    """Settings of a discovery, the rig, how its records are given, and where the result goes.
 
     Args:
         model: model of the rig, a name or a file; in place of the plant's own if both are given.
@@ -50,7 +51,7 @@ def discover(record: str | Path, settings: Discover) -> Discovery:
     """
     check_folder(settings.out, discovery_files.NUMBERS, "plant.yaml", overwrite=settings.overwrite)
     twin = discovery_inputs.with_effects(discovery_inputs.rig(settings.model, settings.plant), settings.effects)
-    given = discovery_inputs.read(twin, record, settings)
+    given = discovery_inputs.read(twin, record, settings.validation, settings)
     named = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
     found = discovery.discover(twin, given.record, given.validation, named, tell=settings.tell)
     if settings.out is not None:

@@ -11,10 +11,9 @@ import numpy as np
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
-from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
-from masking.lab.records.input_hold import TextForm
+from masking.lab.records.input_hold import RecordForm
 from masking.lab.records.time_slice import Part
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import beyond_ordinary
@@ -38,17 +37,15 @@ class Inputs:
     origin: Origin
 
 
-def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
-    """Read and check the records of a rig, a path or `FILE@10:20`, its part from 10 s to 20 s; the settings say how.
+def read(twin: Twin, record: str | Path, validation: str | Path | None, form: RecordForm) -> Inputs:
+    """Read and check the records of a rig, each a path or `FILE@10:20`, its part from 10 s to 20 s.
 
     Raises a `RecordError` where one cannot be read, lacks a channel, is too short, or the two have different rates or
     share samples.
     """
-    form = TextForm(settings.header_rows, settings.encoding)
 
     def one(path: str | Path) -> Data:
-        names, dt, resample = settings.columns, settings.dt, settings.resample
-        found = Data.read(path, twin, settings.hold, names, dt, form=form, resample=resample)
+        found = Data.read(path, twin, **form.reading)
         if len(found) < FEWEST:
             raise RecordError(
                 f"{path}: {len(found)} samples are too few to tell effects apart; give a record of at least {FEWEST}, "
@@ -61,7 +58,7 @@ def read(twin: Twin, record: str | Path, settings: DiscoverySettings) -> Inputs:
             )
         return found
 
-    validation, train = settings.validation, one(record)
+    train = one(record)
     held_out = None if validation is None else one(validation)
     if held_out is not None and abs(held_out.rate / train.rate - 1.0) > ALIKE:
         raise RecordError(

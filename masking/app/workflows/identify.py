@@ -16,7 +16,7 @@ from masking.inference.estimation import extended_kalman
 from masking.inference.estimation import fit as fits
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.innovations import KalmanFit
-from masking.lab.records.input_hold import InputHold, Names, TextForm
+from masking.lab.records.input_hold import RecordForm
 from masking.reports import fit_figures, fit_files, identification_page
 
 Method = Literal["least-squares", "kalman"]
@@ -24,7 +24,7 @@ METHODS = get_args(Method)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identify:
+class Identify(RecordForm):
     """Settings of an identification.
 
     Args:
@@ -39,14 +39,6 @@ class Identify:
         method: 'least-squares', or 'kalman' for one pass of the extended Kalman filter with the settings of 4.2.2.
         square_root: whether the filter carries a square root of its covariance.
         iterated: number of linearisations of the filter at each sample.
-        hold: inputs between samples: 'zero-order' for commands, which act after the delay of the plant; 'first-order'
-            for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter.
-        columns: columns of the files by the names that they get, such as `{"t": "time", "V1": "u"}`.
-        dt: time between samples in s, for a table without a clock.
-        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
-        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
-        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
-            not steady, are interpolated; by default these are refused.
         out: folder to save `model.yaml`, `plant.yaml`, `fit.json`, `fit.html` and its figures in: `fit.png`,
             `validation.png` if there is a validation, `estimates.png` of a filter; by default nothing is saved.
         overwrite: whether an earlier result in that folder may be replaced.
@@ -61,12 +53,6 @@ class Identify:
     method: Method = "least-squares"
     square_root: bool = False
     iterated: int = 1
-    hold: InputHold | None = None
-    columns: Names | None = None
-    dt: float | None = None
-    header_rows: int | None = None
-    encoding: str | None = None
-    resample: float | str | None = None
     out: str | Path | None = None
     overwrite: bool = False
     progress: Callable[[float], None] | None = None
@@ -89,13 +75,8 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     check_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite)
     twin = discovery_inputs.rig(given.model, given.plant)
     names = given.parameters or prior.uncertain(twin)
-    written = TextForm(given.header_rows, given.encoding)
     train, held_out = (
-        [
-            Data.read(path, twin, given.hold, given.columns, given.dt, form=written, resample=given.resample)
-            for path in paths
-        ]
-        for paths in (records, given.validation)
+        [Data.read(path, twin, **given.reading) for path in paths] for paths in (records, given.validation)
     )
     more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
     found: fits.Fit | KalmanFit

@@ -24,6 +24,7 @@ from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.discovery_stages import discover
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.search import Tell
+from masking.lab.records.input_hold import RecordForm
 from masking.lab.records.recording import Recording
 from masking.lab.runs.error_budget import in_full
 from masking.lab.runs.experiment import Experiment
@@ -135,7 +136,7 @@ class Refinement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Refine(DiscoverySettings):
+class Refine(RecordForm, DiscoverySettings):
     """Settings of a discovery, and of the runs before and after.
 
     Args:
@@ -176,7 +177,7 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
     if not twin.sensors:
         message, remedy = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
         raise DeclarationError(Problem(None, "sensors", message, remedy))
-    given = discovery_inputs.read(twin, settings.record, settings)
+    given = discovery_inputs.read(twin, settings.record, settings.validation, settings)
     own = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
     say("running with the model as it is", 0.0)
     before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))

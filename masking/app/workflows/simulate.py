@@ -12,13 +12,13 @@ from masking.errors import ColumnError, DeclarationError, IntegrationError, Mode
 from masking.inference.estimation import simulation
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated
-from masking.lab.records.input_hold import InputHold, Names, TextForm
+from masking.lab.records.input_hold import RecordForm
 from masking.model.declaration import catalogue
 from masking.reports import fit_figures, identification_page
 
 
 @dataclass(frozen=True)
-class Simulate:
+class Simulate(RecordForm):
     """Record and settings of a simulation.
 
     Args:
@@ -26,15 +26,6 @@ class Simulate:
             10 s to 20 s.
         plant: plant file with sensors and actuators for a model; without one, the outputs of the model are its sensors,
             or else its coordinates or states, and its inputs are the actuators.
-        hold: inputs between samples: 'zero-order' for commands, 'first-order' for measured inputs, 'band-limited' for
-            inputs measured behind an anti-alias filter.
-        columns: columns of the file by the names that they get, such as `{"t": "time", "V1": "u"}`; of a text without
-            names, those of all its columns, in order.
-        dt: time between samples in s, for a table without a clock.
-        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
-        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
-        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
-            not steady, are interpolated; by default these are refused.
         initial: s from the beginning in which readings are taken for the initial state; by default all.
         shooting_interval: length in s of intervals, each simulated from an initial state of its own, as an error of a
             discovery may be stated; by default the record is one.
@@ -45,12 +36,6 @@ class Simulate:
     record: str | Path
     _: KW_ONLY
     plant: str | Path | None = None
-    hold: InputHold | None = None
-    columns: Names | None = None
-    dt: float | None = None
-    header_rows: int | None = None
-    encoding: str | None = None
-    resample: float | str | None = None
     initial: float | None = None
     shooting_interval: float | None = None
     out: str | Path | None = None
@@ -74,10 +59,8 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
     record, plant, initial, interval = settings.record, settings.plant, settings.initial, settings.shooting_interval
     check_folder(settings.out, "simulation.json", overwrite=settings.overwrite)
     twin = discovery_inputs.rig(model, plant)
-    form = TextForm(settings.header_rows, settings.encoding)
     try:
-        names, resample = settings.columns, settings.resample
-        given = Data.read(record, twin, settings.hold, names, settings.dt, form=form, resample=resample)
+        given = Data.read(record, twin, **settings.reading)
     except ColumnError as error:
         if plant is not None or catalogue.kind_of(model) == "plant":
             raise

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from masking.errors import DeclarationError, Problem
 from masking.inference.discovery.rules import RULES, DecisionRules
-from masking.lab.records.input_hold import InputHold, Names
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 
@@ -23,15 +22,6 @@ class DiscoverySettings:
         tolerance: prior standard deviation of a parameter that declares none, relative to its value, between 0 and 1.
         shooting_interval: multiple-shooting interval in s; by default the whole record in one interval, or a
             twentieth of the record for a model that does not settle.
-        hold: inputs between samples: 'zero-order' for commands, which act after the delay of the plant; 'first-order'
-            for measured inputs; 'band-limited' for inputs measured behind an anti-alias filter. By default
-            'first-order' for inputs that elements of the model follow, and 'zero-order' for all others.
-        columns: columns of the files by the names that they get, such as `{"t": "time", "u": "V1"}`.
-        dt: time between samples in s, for a table without a clock.
-        header_rows: lines of a text above its numbers, the last of which names the columns; by default they are found.
-        encoding: of a text that is not in UTF-8, such as latin-1 or gbk.
-        resample: samples per second, such as 200 or '200 Hz', at which channels on several clocks, or on one that is
-            not steady, are interpolated; by default these are refused.
         effects: dictionary of own effects, a file or a packaged name, whose effects are tried, too.
         rules: the thresholds of all decisions.
 
@@ -43,12 +33,6 @@ class DiscoverySettings:
     parameters: Sequence[str] = ()
     tolerance: float = TOLERANCE
     shooting_interval: float | None = None
-    hold: InputHold | None = None
-    columns: Names | None = None
-    dt: float | None = None
-    header_rows: int | None = None
-    encoding: str | None = None
-    resample: float | str | None = None
     effects: str | Path | None = None
     rules: DecisionRules = RULES
 

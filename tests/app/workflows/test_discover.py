@@ -15,10 +15,10 @@ from masking.app.cli import main
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, ModelError, RecordError
-from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import simulate
 from masking.lab.records import readers
+from masking.lab.records.input_hold import RecordForm
 from masking.lab.records.recording import Recording
 from masking.reports import discovery_figures, discovery_page
 from masking.reports.discovery_files import Origin
@@ -284,8 +284,8 @@ def test_a_record_does_not_judge_itself(folder, tmp_path):
             masking.discover(given, plant=folder / "plant.yaml", validation=validation)
         assert words in str(refused.value)
         assert "leave --validate out, and the last 30 % of the record are held out" in str(refused.value)
-    validation = DiscoverySettings(validation=f"{copy}@{end / 2:g}:")
-    parts = discovery_inputs.read(Twin.load(folder / "plant.yaml"), f"{copy}@:{end / 2:g}", validation)
+    halves = f"{copy}@:{end / 2:g}", f"{copy}@{end / 2:g}:"
+    parts = discovery_inputs.read(Twin.load(folder / "plant.yaml"), *halves, RecordForm())
     assert len(parts.record) + len(parts.validation) == len(columns["t"])
 
 

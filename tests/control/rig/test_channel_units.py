@@ -5,8 +5,8 @@ import pytest
 
 from masking.app.workflows import discovery_inputs
 from masking.errors import RecordError
-from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
+from masking.lab.records.input_hold import RecordForm
 
 T = np.arange(500) / 100.0
 U, Y = np.sin(9.0 * T), np.cos(3.0 * T)
@@ -91,5 +91,5 @@ def test_a_unit_that_does_not_fit_is_refused_with_the_map_that_settles_it(wheel,
 
 def test_discovery_converts_alike(wheel, tmp_path):
     data(wheel, tmp_path, {"w": "w [rpm]"}, w=30.0 / np.pi)
-    made = discovery_inputs.read(wheel, tmp_path / "r.csv", DiscoverySettings())
+    made = discovery_inputs.read(wheel, tmp_path / "r.csv", None, RecordForm())
     np.testing.assert_allclose(made.record.readings[:, 0], Y, atol=1e-12)

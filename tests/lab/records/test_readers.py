@@ -15,9 +15,9 @@ from scipy import io
 from masking.app import cli
 from masking.app.workflows import discovery_inputs
 from masking.errors import ModelError, RecordError
-from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
+from masking.lab.records.input_hold import RecordForm
 from masking.lab.records.recording import Recording
 from masking.lab.records.time_slice import Part
 
@@ -454,14 +454,13 @@ def test_parts_of_one_file_are_records_of_a_discovery(mass, tmp_path):
     columns = {"g/clock": T, "g/f": np.sin(9.0 * T), "g/x": np.cos(3.0 * T)}
     path = hdf5(tmp_path / "a.h5", columns)
     names = {"t": "g/clock", "f": "g/f", "x": "g/x"}
-    settings = DiscoverySettings(validation=f"{path}@6:", hold="band-limited", columns=names)
-    made = discovery_inputs.read(mass, f"{path}@:6", settings)
+    made = discovery_inputs.read(mass, f"{path}@:6", f"{path}@6:", RecordForm(hold="band-limited", columns=names))
     np.testing.assert_array_equal(made.record.readings[:, 0], np.cos(3.0 * T[:600]))
     np.testing.assert_array_equal(made.validation.readings[:, 0], np.cos(3.0 * T[600:]))
     digest = readers.digest(path)
     assert made.origin.records == {"record": (f"{path}@:6", digest), "validation": (f"{path}@6:", digest)}
     with pytest.raises(RecordError, match=r"a\.h5@:2: 200 samples are too few"):
-        discovery_inputs.read(mass, f"{path}@:2", DiscoverySettings(columns=names))
+        discovery_inputs.read(mass, f"{path}@:2", None, RecordForm(columns=names))
 
 
 @pytest.mark.parametrize(
