@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from pydantic import BaseModel, ConfigDict
-
 from masking.errors import nearest
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.fields import Formula, TextField
+from masking.model.declaration.fields import Block, Formula, TextField
 
 
-class Event(BaseModel):
+class Event(Block):
     """What happens at each instant at which `when` crosses zero upwards, from below.
 
     `jumps` gives the values after it, of coordinates, velocities and internal states; those on the right are before it.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     when: Formula
     jumps: dict[TextField, Formula]

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
-from pydantic import PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from masking.errors import DeclarationError
@@ -24,6 +24,12 @@ _RATE = re.compile(r"\s*(?P<number>[-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-
 _HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+
+
+class Block(BaseModel):
+    """A mapping with fixed keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
 
 class Text(str):

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, Literal
 
-from pydantic import BaseModel, ConfigDict
-
 from masking.errors import nearest
-from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
+from masking.model.declaration.fields import Block, Formula, Name, Number, Positive, TextField
 
 KINDS: Final = ("expression", "file", "signal", "sensor", "push")
 SIGNALS: Final = ("steps", "ramp", "sawtooth", "linear_chirp", "logarithmic_chirp", "multisine")
@@ -17,7 +15,7 @@ Interpolation = Literal["linear", "previous", "cubic"]
 Several = tuple[Number, ...]
 
 
-class InputSource(BaseModel):
+class InputSource(Block):
     """Where an input of the virtual system comes from: one of these.
 
     `expression` of the time; the `column` of a `file`; a `signal` of `signals` with `arguments`; a `sensor` of
@@ -25,8 +23,6 @@ class InputSource(BaseModel):
     rad/s. `interpolation` says what a file or a signal is between its points. `factor` multiplies what a sensor
     measures, or a push.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     expression: Formula | None = None
     file: TextField | None = None

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import model_validator
 
-from masking.model.declaration.fields import Formula, Name, Number, Positive, TextField
+from masking.model.declaration.fields import Block, Formula, Name, Number, Positive, TextField
 from masking.model.declaration.shorthand import Short
 
 _NUMBER = Short("value", (int, float))
 _TEXT = Short("text", (str,))
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class Quantity(_Part):
+class Quantity(Block):
     """A number with its unit."""
 
     value: Number
     unit: TextField = "1"
 
 
-class Turn(_Part):
+class Turn(Block):
     """The size of a turn, after which a reading starts again: a number with its unit, also as text, `360 deg`."""
 
     value: Positive
@@ -42,14 +38,14 @@ class Turn(_Part):
             return {"value": number, "unit": unit.strip()}
 
 
-class Limit(_Part):
+class Limit(Block):
     """The largest allowed magnitude."""
 
     max: Positive
     unit: TextField = "1"
 
 
-class Sensor(_Part):
+class Sensor(Block):
     """What a sensor measures, and how many of its own units one unit of that gives.
 
     `range` is what it can read while it is sound, and `jump` the largest change between two samples, in its unit. A
@@ -65,14 +61,14 @@ class Sensor(_Part):
     wraps: Annotated[Turn, _TEXT] | None = None
 
 
-class Actuator(_Part):
+class Actuator(Block):
     """A channel that a controller writes to."""
 
     meaning: TextField = ""
     unit: TextField = "1"
 
 
-class PowerLimit(_Part):
+class PowerLimit(Block):
     """The largest mean power of an actuator: `heating` is the power per squared command, `time` the mean's, in s."""
 
     value: Positive
@@ -81,7 +77,7 @@ class PowerLimit(_Part):
     time: Positive = 10.0
 
 
-class Limits(_Part):
+class Limits(Block):
     """What the rig withstands: actuators, coordinates (or expressions of them), their rates, power of each actuator.
 
     `missed` is the largest share of the samples of a second that a run may miss or answer late.

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from masking.errors import Place
 from masking.model.declaration.event_declaration import Event
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.fields import (
+    Block,
     ControllerRate,
     Formula,
     Name,
@@ -33,13 +34,6 @@ from masking.model.declaration.instrument_declaration import Actuator, Limits, S
 from masking.model.declaration.shape_declaration import Shape
 from masking.model.declaration.shorthand import Short
 from masking.model.declaration.strict_yaml import Places
-
-
-class Block(BaseModel):
-    """A mapping with fixed keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
 
 _MEANING = Short("meaning", (str,))
 _VALUE = Short("value", (int, float, str))

@@ -9,21 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict
-
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.fields import Formula, TextField
+from masking.model.declaration.fields import Block, Formula, TextField
 
 Point = tuple[Formula, Formula]
 
 
-class _Part(BaseModel):
-    """A mapping with fixed keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
-
-
-class Body(_Part):
+class Body(Block):
     """A box: `at` is its middle, `size` its width and height."""
 
     at: Point
@@ -31,13 +23,13 @@ class Body(_Part):
     label: TextField = ""
 
 
-class Line(_Part):
+class Line(Block):
     """Something straight between two points: a spring, a rod, or the ground, which is hatched on its right side."""
 
     ends: tuple[Point, Point]
 
 
-class Arm(_Part):
+class Arm(Block):
     """An arm that turns about `pivot`, with a bob of a radius at its end."""
 
     pivot: Point
@@ -47,7 +39,7 @@ class Arm(_Part):
     label: TextField = ""
 
 
-class Disc(_Part):
+class Disc(Block):
     """A disc that turns about its middle, with a spoke."""
 
     at: Point
@@ -56,7 +48,7 @@ class Disc(_Part):
     label: TextField = ""
 
 
-class Shape(_Part):
+class Shape(Block):
     """One shape: a mapping with the key of its kind."""
 
     body: Body | None = None
