@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.control.blocks import Transform
 from masking.errors import ActuationError, ModelError
+from masking.lazy_imports import sympy as sp
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 
 def check_actuation(model: Model, transform: Transform) -> None:

@@ -11,26 +11,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-from masking.model.declaration import driven_coordinates
+from masking.lazy_imports import sympy as sp
+from masking.model.declaration import driven_coordinates, schema
 from masking.model.modelling.gradient import jacobian, rate
 from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-
-    from masking.model.declaration import schema
-else:
-    sp = lazy.load("sympy")
 
 # What to do about a matrix W = J B that becomes singular on the way.
 INVERTIBLE = "choose a transform that is invertible, and that the actuators can follow, over the whole motion"

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -16,23 +15,13 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.actuation import check_actuation
-from masking.control.blocks import Transform
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.errors import ModelError
+from masking.lazy_imports import control, runge_kutta, sampled_loop, single_step
 from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.lowering import Added, LoweredEquations, add_runge_kutta
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    import control
-
-    from masking.compile.numerics import runge_kutta, sampled_loop, single_step
-else:
-    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
-    sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
-    single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
-    control = lazy.load("control")
 
 
 @dataclass(frozen=True)
@@ -89,16 +78,6 @@ class ClosedLoop:
     def match(self) -> CoordinateMatch:
         """Coordinates of the controller's model among the plant's."""
         return CoordinateMatch(self.controller, self.plant, self.sensors)
-
-    @property
-    def mapping(self) -> Transform:
-        """Virtual coordinates by those of the plant, each measured in `lengths`."""
-        return self.match.mapping
-
-    @property
-    def lengths(self) -> Array:
-        """Size in SI units of one unit of each coordinate of the plant as `mapping` sees it (n,)."""
-        return self.match.lengths
 
     @property
     def internal(self) -> tuple[str, ...]:

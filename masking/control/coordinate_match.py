@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Kernels
@@ -21,15 +19,11 @@ from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Transform
 from masking.control.law import Controller
 from masking.errors import DeclarationError, ModelError, Problem
+from masking.lazy_imports import sampled_loop
 from masking.model.declaration import dimensions, schema, units
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import sampled_loop
-else:
-    sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.steady_kalman import discretised, steady_filter
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    from scipy import linalg
-else:
-    linalg = lazy.load("scipy.linalg", suppress_warning=True)
+from masking.lazy_imports import linalg
 
 # A command that is late by a sample for each of delay and hold turns the phase of a signal at the bandwidth by 0.7
 # radian (40 degrees) where the bandwidth is this part of the rate over the samples of lateness.

@@ -10,9 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -23,7 +21,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
 from masking.control.actuation import check_actuation
-from masking.control.blocks import Transform, dot
+from masking.control.blocks import dot
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
@@ -31,15 +29,8 @@ from masking.control.observer import Differences, Observer
 from masking.control.rig.twin import Twin
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
+from masking.lazy_imports import runge_kutta, sampled_loop, single_step
 from masking.model.modelling.lowering import LoweredEquations
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import runge_kutta, sampled_loop, single_step
-else:
-    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
-    single_step = lazy.load("masking.compile.numerics.single_step", suppress_warning=True)
-    sampled_loop = lazy.load("masking.compile.numerics.sampled_loop", suppress_warning=True)
-
 
 # An offset follows the readings with this many time constants over the rest.
 SETTLED = 5.0
@@ -62,15 +53,10 @@ class SampledController:
     feed: Feed = NOTHING  # what the virtual system gets as inputs while it runs
     remembered: tuple[float, ...] = ()  # the virtual system's internal states at the release
 
-    @property
-    def mapping(self) -> Transform:
-        """Virtual coordinates by those of the controller's model, each measured in `lengths`."""
-        return self.controller.transform
-
-    @property
-    def lengths(self) -> Array:
-        """Size in SI units of one unit of each coordinate of the controller's model as `mapping` sees it (n,)."""
-        return self.controller.lengths
+    @cached_property
+    def match(self) -> CoordinateMatch:
+        """Coordinates of the controller's model, in which it is written."""
+        return CoordinateMatch(self.controller, self.controller.model, {})
 
     @property
     def sizes(self) -> Sizes:

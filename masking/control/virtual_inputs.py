@@ -5,20 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import Sizes
+from masking.lazy_imports import virtual_input_kernels
 from masking.model.modelling.input_series import Series
 
 if TYPE_CHECKING:
-    from masking.compile.numerics import virtual_input_kernels
     from masking.control.law import Controller
-else:
-    virtual_input_kernels = lazy.load("masking.compile.numerics.virtual_input_kernels", suppress_warning=True)
 
 
 @dataclass(frozen=True)

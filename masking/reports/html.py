@@ -12,7 +12,7 @@ import re
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import markupsafe
 from markupsafe import Markup
@@ -22,14 +22,10 @@ from masking.display.json_text import json_text
 from masking.display.symbols import is_symbol
 from masking.display.symbols import markup as symbol
 from masking.errors import RecordError
+from masking.lazy_imports import jinja2, style
 from masking.model.declaration.quantities import number, percent, with_deviation
 from masking.model.declaration.units import pretty
 from masking.reports.text import capital, capped, listed, probability_text, signed
-
-if TYPE_CHECKING:  # templates and drawing are loaded by what needs them
-    import jinja2
-
-    from masking.reports.style import CaptionedFigure
 
 _TEMPLATES = Path(__file__).with_name("templates")
 # Short words and units that may be names, too: symbols where a value follows, or where they do not stand as units.
@@ -58,7 +54,7 @@ def render(template: str, **facts: object) -> str:
 def save(
     page: Path,
     template: str,
-    figures: Sequence[CaptionedFigure],
+    figures: Sequence[style.CaptionedFigure],
     numbers: Mapping[str, Any] | None = None,
     **facts: object,
 ) -> None:
@@ -72,7 +68,7 @@ def save(
     write({**contents, page: render(template, figures=figures, **facts)})
 
 
-def images(figures: Iterable[CaptionedFigure], folder: Path) -> dict[Path, bytes]:
+def images(figures: Iterable[style.CaptionedFigure], folder: Path) -> dict[Path, bytes]:
     """Content of the PNG file of each figure that is drawn, by its path in a folder."""
     return {folder / f"{one.name}.png": one.png for one in figures if one.png is not None}
 
@@ -155,8 +151,6 @@ def _power_of_ten(match: re.Match[str]) -> str:
 @functools.cache
 def environment() -> jinja2.Environment:
     """Environment of all templates: values are escaped, and one that is missing is an error."""
-    import jinja2  # noqa: PLC0415  # a summary is written without it
-
     made = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,

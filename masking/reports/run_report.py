@@ -6,18 +6,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-import lazy_loader as lazy
+from typing import Final
 
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
+from masking.lazy_imports import run_figures
 from masking.reports import html, run_text
 from masking.reports.run_study import Parameter, Study, parameters
-
-if TYPE_CHECKING:  # a summary is written without drawing
-    from masking.reports import run_figures
-else:
-    run_figures = lazy.load("masking.reports.run_figures", suppress_warning=True)
 
 PAGE: Final = "report.html"
 _SOURCE = "Rijlaarsdam (2008)"

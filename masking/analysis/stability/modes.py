@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Kernels
@@ -16,13 +15,9 @@ from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.json_text import Result
 from masking.errors import ModelError, nearest
+from masking.lazy_imports import control
 from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    import control
-else:
-    control = lazy.load("control")
 
 _STEP = 1e-3  # of the size of a state, for differences of order 6: their error is near 1e-12 of it
 _STENCIL = ((1, 0.75), (2, -0.15), (3, 1.0 / 60.0))

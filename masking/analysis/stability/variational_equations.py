@@ -11,9 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -23,13 +21,9 @@ from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
+from masking.lazy_imports import runge_kutta
 from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import runge_kutta
-else:
-    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-import lazy_loader as lazy
+from typing import Final
 
 from masking.app.workflows.output_folders import beside, check_folder
 from masking.errors import RecordError
 from masking.lab.records.recording import Recording
 from masking.lab.records.time_slice import Part
+from masking.lazy_imports import animation_frames
 from masking.reports import animation
-
-if TYPE_CHECKING:
-    from masking.reports import animation_frames
-else:
-    animation_frames = lazy.load("masking.reports.animation_frames", suppress_warning=True)
 
 FORMATS: Final = (".html", ".png", ".svg", ".gif", ".mp4")
 _MOST: Final = 2**20  # samples of a whole recording that is shown

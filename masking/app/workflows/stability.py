@@ -81,6 +81,6 @@ def _loop(experiment: Experiment, found: Stability) -> LoopModes:
     beside = None if experiment.passive is None else experiment.passive.initial()
     state = np.concatenate([rig_state(loop, virtual, passive=beside), np.zeros(len(experiment.plant.states))])
     lengths = np.ones(len(state))
-    lengths[:n] = loop.lengths
-    lengths[n : 2 * n] = loop.lengths / experiment.time_scale
+    lengths[:n] = loop.match.lengths
+    lengths[n : 2 * n] = loop.match.lengths / experiment.time_scale
     return loop_modes(loop, state, lengths, experiment.time_scale, modes.eigenvalues)

@@ -12,16 +12,10 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial, partialmethod, reduce
-from typing import TYPE_CHECKING, Any
-
-import lazy_loader as lazy
+from typing import Any
 
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
+from masking.lazy_imports import sympy as sp
 
 Node = int
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,11 +20,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.graph_values import values_of
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
+from masking.lazy_imports import sympy as sp
 
 _ULPS = 8  # by which elementary functions and numbers are widened
 _LARGEST_ANGLE = 1e8  # beyond this a sine may be anything in [-1, 1]

@@ -20,23 +20,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import argument_conditions, structs, trusted_files
 from masking.compile.codegen.argument_conditions import NOTHING, Linked, Needed
-
-if TYPE_CHECKING:
-    import llvmlite.binding as llvm
-    import numba
-
-    from masking.compile.numerics import compilation
-else:
-    llvm = lazy.load("llvmlite.binding", suppress_warning=True)
-    numba = lazy.load("numba")
-    compilation = lazy.load("masking.compile.numerics.compilation", suppress_warning=True)
+from masking.lazy_imports import binding as llvm
+from masking.lazy_imports import compilation, numba
 
 # How an argument of each type goes through the C interface: an array as its address and its shape.
 DIMENSIONS = {"Vector": 1, "Matrix": 2, "IntVector": 1, "IntMatrix": 2}

@@ -389,11 +389,7 @@ def augmented_normal_equations(law: Kernel, placed: Kernel, slopes: Kernel, sens
     accumulate = normal_equations(readings_with_effects(law, act, sensed), drive_late, flow, carry)
 
     @compiled
-    @requires(
-        "interval > 0",
-        *OF_RECORD,
-        *OF_EFFECTS,
-    )
+    @requires("interval > 0", *OF_RECORD, *OF_EFFECTS)
     def normal(
         steps: Steps, interval: int, shooting: Shooting, given: AugmentedArrays, record: Readings, sums: Sums,
         work: Matrix,

@@ -117,10 +117,7 @@ def runge_kutta(derivative: Kernel, lagged: Kernel, delays: Kernel, size: int, l
     solve_with = embedded_steps(filled, bound, keep, size, True, no_event, False)
 
     @compiled
-    @requires(
-        "len(states) >= len(times)",
-        f"len(y) % 2 == {(size + lags) % 2}",
-    )
+    @requires("len(states) >= len(times)", f"len(y) % 2 == {(size + lags) % 2}")
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

@@ -165,9 +165,7 @@ def runge_kutta(derivative: Kernel, conditions: Kernel, size: int, events: int, 
     solve_with = embedded_steps(driven, bound, forget, size, False, crossing, True)
 
     @compiled
-    @requires(
-        "len(states) >= len(times)",
-    )
+    @requires("len(states) >= len(times)")
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

@@ -427,10 +427,7 @@ def backward_smoother() -> Kernel:
 
 
 @compiled
-@requires(
-    "count <= min(len(states), len(predicted))",
-    "states.shape[1] <= min(predicted.shape[1], *gain.shape)",
-)
+@requires("count <= min(len(states), len(predicted))", "states.shape[1] <= min(predicted.shape[1], *gain.shape)")
 def smooth_backward(count: int, gain: Matrix, states: Matrix, predicted: Matrix) -> None:
     """Make filtered states (count, size) the smoothed ones, by the pass of Rauch, Tung and Striebel."""
     size = states.shape[1]

@@ -192,9 +192,7 @@ def embedded_steps(
                 f[3 + r, i] = h * value
 
     @compiled
-    @requires(
-        "len(states) >= len(times)",
-    )
+    @requires("len(states) >= len(times)")
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:
@@ -348,10 +346,7 @@ def steps_under_way(derivative: Kernel, size: int) -> Kernel:
     step = runge_kutta_4(derivative, size)
 
     @compiled
-    @requires(
-        "len(under_way.queue) > 0",
-        "min(len(under_way.late), len(acting)) >= under_way.queue.shape[1]",
-    )
+    @requires("len(under_way.queue) > 0", "min(len(under_way.late), len(acting)) >= under_way.queue.shape[1]")
     def move(
         t: float, y: Vector, under_way: UnderWay, p: Vector, dt: float, substeps: int, acting: Vector, work: Matrix
     ) -> None:

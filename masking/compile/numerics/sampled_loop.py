@@ -454,9 +454,7 @@ def transforms(transform: Kernel, count: int) -> Kernel:
     """
 
     @compiled
-    @requires(
-        "min(len(states), len(virtual)) >= len(times)",
-    )
+    @requires("min(len(states), len(virtual)) >= len(times)")
     def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix) -> None:
         for i in range(times.size):
             transform(times[i], states[i, :count], states[i, count:], p, virtual[i])
@@ -471,9 +469,7 @@ def along(transform: Kernel, step: Kernel, count: int) -> Kernel:
     """
 
     @compiled
-    @requires(
-        "min(len(states), len(virtual), len(inputs)) >= len(times)",
-    )
+    @requires("min(len(states), len(virtual), len(inputs)) >= len(times)")
     def every(times: Vector, states: Matrix, p: Vector, virtual: Matrix, inputs: Matrix) -> None:
         for i in range(times.size):
             transform(times[i], states[i, :count], states[i, count:], p, virtual[i])

@@ -36,9 +36,7 @@ def sampled_step(control: Kernel, sizes: Sizes) -> Kernel:
     channels = sizes.actuators
 
     @compiled
-    @requires(
-        *OF_READINGS,
-    )
+    @requires(*OF_READINGS)
     def answer(
         index: int, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, first: Vector, work: Matrix
     ) -> int:
@@ -56,9 +54,7 @@ def law_step(step: Kernel, coordinates: int, inputs: int) -> Kernel:
     """
 
     @compiled
-    @requires(
-        "len(inverse) >= len(commands)",
-    )
+    @requires("len(inverse) >= len(commands)")
     def answer(t: float, y: Vector, p: Vector, inverse: Matrix, u: Vector, commands: Vector, first: Vector) -> int:
         health = step(t, y[:coordinates], y[coordinates:], u, p)
         for i in range(commands.size):

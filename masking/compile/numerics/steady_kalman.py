@@ -9,17 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    from scipy import linalg
-else:
-    linalg = lazy.load("scipy.linalg", suppress_warning=True)
+from masking.lazy_imports import linalg
 
 MOST_SIZE = 1e300  # of a flow over a sample
 MOST_DOUBLINGS = 60  # of the samples that are covered

@@ -101,9 +101,7 @@ def taylor(coefficients: Kernel, order: int, size: int) -> Kernel:
         return part * radius
 
     @compiled
-    @requires(
-        "len(states) >= len(times)",
-    )
+    @requires("len(states) >= len(times)")
     def solve(
         t: float, y: Vector, times: Vector, u: Vector, p: Vector, accuracy: Accuracy, states: Matrix, work: Matrix
     ) -> tuple[int, float, int]:

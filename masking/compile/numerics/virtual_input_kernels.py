@@ -153,9 +153,7 @@ def control(
     read, feel = reading(sensors), feeling(pushes)
 
     @compiled
-    @requires(
-        *OF_READINGS,
-    )
+    @requires(*OF_READINGS)
     def step(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         p = unit.p
         at = first_table(t, p)

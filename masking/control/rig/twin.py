@@ -10,9 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -24,20 +22,13 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import equilibrium
 from masking.control.rig.allocation import allocation
 from masking.errors import DeclarationError, Problem, RecordError, RootError, nearest
+from masking.lazy_imports import runge_kutta
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import couplings, registry, schema, units
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Attachment, Effect, attach_all, dictionary, expressions
 from masking.model.modelling.lowering import LoweredEquations
 from masking.model.modelling.model import Model
-
-if TYPE_CHECKING:
-    import sympy as sp
-
-    from masking.compile.numerics import runge_kutta
-else:
-    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
-    sp = lazy.load("sympy")
-
 
 MOST_STEPS = 10_000  # per sample: thirty turns of an undamped motion, of which no record tells
 FEWEST_STEPS = 2  # per sample: the linearisation at rest sees neither contact nor friction

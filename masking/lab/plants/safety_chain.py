@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,11 +24,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST, TIME
 from masking.compile.numerics.kernel_arguments import Guarded, Watched
 from masking.errors import PlantMismatchError
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import fault_detection
-else:
-    fault_detection = lazy.load("masking.compile.numerics.fault_detection", suppress_warning=True)
+from masking.lazy_imports import fault_detection
 
 OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200

@@ -7,18 +7,13 @@ import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
 from masking.errors import RecordError, nearest
-
-if TYPE_CHECKING:
-    from masking.lab.records import parquet
-else:
-    parquet = lazy.load("masking.lab.records.parquet", suppress_warning=True)
+from masking.lazy_imports import parquet
 
 Column = NDArray[np.float64]
 LARGE: Final = 2**28  # bytes in memory, from which on a recording stays on disk

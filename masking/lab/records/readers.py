@@ -15,9 +15,7 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,15 +28,8 @@ from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lab.records.text_table import TextTable
 from masking.lab.records.time_base import CLOCK, Channels, Resampling
 from masking.lab.records.time_slice import Part, exists
-
-if TYPE_CHECKING:
-    from scipy import io as scipy_io
-
-    from masking.lab.records import hdf5, parquet
-else:
-    hdf5 = lazy.load("masking.lab.records.hdf5", suppress_warning=True)
-    parquet = lazy.load("masking.lab.records.parquet", suppress_warning=True)
-    scipy_io = lazy.load("scipy.io", suppress_warning=True)
+from masking.lazy_imports import hdf5, parquet
+from masking.lazy_imports import io as scipy_io
 
 Column = NDArray[np.float64]
 PREFIXES = ("input", "sensor")

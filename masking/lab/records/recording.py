@@ -18,9 +18,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,13 +28,7 @@ from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
 from masking.lab.records.columns_on_disk import StoredColumns, read
 from masking.lab.records.time_slice import Part
-
-if TYPE_CHECKING:
-    from masking.display.axes import NotebookFigure
-    from masking.lab.records import parquet, views
-else:
-    parquet = lazy.load("masking.lab.records.parquet", suppress_warning=True)
-    views = lazy.load("masking.lab.records.views", suppress_warning=True)
+from masking.lazy_imports import axes, parquet, views
 
 FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
@@ -230,7 +223,7 @@ class Recording:
         """Xarray Dataset over the time `t`; variables have `units` and `long_name`. A RecordError without xarray."""
         return views.dataset(self.columns, self.units, self.meanings, self.name)
 
-    def plot(self, *columns: str) -> NotebookFigure:
+    def plot(self, *columns: str) -> axes.NotebookFigure:
         """Draw columns over the time, one row of axes for each argument; a notebook shows the figure.
 
         Args:
@@ -357,6 +350,13 @@ def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # w
     column = column.view()
     column.flags.writeable = False
     return column
+
+
+def with_finite(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """Columns; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
+    finite = {name: np.isfinite(values) for name, values in columns.items()}
+    found = {name: np.where(finite[name], values, 0.0) for name, values in columns.items()}
+    return found | {f"nonfinite.{name}": np.where(part, 0.0, 1.0) for name, part in finite.items() if not part.all()}
 
 
 def _check(columns: Mapping[str, NDArray[np.float64]]) -> None:

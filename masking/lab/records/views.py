@@ -5,9 +5,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +14,7 @@ from masking.display import fragments, symbols
 from masking.display.palette import COLOURS, INK
 from masking.display.thinning import thin
 from masking.errors import RecordError
-
-if TYPE_CHECKING:
-    from masking.display import axes
-else:
-    axes = lazy.load("masking.display.axes", suppress_warning=True)
+from masking.lazy_imports import axes
 
 Columns = Mapping[str, NDArray[np.float64]]
 IDEAL: Final = "ideal"

@@ -31,8 +31,7 @@ from masking.lab.runs.experiment_inputs import VirtualInputs, live_inputs
 from masking.lab.runs.ideal_motion import Ideal, Reached
 from masking.lab.runs.offline import Mapped, Run, TwinRun
 from masking.lab.runs.passive_coordinates import Passive
-from masking.lab.runs.recording_columns import Columns
-from masking.lab.runs.run_summary import Summary
+from masking.lab.runs.recording_columns import Columns, Summary
 from masking.lab.runs.stopping import StopCondition
 from masking.model.declaration import cross_checks, registry, schema
 from masking.model.declaration.catalogue import Reference
@@ -296,7 +295,7 @@ class Experiment:
 
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
-        passive = self.passive if loop.mapping == self.match.mapping else self.assumed_passive
+        passive = self.passive if loop.match.mapping == self.match.mapping else self.assumed_passive
         return offline.rig_state(loop, self.virtual_start, passive=passive.initial() if passive else None)
 
     @cached_property

@@ -18,8 +18,8 @@ from masking.compile.codegen.compiled_functions import InPieces, Kernels, steps_
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.kernel_arguments import Recorded, Rig, Samples, States, Unit
 from masking.compile.numerics.newton import root
-from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
+from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import Controller
 from masking.control.sampled_controller import SampledLoop
 from masking.errors import ModelError, RootError
@@ -262,7 +262,7 @@ def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     def slope(y: Array, out: Array) -> None:
         loop.kernels.plant_derivative(0.0, y, u, p, out)
 
-    return steps_between(slope, state, np.resize(loop.lengths, len(state)), rate)
+    return steps_between(slope, state, np.resize(loop.match.lengths, len(state)), rate)
 
 
 class Mapped(Protocol):
@@ -273,12 +273,8 @@ class Mapped(Protocol):
         """Control law."""
 
     @property
-    def mapping(self) -> Transform:
-        """Virtual coordinates by those of the rig, each measured in `lengths`."""
-
-    @property
-    def lengths(self) -> Array:
-        """Size in SI units of one unit of each coordinate of the rig (n,)."""
+    def match(self) -> CoordinateMatch:
+        """Virtual coordinates by those of the rig."""
 
     @property
     def kernels(self) -> Kernels:
@@ -295,10 +291,10 @@ def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, 
     coordinates, then velocities, of those that no virtual one stands for (2 (n - k),); 0 by default, as coordinates
     `near` (n,) at which Newton's method begins. A ModelError where no rig position gives the virtual coordinates.
     """
-    lengths = loop.lengths
+    lengths = loop.match.lengths
     k = len(loop.controller.virtual.coordinates)
     eta, rate = virtual_state[:k], virtual_state[k : 2 * k] / loop.controller.time_scale
-    free = list(loop.mapping.passive)
+    free = list(loop.match.mapping.passive)
     beside = np.zeros(2 * len(free)) if passive is None else passive
     whole, rates = np.append(eta, beside[: len(free)]), np.append(rate, beside[len(free) :])
     generator = np.random.default_rng(0)
@@ -336,7 +332,7 @@ def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:
     for i in range(n):
         loop.kernels.transform(0.0, q, np.eye(n)[i], p, out)
         jacobian[:, i] = out[k:] / loop.controller.time_scale
-    free = list(loop.mapping.passive)
+    free = list(loop.match.mapping.passive)
     return np.append(out[:k], q[free]), np.concatenate([jacobian, np.eye(n)[free]])
 
 

@@ -9,18 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Final, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, Problem
-
-if TYPE_CHECKING:
-    from scipy import stats
-else:
-    stats = lazy.load("scipy.stats", suppress_warning=True)
+from masking.lazy_imports import stats
 
 Sampling = Literal["random", "latin", "sobol"]
 FACTOR: Final = "x:"  # before values that the declared one is multiplied by

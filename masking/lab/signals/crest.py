@@ -22,20 +22,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array, Complex
 from masking.lab.signals.multisines import TURN, Multisine, check_size, crest_factor, periodic, schroeder_phases, wave
 from masking.lab.signals.signal_arguments import count, positive
-
-if TYPE_CHECKING:
-    from scipy import fft, linalg
-else:
-    fft = lazy.load("scipy.fft", suppress_warning=True)
-    linalg = lazy.load("scipy.linalg", suppress_warning=True)
+from masking.lazy_imports import fft, linalg
 
 Progress = Callable[[float], object]
 

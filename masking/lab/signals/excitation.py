@@ -14,20 +14,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError, nearest
 from masking.lab.records.recording import FORMAT, Recording
 from masking.lab.signals.signal_arguments import names, positive
-
-if TYPE_CHECKING:
-    from masking.lab.records import parquet
-else:
-    parquet = lazy.load("masking.lab.records.parquet", suppress_warning=True)
+from masking.lazy_imports import parquet
 
 KIND: Final = "excitation"
 PREFIX: Final = "input."

@@ -6,20 +6,14 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.lab.signals.signal_arguments import positive, real, row
-
-if TYPE_CHECKING:
-    from scipy import fft
-else:
-    fft = lazy.load("scipy.fft", suppress_warning=True)
+from masking.lazy_imports import fft
 
 TURN = 2.0 * math.pi
 # Samples for each period of the highest line where a peak is looked for. The curvature of a multisine is at most

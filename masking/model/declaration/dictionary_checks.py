@@ -10,22 +10,15 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-import lazy_loader as lazy
 
 from masking.errors import DeclarationError, Problem
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration.checks import bounded, problem_at
 from masking.model.declaration.dimensions import dimension_in, unit_problem
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import Step
 from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.model.declaration.units import NONE, Dimension, describe, dimension_of
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 MOST_PARAMETERS = 7
 MOST_STATES = 1

@@ -12,19 +12,13 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
-
-import lazy_loader as lazy
+from typing import Any, Protocol, TypeVar
 
 from masking.errors import DeclarationError, Place, Problem, nearest
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration.operations import CONSTANTS, LARGEST_EXPONENT, OPERATIONS, Step
 from masking.model.declaration.syntax import parse
 from masking.model.declaration.tables import TABLES, trouble
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 V = TypeVar("V")
 

@@ -10,16 +10,10 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
-
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import tables
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _MANY = 1000
 # Functions of one argument that sympy calls as `math` does.

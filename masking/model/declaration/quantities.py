@@ -5,16 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
-
+from masking.lazy_imports import uncertainties
 from masking.model.declaration.units import RAISED, combined, dimension_of, factor_of, pretty
-
-if TYPE_CHECKING:
-    import uncertainties
-else:
-    uncertainties = lazy.load("uncertainties")
 
 ROUNDING = 1e-12  # of a value in double precision: a deviation below it is none
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}

@@ -15,14 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
+from masking.lazy_imports import sympy as sp
 
 FEWEST = 2  # points
 TABLES = ("interpolate", "interpolate_monotone")

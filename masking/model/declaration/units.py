@@ -15,18 +15,12 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import lazy_loader as lazy
+from typing import Any, NamedTuple
 
 from masking.errors import DeclarationError, Problem
+from masking.lazy_imports import pint
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import Step
-
-if TYPE_CHECKING:
-    import pint
-else:
-    pint = lazy.load("pint")
 
 Dimension = tuple[Fraction, ...]
 

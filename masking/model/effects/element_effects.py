@@ -164,10 +164,7 @@ ELEMENTS: tuple[Effect, ...] = (
         "eddy_current_drag",
         "A drag that is proportional to small rates, has its largest value at the rate vc, and falls beyond it.",
         "c*d_rate/(1 + (d_rate/vc)**2)",
-        {
-            "c": EffectParameter("F*s/D", "damping at small rates", (0.0, 10.0), 0.5, None, NOT_NEGATIVE),
-            "vc": _DRAG,
-        },
+        {"c": EffectParameter("F*s/D", "damping at small rates", (0.0, 10.0), 0.5, None, NOT_NEGATIVE), "vc": _DRAG},
         cause="a conductor that moves through the field of a magnet, an eddy current brake",
         remedy="remove conductors from the field, or let the controller cancel the force",
         source="Wouterse (1991), IEE Proc. B 138(4), 153-158",

@@ -10,24 +10,18 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.linear_systems import solve
 from masking.errors import ModelError
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema
 from masking.model.declaration.checks import equation_of
 from masking.model.declaration.couplings import driven_outputs, motion_rate
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import delay_function
 from masking.model.modelling.gradient import gradient, jacobian, rate
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 _PART = 1e-9  # of a combination of equations: a smaller one is none of it
 

@@ -6,23 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal, Protocol, Self, TypeAlias
+from typing import Literal, Protocol, Self, TypeAlias
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, Trajectory
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
+from masking.lazy_imports import interpolate
 from masking.model.declaration import schema
 from masking.model.declaration.input_definitions import CELLS, cell, with_inputs
 from masking.model.declaration.input_source import InputSource
 from masking.model.modelling.scales import Units
-
-if TYPE_CHECKING:
-    from scipy import interpolate
-else:
-    interpolate = lazy.load("scipy.interpolate", suppress_warning=True)
 
 Inputs: TypeAlias = "Sequence[float] | Mapping[str, float | Series | Sequence[float]] | None"  # of a simulation
 Interpolation = Literal["linear", "previous", "cubic"]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-import lazy_loader as lazy
 
 from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
@@ -16,19 +13,10 @@ from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_sw
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
 from masking.compile.numerics.rig_sizes import LANES
+from masking.lazy_imports import delayed, events, lanes, runge_kutta, taylor_integrator
+from masking.lazy_imports import sympy as sp
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.scales import Units
-
-if TYPE_CHECKING:
-    import sympy as sp
-
-    from masking.compile.numerics import delayed, events, lanes, runge_kutta, taylor_integrator
-else:
-    delayed = lazy.load("masking.compile.numerics.delayed", suppress_warning=True)
-    events = lazy.load("masking.compile.numerics.events", suppress_warning=True)
-    runge_kutta = lazy.load("masking.compile.numerics.runge_kutta", suppress_warning=True)
-    lanes = lazy.load("masking.compile.numerics.lanes", suppress_warning=True)
-    taylor_integrator = lazy.load("masking.compile.numerics.taylor_integrator", suppress_warning=True)
 
 
 @dataclass

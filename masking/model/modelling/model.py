@@ -11,9 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -21,6 +19,8 @@ from masking.compile.codegen.compiled_functions import Kernels, Trajectory
 from masking.compile.codegen.source import Module
 from masking.display import fragments, symbols
 from masking.errors import DeclarationError, ModelError
+from masking.lazy_imports import control, typeset
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import registry, schema
 from masking.model.declaration.catalogue import Reference
 from masking.model.declaration.couplings import motions
@@ -31,16 +31,6 @@ from masking.model.modelling import ensembles, input_series
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.lowering import module
 from masking.model.modelling.scales import Shown, Units
-
-if TYPE_CHECKING:
-    import control
-    import sympy as sp
-
-    from masking.model.modelling import typeset
-else:
-    control = lazy.load("control")
-    sp = lazy.load("sympy")
-    typeset = lazy.load("masking.model.modelling.typeset", suppress_warning=True)
 
 
 def load_model(name_or_path: str | Path, counts: Mapping[str, int] | None = None) -> Model:

@@ -12,20 +12,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import lazy_loader as lazy
+from typing import Any, NamedTuple
 
 from masking.errors import DeclarationError, ModelError, Problem, nearest
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema
 from masking.model.declaration.checks import bounded
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.units import Conversion, combined, conversion
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
 
 PLAIN = "1"
 SECOND = "s"
