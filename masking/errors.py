@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import errno
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import ClassVar
 
 _SHOWN_NAMES = 8
@@ -59,15 +59,8 @@ class Problem:
 
     def as_dict(self) -> dict[str, str | int | None]:
         """Give the problem as JSON can hold it; file, line and column are None for text that came from no file."""
-        place = self.place
-        return {
-            "file": place.file if place else None,
-            "line": place.line if place else None,
-            "column": place.column if place else None,
-            "path": self.path,
-            "message": self.message,
-            "remedy": self.remedy,
-        }
+        place = asdict(self.place) if self.place else dict.fromkeys(("file", "line", "column"))
+        return {**place, "path": self.path, "message": self.message, "remedy": self.remedy}
 
 
 class MaskingError(Exception):

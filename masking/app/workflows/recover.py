@@ -16,7 +16,7 @@ from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import CLOSED
-from masking.lab.records.recording import Recording
+from masking.lab.records.recording import Recording, with_finite
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import is_running
 from masking.lab.records.stream_reader import Stream
@@ -134,12 +134,8 @@ def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mappi
     Where the plant's clock did not go on from each to the next, they are as far apart as they should be, at `times`.
     """
     rate = float(found.manifest["rate"])
-    columns = {"t": column["tick"] / rate if np.all(np.diff(column["tick"]) > 0.0) else times}
-    for name, values in column.items():
-        finite = np.isfinite(values)
-        columns[name] = np.where(finite, values, 0.0)
-        if not finite.all():
-            columns[f"nonfinite.{name}"] = np.where(finite, 0.0, 1.0)
+    clock = column["tick"] / rate if np.all(np.diff(column["tick"]) > 0.0) else times
+    columns = with_finite({"t": clock, **column})
     kept = {name: found.manifest.get(name) for name in ("created", "columns", "declarations", "files", "versions")}
     return Recording(columns, {"name": "the ticks of a run", **kept, "rate": rate, "recovered": dict(lost)})
 

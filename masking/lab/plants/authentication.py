@@ -28,7 +28,7 @@ from typing import Final, final
 
 from masking.errors import PlantMismatchError, WireError
 from masking.lab.plants import wire
-from masking.lab.plants.transport import Hub, Line, Peer
+from masking.lab.plants.transport import Around, Hub, Line, Peer
 from masking.lab.plants.wire import Kind
 
 TAG: Final = 16  # bytes
@@ -108,10 +108,11 @@ class _Tags:
 
 
 @final
-class AuthenticatedLine:
+class AuthenticatedLine(Around):
     """The controller's end of a line whose frames have tags, by the key that the server has, too."""
 
     def __init__(self, line: Line, key: Key) -> None:
+        super().__init__(line)
         self._line, self._key = line, key
         self._hello = b""
         self._session = -1
@@ -126,10 +127,6 @@ class AuthenticatedLine:
                 self._session = wire.session_of(frame)
                 self._first = self._tags = self._key.tags(self._session)
         self._line.send((self._first if is_hello else self._tags)[0].add(frame))
-
-    def waits(self, seconds: float) -> bool:
-        """Whether a frame waits to be read, or comes within a time."""
-        return self._line.waits(seconds)
 
     def receive(self) -> bytes:
         """Frame that waits, without its tag; a challenge is answered, a BlockingIOError; a wrong tag is a WireError."""
@@ -147,16 +144,13 @@ class AuthenticatedLine:
             raise BlockingIOError("it was a challenge")
         raise _unauthenticated()
 
-    def close(self) -> None:
-        """Give the line back."""
-        self._line.close()
-
 
 @final
-class AuthenticatedHub:
+class AuthenticatedHub(Around):
     """The plant's end of lines whose frames have tags, by the key that its controllers have, too."""
 
     def __init__(self, hub: Hub, key: Key) -> None:
+        super().__init__(hub)
         self._hub, self._key = hub, key
         self.address, self.is_local = hub.address, hub.is_local
         self._secret = secrets.token_bytes(32)
@@ -165,10 +159,6 @@ class AuthenticatedHub:
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame; OSError where it cannot go out."""
         self._hub.send(self._tags(wire.session_of(frame))[1].add(frame), peer)
-
-    def waits(self, seconds: float) -> bool:
-        """Whether a frame waits to be read, or comes within a time."""
-        return self._hub.waits(seconds)
 
     def receive(self) -> tuple[bytes, Peer]:
         """Frame that waits, without its tag, and where it came from; a first hello is challenged.
@@ -195,10 +185,6 @@ class AuthenticatedHub:
             text = "its key is another one, or none was given; give the server's by --key FILE"
             self._hub.send(wire.encode(Kind.REFUSE, session, text=text), peer)
         raise _unauthenticated()
-
-    def close(self) -> None:
-        """Give the line back."""
-        self._hub.close()
 
     def _tags(self, session: int) -> tuple[_Tags, _Tags]:
         return self._known.get(session) or self._key.tags(session, self._nonce(session))

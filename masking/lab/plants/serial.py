@@ -16,7 +16,7 @@ from masking.errors import PlantMismatchError
 from masking.lab.plants import address as addresses
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.remote import RemotePlant
-from masking.lab.plants.transport import Peer
+from masking.lab.plants.transport import Around, Peer
 from masking.lab.plants.wire import Splitter, to_stream
 
 FORM: Final = "serial:///dev/ttyACM0?baud=115200"
@@ -118,7 +118,7 @@ class SerialLine:
 
 
 @final
-class SerialHub:
+class SerialHub(Around):
     """The plant's end of a serial line, which has one controller."""
 
     is_local = True
@@ -134,23 +134,16 @@ class SerialHub:
             raise PlantMismatchError(f"{address} cannot be served ({error}); choose another port") from error
         self.address = f"serial://{port.name}" if isinstance(port, _PseudoTerminal) else address
         self._line, self._peer = SerialLine(port), (self.address,)
+        super().__init__(self._line)
 
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame."""
         del peer  # there is one
         self._line.send(frame)
 
-    def waits(self, seconds: float) -> bool:
-        """Whether a frame waits to be read, or comes within a time."""
-        return self._line.waits(seconds)
-
     def receive(self) -> tuple[bytes, Peer]:
         """Frame that waits."""
         return self._line.receive(), self._peer
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._line.close()
 
 
 class _Descriptor:

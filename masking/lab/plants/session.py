@@ -1,10 +1,12 @@
-"""Session: one controller of a served plant, from its hello to its end, and what a plant allows its controllers."""
+"""Session: one controller of a served plant, from its hello to its end: what it may, and a row for each sample."""
 
 from __future__ import annotations
 
 import contextlib
+import datetime
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -12,10 +14,11 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantMismatchError
-from masking.lab.plants.interface import Plant, Settings
-from masking.lab.plants.session_rows import SessionRows
+from masking.lab.plants.interface import Plant, Sample, Settings, Telling
 from masking.lab.plants.transport import Peer
 from masking.lab.plants.wire import Frame
+from masking.lab.records.recording import Recording, with_finite
+from masking.lab.records.tick_times import timing
 
 SILENT_START: Final = 10.0  # seconds until the first command; the outputs are zero meanwhile
 LONGEST_WATCHDOG: Final = 1.0  # s
@@ -139,3 +142,61 @@ class Session:
             **({"acknowledged": self.acknowledged} if self.acknowledged else {}),
             "counters": dict(self.counters),
         }
+
+
+CHUNK: Final = 4096  # rows
+_FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
+
+
+@final
+class SessionRows:
+    """The rows of a session, in chunks made ahead so that no tick waits for memory."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.names = [*_FIXED, *(f"sensor.{name}" for name in plant.sensors)]
+        self.inputs = slice(len(self.names), len(self.names) + len(plant.actuators))
+        self.names += [f"input.{name}" for name in plant.actuators]
+        self.telemetry = tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
+        self.names += [f"plant.{name}" for name in self.telemetry]
+        self.sensors = slice(len(_FIXED), self.inputs.start)
+        self.count = 0
+        self.is_open = False
+        self.chunks = [self.chunk(), self.chunk()]
+
+    def chunk(self) -> Array:
+        """Make room for more rows."""
+        return np.full((CHUNK, len(self.names)), np.nan)
+
+    @property
+    def row(self) -> Array:
+        """The last row that was begun."""
+        row: Array = self.chunks[(self.count - 1) // CHUNK][(self.count - 1) % CHUNK]
+        return row
+
+    def begin(self, sample: Sample, rate: float, wall: float, late: float) -> None:
+        """Begin the row of a sample."""
+        if self.count == len(self.chunks) * CHUNK:
+            self.chunks.append(self.chunk())
+        self.count += 1
+        self.is_open = True
+        row = self.row
+        row[:4] = sample.index / rate, sample.index, wall, late
+        row[self.sensors] = sample.values
+
+    def finish(self, plant: Plant, command: Array, *, fresh: bool, latched: bool) -> None:
+        """Complete the row: the command (actuators,) that held, the plant's telemetry, and what happened."""
+        row = self.row
+        row[4:6] = fresh, latched
+        row[self.inputs] = command
+        if isinstance(plant, Telling):
+            values = plant.telemetry()
+            row[self.inputs.stop :] = [values[name] for name in self.telemetry]
+        self.is_open = False
+
+    def recording(self, manifest: Mapping[str, Any]) -> Recording:
+        """Rows; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
+        columns = with_finite(dict(zip(self.names, np.concatenate(self.chunks)[: self.count].T, strict=True)))
+        created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        head = {"name": "a plant's own record", "created": created}
+        clock = {"lateness": columns["late"]} if manifest["clock"] == "real" else {}
+        return Recording(columns, {**head, **manifest, "timing": timing(columns["tick"].astype(np.int64), **clock)})

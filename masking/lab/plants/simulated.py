@@ -10,7 +10,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import ModelError
-from masking.lab.plants.interface import APPLIED, Sample, Settings
+from masking.lab.plants.interface import APPLIED, Settings
 from masking.lab.plants.stepped import SteppedPlant
 
 
@@ -22,6 +22,8 @@ class SimulatedPlant(SteppedPlant):
     is that of the sensors' noise. A ModelError where a sensor reads at once what is commanded, as the force of a
     component: nothing can answer it.
     """
+
+    may_diverge = True
 
     def __init__(self, twin: Twin, seed: int = 0) -> None:
         if "sense" not in twin.kernels.meta["functions"]:
@@ -48,20 +50,12 @@ class SimulatedPlant(SteppedPlant):
         moved = (self._time, self._y, self._queue, self._late, values, step, substeps, self._acting)
         self._sense, self._move = twin.kernels.sense.bind(*sensed), twin.kernels.move.bind(*moved)
 
-    def read(self) -> Sample:
-        """Sample after the last command, or the same again where no command came."""
-        self._life.need_active("read")
-        if self._tick < 0 or self._is_moved:
-            self._tick += 1
-            self._is_moved = False
-            self._generator.standard_normal(out=self._noise)
-            self._time[0] = self._tick / self._rate
-            self._sense.call()
-        return Sample(self._tick, self.readings())
-
     def readings(self) -> Array:
-        """Readings of this tick, whether finite or not."""
-        return self._readings.copy()
+        """Readings of a new tick, with noise of their own."""
+        self._generator.standard_normal(out=self._noise)
+        self._time[0] = self._tick / self._rate
+        self._sense.call()
+        return self._readings
 
     def step(self, command: Array) -> None:
         """Let the rig move by one sample, and this command (actuators,) act after the delay."""

@@ -16,13 +16,14 @@ class SteppedPlant(ABC):
     """A plant's rules, so that an adapter has to begin, step, read and end; a command acts in its tick, and holds."""
 
     owns_clock = False
+    may_diverge = False  # whether readings that are not finite are passed on
     sensors: tuple[str, ...]
     actuators: tuple[str, ...]
 
     def __init__(self, sensors: tuple[str, ...], actuators: tuple[str, ...]) -> None:
         self.sensors, self.actuators = sensors, actuators
         self._life = LifeCycle()
-        self._applied = np.zeros(len(actuators))
+        self._applied, self._values = np.zeros(len(actuators)), np.zeros(len(sensors))
         self._tick, self._is_moved = 0, True
 
     @abstractmethod
@@ -35,7 +36,7 @@ class SteppedPlant(ABC):
 
     @abstractmethod
     def readings(self) -> Array:
-        """Array (sensors,) of its own with what the sensors show now."""
+        """What the sensors show at a new tick (sensors,)."""
 
     @abstractmethod
     def end(self) -> None:
@@ -54,16 +55,16 @@ class SteppedPlant(ABC):
         self._life.activate()
 
     def read(self) -> Sample:
-        """Sample after the last command, or the same again where no command came; finite readings only."""
+        """Sample after the last command, or the same again where no command came."""
         self._life.need_active("read")
         if self._tick < 0 or self._is_moved:
             self._tick += 1
             self._is_moved = False
-        values = self.readings()
-        if not np.isfinite(values).all():
-            name = self.sensors[int(np.argmin(np.isfinite(values)))]
+            self._values[:] = self.readings()
+        if not (self.may_diverge or np.isfinite(self._values).all()):
+            name = self.sensors[int(np.argmin(np.isfinite(self._values)))]
             raise PlantError(f"sample {self._tick}: {name} is not finite; the simulation is unstable: step it faster")
-        return Sample(self._tick, values)
+        return Sample(self._tick, self._values.copy())
 
     def write(self, index: int, command: Array) -> None:
         """Move by one sample under this command (actuators,)."""
