@@ -8,9 +8,9 @@ A module is made of two kinds of functions. Both say the types of their argument
   `numerics.sampled_loop.transforms`. `Module.add_factory("transforms", sampled_loop.transforms, "transform",
   2)` adds what it returns; text names a function of the module, all else is written as it is. The factory lives in a
   module that takes `compiled` from `numerics.compilation` and postpones annotations (`from __future__`); import
-  it from `masking.lazy_imports`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the last
-  argument is work space that callers need not give. With `exported=False` only other functions of the module call it,
-  and its arguments need no types.
+  it from `masking.lazy_imports`, so that numba is not imported where nothing is compiled. With `work=(rows, width)` the
+  last argument is work space that callers need not give. With `exported=False` only other functions of the module call
+  it, and its arguments need no types.
 """
 
 from __future__ import annotations
