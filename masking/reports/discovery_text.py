@@ -7,8 +7,8 @@ import numpy as np
 from masking.inference.discovery import compiled_laws, latent_force
 from masking.inference.discovery.discovery_result import Discovery, Named
 from masking.inference.discovery.localisation import LatentForces
-from masking.inference.discovery.unit_check import AND, UnitDoubt
 from masking.inference.discovery.unnamed_law import UnnamedLaw
+from masking.inference.estimation.unit_check import UnitDoubt
 from masking.model.declaration.quantities import number, percent, quantity, with_deviation
 from masking.model.declaration.units import combined, describe, dimension_of, pretty
 from masking.model.effects import Effect
@@ -24,7 +24,6 @@ MOVED = 3.0  # of its deviations: a larger move of a parameter is stated; of tho
 APART = 0.02  # of its declared value by which it moved then
 LOST = 0.9  # part of a reading that is left, from which the model is said not to follow it
 LARGER = 1.05  # times the record's own peak, from which that of an experiment is stated
-MANY = 10.0  # relative error from which it is not given as a number
 EXCHANGED = "Unseen data alone show it: it was estimated from these, and validated by the others"
 HARDLY_A_FORCE = "Along the record, two of its standard deviations are as large as the force: there may be none"
 EARLY = (
@@ -79,28 +78,14 @@ def unit_remark(found: Discovery) -> str:
     doubt = found.unit
     if doubt is None:
         return ""
-    before, after = (percent(part) if part < MANY else "far more than all" for part in doubt.error)
-    looks = plural(len(doubt.names), "looks as if it", "look as if they")
-    remedy = "give the times in s"
-    if doubt.is_sign:
-        remedy = "reverse it in the record or in the model"
-    elif doubt.kind != "clock":
-        where = listed([f"{unit_key(found, doubt, name)}.unit" for name in doubt.names])
-        remedy = f"declare unit{'s' * (AND in doubt.unit)}: {doubt.unit} ({where})"
-    instead = "had its sign reversed" if doubt.is_sign else f"were in {doubt.unit}, not {doubt.declared}"
-    others = [f"{_quoted(one)} {'with its sign reversed' if one.is_sign else f'in {one.unit}'}" for one in doubt.alike]
-    taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
     needed = [
         f"{cause_name(found, name, on) if on else name} {number(times, 4)} times as large"
         for (name, on), times in doubt.otherwise
     ]
-    sentences = [
-        f"{_quoted(doubt)} {looks} {instead}: {remedy}",
-        f"This record does not tell that from {alternatives(others)}" if others else "",
-        f"{taken}, the record would need {listed(needed)} as declared" if needed else "",
-        f"The model as declared leaves {before} of the readings, and {after} of them so, as the record is taken here",
-    ]
-    return ". ".join(filter(None, sentences))
+    taken = "With the declared sign" if doubt.is_sign else f"In {doubt.declared}"
+    *first, last = doubt.sentences(found.twin, found.record.sources, ", as the record is taken here")
+    more = f"{taken}, the record would need {listed(needed)} as declared" if needed else ""
+    return ". ".join(filter(None, [*first, more, last]))
 
 
 def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
@@ -108,11 +93,6 @@ def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
     plant = found.twin.declaration
     of_model = doubt.kind == "actuator" and name not in plant.actuators
     return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
-
-
-def _quoted(doubt: UnitDoubt) -> str:
-    """Names of the channels in another unit, in quotation marks."""
-    return listed([f"'{name}'" for name in doubt.names])
 
 
 def withheld_causes(found: Discovery) -> str:

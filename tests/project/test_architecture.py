@@ -49,7 +49,7 @@ FLOORS: dict[str, set[str]] = {
         *("numerics", "declaration", "display", "effects", "codegen", "modelling", "records", "analysis", "rig"),
         *("control", "plants", "signals"),
     },
-    "estimation": {"numerics", "display", "codegen", "records", "rig"},
+    "estimation": {"numerics", "declaration", "display", "codegen", "records", "rig"},
     "discovery": {
         *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
     },

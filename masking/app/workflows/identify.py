@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import showing
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
-from masking.inference.estimation import extended_kalman
+from masking.inference.estimation import extended_kalman, unit_check
 from masking.inference.estimation import fit as fits
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.innovations import KalmanFit
@@ -78,6 +80,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     train, held_out = (
         [Data.read(path, twin, **given.reading) for path in paths] for paths in (records, given.validation)
     )
+    doubts = [(one, unit_check.checked(twin, one, names)) for one in (*train, *held_out)]
     more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
     found: fits.Fit | KalmanFit
     if given.method == "kalman":
@@ -85,9 +88,14 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         found = extended_kalman.extended_kalman(twin, train[0], names, form, **more)
     else:
         found = fits.fit(twin, train, names, shooting_interval=given.shooting_interval, **more)
-    found = replace(
-        found, notes=(*dict.fromkeys(note for one in (*train, *held_out) for note in one.notes), *found.notes)
-    )
+    declared, left = np.array([twin.parameter_value(name) for name in names]), max(found.chi.values())
+    notes = list[str]()
+    for one, doubt in doubts:
+        notes += [
+            *one.notes,
+            *([doubt.note(twin, one)] if doubt and doubt.stands(declared, found.values, left) else []),
+        ]
+    found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
     if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)
         fit_files.save(found, given.out)

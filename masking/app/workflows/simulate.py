@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.errors import ColumnError, DeclarationError, IntegrationError, ModelError, Problem
-from masking.inference.estimation import simulation
+from masking.inference.estimation import simulation, unit_check
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated
 from masking.lab.records.input_hold import RecordForm
@@ -74,6 +74,9 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
             least, most = 2.0 / given.rate, len(given) / given.rate
             message = f"{seconds:g} s do not hold 2 readings or more of the record"
             raise DeclarationError(Problem(None, name, message, f"give {least:g} ... {most:g} s"))
+    doubt = unit_check.checked(twin, given)
+    if doubt is not None:
+        given = replace(given, notes=(*given.notes, doubt.note(twin, given)))
     try:
         if interval is None:
             made = simulation.simulate(twin, given, initial=initial)

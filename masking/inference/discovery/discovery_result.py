@@ -19,10 +19,11 @@ from masking.inference.discovery.localisation import Localisation, ResidualWhite
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import DecisionRules
-from masking.inference.discovery.unit_check import UnitDoubt, far_off
+from masking.inference.discovery.units_after_search import far_off
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.discovery.verdict import at_noise_floor, is_closed
 from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.unit_check import UnitDoubt
 from masking.inference.estimation.whiteness import Whiteness, whiteness
 from masking.model.effects import Effect
 

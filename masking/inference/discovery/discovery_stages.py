@@ -16,7 +16,14 @@ from threadpoolctl import threadpool_limits
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, MaskingError
-from masking.inference.discovery import fitting, held_out, instrument_errors, shooting_intervals, unit_check, verdict
+from masking.inference.discovery import (
+    fitting,
+    held_out,
+    instrument_errors,
+    shooting_intervals,
+    units_after_search,
+    verdict,
+)
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.directed_places import are_worth_a_search
@@ -38,10 +45,10 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of, steps_of
 from masking.inference.discovery.search import SearchResult, Tell
 from masking.inference.discovery.smoothing import centred
-from masking.inference.discovery.unit_check import UnitDoubt
 from masking.inference.discovery.verdict import Scored
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.inference.estimation.unit_check import UnitDoubt
 from masking.model.effects import ROUNDING
 
 FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
@@ -112,12 +119,12 @@ def _in_likeliest_unit(
     """Discovery and integration steps as `_in_unit`, and the unit if it is probably another than declared."""
     say("checking units", 0.0)
     with threadpool_limits(1):
-        doubt = unit_check.doubted(whole)
+        doubt = units_after_search.doubted(whole)
     found, substeps = _in_unit(doubt, whole, unseen, settings, say)
     if doubt is not None or not (found.verdict == "unknown" or found.is_far_off):
         return found, substeps, doubt
     with threadpool_limits(1):
-        other = unit_check.suspected(whole, found.explanation.hypothesis)
+        other = units_after_search.suspected(whole, found.explanation.hypothesis)
     if other is not None:
         say(f"once more, with another unit or sign of {' and '.join(other.names)}", 0.0)
         again, steps = _in_unit(other, whole, unseen, settings, say)
@@ -134,7 +141,7 @@ def _in_unit(
     The problem of the record, simulated whole, and the validation record are as declared; no doubt means these.
     """
     if doubt is not None:
-        whole, unseen = doubt.converted(whole), doubt.of(whole, unseen)
+        whole, unseen = units_after_search.converted(doubt, whole), doubt.of(whole.rig.twin, unseen)
     problem = replace(whole, interval=shooting_intervals.interval(whole, settings.shooting_interval))
     problem = replace(problem.apart(), substeps=shooting_intervals.substeps(problem))
     noise = noise_of(whole.rig.twin, unseen)
@@ -154,9 +161,9 @@ def _in_unit(
 def _explains_more(found: Discovery, again: Discovery) -> bool:
     """Whether a record is explained in another unit, and less well or in a less likely way as declared."""
     before, after = (one.simulation_error.over_noise for one in (found, again))
-    if again.is_far_off or not after <= unit_check.NO_WORSE * before:
+    if again.is_far_off or not after <= units_after_search.NO_WORSE * before:
         return False
-    return found.is_far_off or again.verdict != "unknown" or after < unit_check.MUCH_LESS * before
+    return found.is_far_off or again.verdict != "unknown" or after < units_after_search.MUCH_LESS * before
 
 
 def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, say: Tell) -> Discovery:

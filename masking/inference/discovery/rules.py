@@ -321,12 +321,6 @@ class DecisionRules:
     further minima; below, the motion has forgotten them.
     """
 
-    unit_error: float = 0.4
-    """Part of the relative residual that the model as declared may leave in another unit of a channel to suspect it.
-
-    Why: the least factors between usual units are 1.6 to 3.6, which leave 38 % and more of a motion in phase.
-    """
-
     first_order_hold_fraction: float = 0.2
     """Part of the excess cost that inputs with first-order hold may leave for the answer to suggest them.
 

@@ -2,5 +2,5 @@
 
 In: records and a simulated rig.
 Out: fitted parameters with uncertainties, and tests of residuals.
-Imports: numerics, display, codegen, records, rig.
+Imports: numerics, declaration, display, codegen, records, rig.
 """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_args
@@ -72,6 +73,8 @@ class Data:
     # inputs that were filtered before they were sampled
     hold: Hold = "zero-order"
     notes: tuple[str, ...] = ()  # how it was read, and what in it is doubtful
+    # of each channel and of the clock `t`: its column in the file, and the unit that this or a map says, "" for none
+    sources: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         is_first_order(self.hold)
@@ -97,8 +100,9 @@ class Data:
             RecordError: a column is missing or not finite, time is not steady, nothing moves, or it is too short.
         """
         hold = _hold(twin, hold)
-        commands = _columns(recording, "input", twin, name)
-        readings = _columns(recording, "sensor", twin, name)
+        sources = {"t": _source(recording, "t")}
+        commands = _columns(recording, "input", twin, name, sources)
+        readings = _columns(recording, "sensor", twin, name, sources)
         turns = turns_of(twin)
         for sensor, values in zip(twin.sensors, readings.T, strict=True):
             values[:] = time_base.going_on(values, turns.get(sensor, 0.0))
@@ -113,9 +117,9 @@ class Data:
         )
         notes = (*recording.notes, *soundness.doubts(signals))
         if hold == "zero-order":
-            found = cls(name, rate, commands, readings, twin.late(rate), notes=notes)
+            found = cls(name, rate, commands, readings, twin.late(rate), notes=notes, sources=sources)
         else:
-            found = cls(name, rate, commands, readings, hold="first-order", notes=notes)
+            found = cls(name, rate, commands, readings, hold="first-order", notes=notes, sources=sources)
         found.check(twin)
         return found.band_limited() if hold == "band-limited" else found
 
@@ -302,9 +306,18 @@ def turns_of(twin: Twin) -> dict[str, float]:
     return {n: s.wraps.value * twin.size(s.wraps.unit) / twin.size(s.unit) for n, s in every if s.wraps}
 
 
-def _columns(recording: Recording, prefix: str, twin: Twin, where: str) -> Array:
-    """Columns of the actuators or sensors of a plant in a recording, in the units that it declares (m, channels)."""
-    found, entries = [], recording.manifest.get("columns") or {}
+def _source(recording: Recording, column: str) -> tuple[str, str]:
+    """Name of a column of a recording in its file, and the unit that is said of it, "" for none."""
+    entry = (recording.manifest.get("columns") or {}).get(column) or {}
+    return str(entry.get("column") or column), str(entry.get("unit") or "")
+
+
+def _columns(recording: Recording, prefix: str, twin: Twin, where: str, sources: dict[str, tuple[str, str]]) -> Array:
+    """Columns of the actuators or sensors of a plant in a recording, in the units that it declares (m, channels).
+
+    Where they come from is added to the sources.
+    """
+    found = []
     names = twin.actuators if prefix == "input" else twin.sensors
     for name in names:
         column = next((c for c in (f"{prefix}.{name}", name) if c in recording.columns), None)
@@ -312,8 +325,7 @@ def _columns(recording: Recording, prefix: str, twin: Twin, where: str) -> Array
             raise ColumnError(
                 f"{where}: there is no column {prefix}.{name} or {name}; {nearest(name, list(recording.columns))}"
             )
-        entry = entries.get(column) or {}
-        own, unit = str(entry.get("column") or column), str(entry.get("unit") or "")
+        own, unit = sources[name] = _source(recording, column)
         hint = "" if own in {name, column} else column_units.hinted(own)
         try:
             found.append(recording[column] * channel_units.factor(twin, name, own, unit, hint))

@@ -190,8 +190,8 @@ def nearest(
         [part for part in parts if start is None and part * len(record) >= FIRST_READINGS] for parts in (PARTS, DOUBLED)
     )
     ways = [usable[i:] for i in range(len(usable) + 1)]
-    guesses = _guesses(sensing, record) if start is None else [start]
-    starts = itertools.product(guesses, ways + [doubled] * bool(doubled))
+    begins = guesses(sensing, record) if start is None else [start]
+    starts = itertools.product(begins, ways + [doubled] * bool(doubled))
     nearer = ((first, doubled) for first in _small(sensing, theta, record, weights, usable) if not found)
     for first, parts in itertools.chain(starts, nearer):
         if parts is doubled and found and not thorough:
@@ -291,10 +291,10 @@ def _small(sensing: Sensitivity, theta: Array, record: Data, weights: Array, par
 
 def first_start(sensing: Sensitivity, record: Data) -> Array:
     """Guess of the initial state of a record (states,), from a parabola through its first readings."""
-    return next(_guesses(sensing, record))
+    return next(guesses(sensing, record))
 
 
-def _guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
+def guesses(sensing: Sensitivity, record: Data) -> Iterator[Array]:
     """Guesses of the initial state of a record (states,), as `first_start`, on each side of sensors that fold.
 
     Such a sensor reads alike on both sides of rest, where it may read nothing: it is linearised beside that.

@@ -108,7 +108,9 @@ def read(
         columns, notes = time_base.joined(part, {n: c for n, c in columns.items() if n in wanted}, own, resampling)
     else:
         columns = _of_part(part, table, columns, wanted, asked)
-    units = {one.name: {"unit": one.unit, "column": one.column} for one in asked if one.name != CLOCK}
+    units = {one.name: {"unit": one.unit, "column": one.column} for one in asked}
+    is_in_s = dt is not None or text is not None or bool(held.clocks) or bool(units.get(CLOCK, {}).get("unit"))
+    units[CLOCK] = {"unit": "s" if is_in_s else "", "column": units.get(CLOCK, {}).get("column", CLOCK)}
     try:
         made = Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
     except RecordError as error:

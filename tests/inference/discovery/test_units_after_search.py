@@ -9,7 +9,8 @@ import masking
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.latent_force import element_units
-from masking.inference.discovery.unit_check import UnitDoubt
+from masking.inference.discovery.units_after_search import is_gain
+from masking.inference.estimation.unit_check import UnitDoubt
 from masking.reports import discovery_text
 
 M, C, K, RATE = 2.0, 4.0, 300.0, 100.0
@@ -47,12 +48,12 @@ def discovered(folder, columns):
 @pytest.mark.parametrize(
     ("channel", "factor", "said"),
     [
-        ("position", 1e3, "'position' looks as if it were in mm, not m: declare unit: mm"),
-        ("tilt", 180.0 / np.pi, "'tilt' looks as if it were in deg, not rad: declare unit: deg"),
-        ("f", 1e-3, "'f' looks as if it were in kN, not N: declare unit: kN"),
+        ("position", 1e3, "'position' looks as if it were in mm, not m: say so with --map \"position=position:mm\""),
+        ("tilt", 180.0 / np.pi, "'tilt' looks as if it were in deg, not rad: say so with --map \"tilt=tilt:deg\""),
+        ("f", 1e-3, "'f' looks as if it were in kN, not N: say so with --map \"f=f:kN\""),
         ("tilt", -1.0, "'tilt' looks as if it had its sign reversed: reverse it in the record or in the model"),
         ("f", -1.0, "'f' looks as if it had its sign reversed: reverse it in the record or in the model"),
-        ("t", 1e3, "'t' looks as if it were in ms, not s: give the times in s"),
+        ("t", 1e3, "'t' looks as if it were in ms, not s: say so with --map \"t=t:ms\""),
     ],
 )
 def test_a_channel_in_another_unit_is_suspected_and_the_record_taken_so(tmp_path, record, channel, factor, said):
@@ -82,7 +83,9 @@ def test_a_clock_by_which_the_model_moves_for_periods_between_samples_is_in_ms(t
     text = "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {" + known + "}\n"
     (tmp_path / "model.yaml").write_text(text + "equations: {m*x'': f - c*x' - k*x}\n")
     found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
-    assert discovery_text.sentence(found).startswith("'t' looks as if it were in ms, not s: give the times in s")
+    assert discovery_text.sentence(found).startswith(
+        "'t' looks as if it were in ms, not s: say so with --map \"t=t:ms\""
+    )
     assert found.verdict == "parameter"
     assert [(one.name, one.parameters["k"][0]) for one in found.effects] == [("k", pytest.approx(K, rel=1e-2))]
 
@@ -148,7 +151,7 @@ def test_units_are_suspected_beside_a_law_that_the_model_lacks(tmp_path):
     (tmp_path / "model.yaml").write_text(SPRING)
     found = masking.discover(tmp_path / "record.npz", model=tmp_path / "model.yaml")
     said = discovery_text.sentence(found)
-    assert said.startswith("'x' looks as if it were in mm, not m: declare unit: mm")
+    assert said.startswith("'x' looks as if it were in mm, not m: say so with --map \"x=x:mm\"")
     assert "does not tell that from 'f' in kN" in said  # readings and forces scale alike
     assert "In m, the record would need" in said
     assert [(one.name, one.on) for one in found.effects] == [("hardening_spring", "spring")]
@@ -191,7 +194,7 @@ def test_a_level_that_moves_little_about_its_mean_says_nothing_of_the_clock(tmp_
 def test_a_gain_that_is_a_factor_between_units_is_that_unit(kind, name, unit, times, expected):
     factor = {"rpm": np.pi / 30.0, "kN": 1e3}[unit]
     doubt = UnitDoubt(("s",), kind, unit, "as declared", factor, otherwise=(((name, "s"), times),))
-    assert doubt.is_gain is expected
+    assert is_gain(doubt) is expected
 
 
 @pytest.mark.parametrize("off", [0.0, pytest.param(0.3, marks=pytest.mark.search)])
@@ -208,7 +211,7 @@ def test_what_is_found_in_other_units_is_written_in_these(tmp_path, off):
     )
     out = tmp_path / "found"
     found = masking.discover(tmp_path / "record.npz", plant=tmp_path / "plant.yaml", out=out)
-    assert "declare unit: mm (sensors.s.unit)" in discovery_text.sentence(found)
+    assert 'say so with --map "s=s:mm"' in discovery_text.sentence(found)
     beside = {("sensor_offset", "s")} if off else set()
     assert {(one.name, one.on) for one in found.effects} == {("hardening_spring", "spring")} | beside
     made = discovery_inputs.rig(None, out / "plant.yaml")
