@@ -54,12 +54,12 @@ class Stage:
 
 @dataclass(frozen=True)
 class Curve:
-    """The force of a spring over its displacement, at rest, in SI units."""
+    """The force of a spring over its displacement, at rest."""
 
     element: str
     meaning: str
     unit: str  # of the force, as the model declares it
-    measured: str  # SI unit of the displacement
+    measured: str  # declared unit of the displacement
     displacement: Array  # (m,)
     force: Array  # of the best model (m,)
     std: Array  # standard deviation of that (m,)
@@ -213,9 +213,10 @@ def _curve(found: Calibration, element: str) -> Curve | None:
     before, linear = (_known(_force(t, element, d), d) for t in (found.twin, found.stages[0].fit.twin))
     low, high = float(seen.min()), float(seen.max())
     model, moved = fit.twin.model, next(iter(declared.acts))
-    measured = model.units.conversions[model.declaration.coordinates[moved].unit].si
-    meaning = declared.meaning or element
-    return Curve(element, meaning, declared.unit, measured, d, force, std, before, linear, low, high)
+    (measured, size), meaning = model.shown[moved], declared.meaning or element
+    return Curve(
+        element, meaning, declared.unit, measured, d / size, force, std, before, linear, low / size, high / size
+    )
 
 
 def _known(force: Array | None, d: Array) -> Array:

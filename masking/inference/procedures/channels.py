@@ -1,7 +1,7 @@
 """Channels: which columns of a record a procedure is about, and the unit that they are in.
 
 A record has commands as `input.<name>` and readings as `sensor.<name>`, or plain columns with these names. With a
-plant, readings become what the sensor measures, such as a displacement in m; without one they stay in its own unit.
+plant, readings become what the sensor measures, such as a displacement; without one they stay in its own unit.
 """
 
 from __future__ import annotations
@@ -90,11 +90,14 @@ class Source:
         return tuple(self._channel(kind, name) for name in wanted or self._moving(kind))
 
     def displacement(self, wanted: str | None) -> Channel:
-        """Displacement that a sensor measures, in SI units if the plant is given; otherwise its reading."""
+        """Displacement that a sensor measures if the plant is given, as `measured`; otherwise its reading."""
         return self.measured(self.one("sensor", wanted))
 
     def measured(self, reading: Channel) -> Channel:
-        """What a sensor measures: its reading over its gain, if the plant is given; a RecordError if that lacks it."""
+        """What a sensor measures: its reading over its gain, if the plant is given; a RecordError if that lacks it.
+
+        A coordinate, its rate or a state is in the unit that the model declares, all else in SI units.
+        """
         if self.twin is None:
             return reading
         sensors = self.twin.declaration.sensors
@@ -107,8 +110,11 @@ class Source:
         sensor = sensors[reading.name]
         gain = sensor.gain.value * units.factor_of(sensor.gain.unit) / units.factor_of(sensor.unit)
         pairs = zip(units.dimension_of(sensor.unit), units.dimension_of(sensor.gain.unit), strict=True)
-        unit = units.describe(tuple(a - b for a, b in pairs))
-        return Channel(reading.name, reading.column, "" if unit == "1" else unit, reading.values / gain)
+        dimension = tuple(a - b for a, b in pairs)
+        known = self.twin.model.shown.get(sensor.measures.text.strip())
+        is_known = known is not None and units.dimension_of(known.unit) == dimension
+        unit, size = known if known is not None and is_known else (units.describe(dimension), 1.0)
+        return Channel(reading.name, reading.column, "" if unit == "1" else unit, reading.values / gain / size)
 
     def scale(self, unit: str) -> float:
         """Size of 1 in the scales of the plant's model, in a unit, such as 5e-3 for m; 1 without any scale."""
