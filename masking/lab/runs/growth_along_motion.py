@@ -48,7 +48,7 @@ class Growth:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the passive coordinates."""
-        return tuple(self.loop.plant.coordinates[i] for i in self.loop.mapping.passive)
+        return tuple(self.loop.plant.coordinates[i] for i in self.loop.match.mapping.passive)
 
     @property
     def zero_dynamics(self) -> ZeroDynamics:
@@ -157,7 +157,7 @@ class Growth:
     @property
     def _places(self) -> list[int]:
         """Where passive coordinates, their rates and the rig's internal states are among those of the loop (r,)."""
-        n, free = len(self.loop.plant.coordinates), self.loop.mapping.passive
+        n, free = len(self.loop.plant.coordinates), self.loop.match.mapping.passive
         return [*free, *(n + i for i in free), *range(2 * n, 2 * n + len(self.loop.plant.states))]
 
     def _placed(self, near: Array, virtual: Array, passive: Array) -> Array:
@@ -172,7 +172,7 @@ class Growth:
     def _sizes(self) -> Array:
         """Size of each passive state (r,), SI units: of rates, those of oscillations about the begin by a length."""
         loop, state, places, m = self.loop, self.run.rig[0], self._places, len(self.names)
-        lengths = loop.plant.lengths[list(loop.mapping.passive)]
+        lengths = loop.plant.lengths[list(loop.match.mapping.passive)]
         internal = np.abs(self.run.rig[:, places[2 * m :]]).max(axis=0)
         p, u, out = loop.values(), np.zeros(len(loop.plant.inputs)), np.empty(len(state))
 
