@@ -13,15 +13,13 @@ import numpy as np
 
 from tests.benchmarks.independent import cases, machine
 from tests.benchmarks.independent.cases import LIKE, Drawn, Rig
-from tests.benchmarks.independent.machine import Array, Contact, Element, Machine, Motion
-from tests.benchmarks.laws import records
+from tests.benchmarks.independent.machine import Array, Contact, Machine, Motion
 
 Key = tuple[str, str]
 
 FRICTION = ("dry_friction", "stribeck_friction")
 STICKING = (*FRICTION, "play_with_friction")
-NAMELESS = tuple(name for name in records.LAWS if name not in (*records.NAMES, "tangent", "magnet"))  # those have poles
-AT_ELEMENTS = (*cases.LAWS, *FRICTION, *NAMELESS)
+AT_ELEMENTS = (*cases.LAWS, *FRICTION, *cases.OUTSIDE)
 AT_SENSORS = ("sensor_offset", "sensor_saturation", "sensor_magnitude")
 AT_ACTUATORS = ("saturation", "dead_zone", "delay", "actuator_offset")
 CLASSES: Mapping[str, tuple[str, ...]] = {
@@ -119,7 +117,7 @@ def _chain(rng: np.random.Generator) -> Problem:
             if kind in FRICTION:
                 contacts.append(_contact(kind, own))
             else:
-                elements[i] = cases.LAWS[kind](own) if kind in cases.LAWS else _nameless(kind, own)
+                elements[i] = cases.LAWS[kind](own) if kind in cases.LAWS else cases.nameless(kind, own)
         elif kind == "delay":
             late[i] = float(rng.integers(1, 9)) / rate
         elif kind in AT_ACTUATORS:
@@ -188,11 +186,6 @@ def _contact(kind: str, e: Drawn) -> Contact:
     return Contact(
         e.row, lambda d, v: sliding * (1.0 + more * float(np.exp(-((5.0 * v / e.speed) ** 2)))), sliding * (1.0 + more)
     )
-
-
-def _nameless(kind: str, e: Drawn) -> Element:
-    law, strength = records.LAWS[kind], e.k * e.size * float(e.random.uniform(0.5, 1.5))
-    return Element(e.row, lambda d, v, z, t: e.k * d + e.c * v + strength * law(d / e.size, v / e.speed))
 
 
 def _acted(kind: str, u: Array, rng: np.random.Generator) -> Array:

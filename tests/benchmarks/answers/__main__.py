@@ -1,0 +1,93 @@
+"""`python -m tests.benchmarks.answers [SUITE ...] --out FILE`: answers on every suite as JSON lines, and their table.
+
+What is in the file is not run again. `--against` says which answers differ from those of another state.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from masking.errors import MaskingError
+from tests.benchmarks.answers import scoring
+from tests.benchmarks.answers.scoring import Line
+from tests.benchmarks.answers.suites import SUITES, Problem
+
+SUITES_HELP = f"of {', '.join(SUITES)}, all by default; second:240 and problems:500 are as many as that"
+
+
+def suite(text: str) -> Iterator[Problem]:
+    """Return the problems of a suite, as many as stand behind its name."""
+    name, _, count = text.partition(":")
+    return SUITES[name](*([int(count)] if count else []))
+
+
+def run(problem: Problem) -> Line:
+    """Return the answer to a problem; what ends in an error is one, too."""
+    line, begin = Line(problem.suite, problem.name, problem.truth, ""), time.process_time()
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        try:
+            discover = problem.prepare(Path(folder))
+            begin = time.process_time()
+            found = discover()
+            taken = time.process_time() - begin
+            line = scoring.answered(line, found, problem.judge(found))
+        except MaskingError as error:
+            taken = time.process_time() - begin
+            line = replace(line, verdict="refused", error=" ".join(str(error).split()))
+        except Exception:
+            taken = time.process_time() - begin
+            line = replace(line, verdict="traceback", error=" / ".join(traceback.format_exc().splitlines()[-5:]))
+    return replace(line, seconds=round(taken, 1))
+
+
+def main() -> int:
+    """Run what has not been run, and print the table of all that is in the file."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help=SUITES_HELP)
+    parser.add_argument("--only", default="", metavar="TEXT", help="only problems with this text in their names")
+    parser.add_argument("--part", default="1/1", metavar="K/N", help="every Nth problem of a suite, from the Kth on")
+    parser.add_argument("--seconds", type=float, metavar="S", help="begin no problem after so many seconds")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the answers, one JSON a line")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="answers of another state")
+    chosen = parser.parse_args()
+    try:
+        suites = [suite(text) for text in chosen.suites or SUITES]
+    except (KeyError, TypeError, ValueError):
+        parser.error(f"the suites are {SUITES_HELP}")
+    k, n = map(int, chosen.part.split("/"))
+    until = time.monotonic() + (chosen.seconds or float("inf"))
+    known = scoring.read(chosen.out)
+    wanted = {}
+    for problems in suites:
+        for number, problem in enumerate(problems):
+            if number % n != k - 1 or chosen.only not in problem.name:
+                continue
+            key = problem.suite, problem.name
+            if problem.lacking:
+                print(f"{problem.suite} {problem.name}: left out, {problem.lacking}", file=sys.stderr)
+            elif key in known:
+                wanted[key] = known[key]
+            elif time.monotonic() < until:
+                wanted[key] = line = run(problem)
+                with chosen.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(line)) + "\n")
+                print(f"{line.status:8s}{line.suite} {line.name}: {line.error or line.said}; {line.seconds:.0f} s",
+                      file=sys.stderr, flush=True)  # fmt: skip
+    print("\n".join(scoring.table(wanted.values())))
+    if chosen.against is not None:
+        print("\n".join(["", *scoring.differences(wanted, scoring.read(chosen.against))]))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
