@@ -157,6 +157,7 @@ def test_slopes_are_those_of_the_motion():
         (found("ambiguous", ("dry_friction", "shaft"), probability=0.5), True, True, False, ()),
         (found("unknown", ("dry_friction", "shaft")), False, True, False, ()),
         (found("named", ("dry_friction", "shaft"), ("overflow", "shaft")), False, True, True, ("overflow",)),
+        (found("unknown", ("dry_friction", "shaft"), ("overflow", "shaft")), False, True, False, ()),
         (found("named", ("delay", "")), False, False, True, ()),
         (found("named", ("delay", ""), probability=0.6), False, False, False, ()),
         (found("none"), False, False, False, ()),

@@ -73,11 +73,11 @@ class Line:
     confident_wrong: bool = False
     false: tuple[str, ...] = ()
     sensor: str = ""
-    declared: float = math.nan
-    adjusted: float = math.nan
-    named: float = math.nan
-    found: float = math.nan
-    floor: float = math.nan
+    declared: float | None = None
+    adjusted: float | None = None
+    named: float | None = None
+    found: float | None = None
+    floor: float | None = None
     share: float | None = None
     over_noise: float | None = None
     is_adjusted_worse: bool = False
@@ -224,6 +224,6 @@ def number(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-def percent(value: float) -> str:
-    """Return an error in words."""
-    return "" if math.isnan(value) else f"{100.0 * value:.2g} %"
+def percent(value: float | None) -> str:
+    """Return an error in words, nothing where there is none."""
+    return "" if value is None else f"{100.0 * value:.2g} %"

@@ -56,9 +56,12 @@ def of_measured() -> Iterator[Problem]:
 
 
 def judged_measured(truth: measured.Truth, found: Discovery) -> Judgement:
-    """Judge by the main cause: it is named, and nothing that the rig cannot have is."""
+    """Judge by the main cause: it is named, and nothing that the rig cannot have is.
+
+    What is only nearest, of an unknown cause, is no plain falsehood; another unit is one with any verdict.
+    """
     names = {name for name, _ in causes(found)}
-    false = sorted((names & measured.FALSE) - truth.right - truth.beside)
+    false = sorted((names & measured.FALSE) - truth.right - truth.beside) if found.verdict != "unknown" else []
     false += [f"unit of {listed(found.unit.names)}"] if found.unit is not None else []
     has_class = bool(names & truth.right)
     right = has_class and found.verdict in ("named", "ambiguous") and not false

@@ -38,7 +38,7 @@ class Truth:
         cause: in words.
         right: names of the main cause, any of which is right.
         beside: further names that are known to be there, and no mistake.
-        shorter: in place of parts of the command that take too long, by its options.
+        shorter: options of the command that make the record shorter, where it would take minutes.
     """
 
     folder: str
@@ -70,7 +70,9 @@ SETS: Mapping[str, Truth] = {
         "dc_motor_deadzone_delay", "dead zone or dry friction, asymmetric", FRICTION | {"dead_zone"},
         OFFSET | {"delay", "actuator_delay", "quantisation"},
     ),
-    "emps": Truth("emps", "dry friction, and an offset", FRICTION, OFFSET | {"asymmetric_damping"}),
+    "emps": Truth(
+        "emps", "dry friction, and an offset", FRICTION, OFFSET | {"asymmetric_damping"}, {"resample": "250 Hz"}
+    ),
     "f16": Truth("f16_gvt", "clearance and friction of the interface", FRICTION | REMEMBERS | PLAY | {"stop"}, CUBIC),
     "hsm150": Truth("hsm150_servomotor", "dry friction", FRICTION, OFFSET),
     "mr_damper_nees": Truth(
@@ -78,7 +80,10 @@ SETS: Mapping[str, Truth] = {
         FRICTION | REMEMBERS | {"load_friction"}, OFFSET | {"actuator_lag", "delay", "actuator_delay"},
     ),
     "mr_damper": Truth("mr_damper_utfpr", "friction with hysteresis", REMEMBERS, FRICTION),
-    "pendulum": Truth("multiarm_pendulum", "dry friction, and drag", FRICTION, frozenset({"quadratic_damping"})),
+    "pendulum": Truth(
+        "multiarm_pendulum", "dry friction, and drag", FRICTION, frozenset({"quadratic_damping"}),
+        {"resample": "100 Hz"},
+    ),
     "oring": Truth(
         "pneumatic_oring_friction", "dry friction of a seal", FRICTION | REMEMBERS, frozenset({"viscous_damping"})
     ),
