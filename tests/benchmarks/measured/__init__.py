@@ -71,9 +71,13 @@ SETS: Mapping[str, Truth] = {
         OFFSET | {"delay", "actuator_delay", "quantisation"},
     ),
     "emps": Truth(
-        "emps", "dry friction, and an offset", FRICTION, OFFSET | {"asymmetric_damping"}, {"resample": "250 Hz"}
+        "emps", "dry friction, and an offset", FRICTION, OFFSET | {"asymmetric_damping"},
+        {"record": "emps/DATA_EMPS.mat@:12", "validation": "emps/DATA_EMPS_PULSES.mat@:12"},
     ),
-    "f16": Truth("f16_gvt", "clearance and friction of the interface", FRICTION | REMEMBERS | PLAY | {"stop"}, CUBIC),
+    "f16": Truth(
+        "f16_gvt", "clearance and friction of the interface", FRICTION | REMEMBERS | PLAY | {"stop"}, CUBIC,
+        {"record": "f16_gvt/level5.npz@:8", "validation": "f16_gvt/level3.npz@:8"},
+    ),
     "hsm150": Truth("hsm150_servomotor", "dry friction", FRICTION, OFFSET),
     "mr_damper_nees": Truth(
         "mr_damper_nees", "friction with hysteresis, of a voltage that is late",
@@ -140,7 +144,8 @@ def bands(folder: Path) -> None:
 def voltages(folder: Path) -> None:
     """Write two parts of the random test of the prototype damper."""
     path = DATA / "mr_damper_nees" / "ransim_u_converted.csv"
-    t, d, y, v, force = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 2, 3, 5, 6))[::10].T
+    d, y, v, force = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(2, 3, 5, 6))[::10].T
+    t = np.arange(len(d)) / 300.48  # stamps are rounded
     for part, inside in (("first", t < 12.0), ("second", (t >= 12.0) & (t < 19.4))):
         columns = {"t": t, "d": d, "v": v, "Y": y, "F": force}
         np.savez(folder / f"{part}.npz", **{name: column[inside] for name, column in columns.items()})
