@@ -162,7 +162,9 @@ def seals(folder: Path) -> None:
     """Write two pressures of the cylinder."""
     for bar in ("5", "7"):
         table = np.loadtxt(DATA / "pneumatic_oring_friction" / f"O-ring_{bar}bar.csv")[15:]
-        np.savez(folder / f"{bar}bar.npz", **slopes(table[:, 0], 20.0, d=table[:, 4], p=table[:, 5], F=table[:, 6]))
+        np.savez(
+            folder / f"{bar}bar.npz", **slopes(1e-3 * table[:, 0], 20.0, d=table[:, 4], p=table[:, 5], F=table[:, 6])
+        )
 
 
 def strips(folder: Path) -> None:
