@@ -98,6 +98,7 @@ def _quick(
     case: hidden.Case, records: Callable[[], dict[str, tuple[hidden.Record, hidden.Record]]], _: Path
 ) -> Callable[[], Discovery]:
     twin, opened = running.rig(case.damping)
+    _ = opened.kernels  # compiled before the clock runs
     training, validation = records()[case.name]
     given = running.data(training, "training"), running.data(validation, "validation")
     return lambda: discover(twin, *given, rig=opened)
