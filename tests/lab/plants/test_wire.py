@@ -687,6 +687,12 @@ def last_command(recording: Recording) -> int:
     return int(np.flatnonzero(recording["fresh"])[-1])
 
 
+def latched_in_time(recording: Recording, last: int) -> bool:
+    """Whether the watchdog of 20 ms latched at its time after a row, in fewer samples where the server was held up."""
+    tick, wall = recording.manifest["latch"]["tick"], recording["wall"]
+    return bool(last < tick <= last + 20 and wall[tick] - wall[last] > 0.018)
+
+
 def test_a_controller_that_is_killed_leaves_a_plant_at_zero(tmp_path):
     with process(SERVER, tmp_path, 1) as (server, address), process(CONTROLLER, address, 0.02) as (controller, said):
         assert said == "running", controller.stderr.read()
@@ -703,7 +709,8 @@ def test_a_controller_that_is_killed_leaves_a_plant_at_zero(tmp_path):
     assert not applied[after].any()
     assert recording["latched"][after].all()
     assert (recording.array("input")[last] == 1.0).all()
-    assert recording.manifest["latch"] == {"cause": "no valid command for 20 ms", "tick": last + 20}
+    assert recording.manifest["latch"]["cause"] == "no valid command for 20 ms"
+    assert latched_in_time(recording, last)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["SIGTERM", "SIGHUP"])
@@ -741,7 +748,7 @@ def test_both_sides_know_that_a_controller_was_frozen(tmp_path):
         assert "ended the session: no valid command for 20 ms" in controller.stderr.read()
     recording = Recording.load(tmp_path / "session-1")
     last = last_command(recording)
-    assert recording.manifest["latch"]["tick"] == last + 20
+    assert latched_in_time(recording, last)
     assert not recording.array("input")[last + 20 :].any()
 
 
