@@ -83,6 +83,20 @@ def bouc_wen(way: Array, zmax: float) -> Array:
 Law = Callable[[Array, Array], Array]  # of the way and its rate, at pieces of samples
 
 
+def dragged(d: Array, gap: float, reach: float) -> Array:
+    """Return the force over friction of a slider that a pin drags with play, from rest in the middle, by its motion.
+
+    The pin is free within half a gap on both sides of the slider; beyond, the force builds up over a reach, and the
+    slider is then taken along.
+    """
+    force, slider = np.empty(len(d)), 0.0
+    for n, at in enumerate(d.tolist()):
+        slider = min(max(slider, at - 0.5 * gap - reach), at + 0.5 * gap + reach)
+        beyond = at - slider - min(max(at - slider, -0.5 * gap), 0.5 * gap)
+        force[n] = beyond / reach
+    return force
+
+
 def component(hidden: Law, seconds: float, seed: int, k: float = 1010.0, c: float = 19.8) -> dict[str, Array]:
     """Return a record of a damper: time in s, displacement in m, velocity in m/s, force in N."""
     motion = Motion.of(seed, 5e-3)

@@ -4,6 +4,7 @@ Records are made by `tests.benchmarks.components`, from closed forms; base param
 """
 
 import json
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from masking.app.cli import main
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, ModelError
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.places import degrees, places
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import simulate
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.model.declaration import registry
+from masking.model.effects import Span
 from masking.model.modelling.model import Model, load_model
 from tests.benchmarks import components
 
@@ -72,6 +76,7 @@ RECORDS = {
     "damper/dry_friction": damper(lambda d, v: 0.4 * np.tanh(v / 1e-3)),
     "damper/hardening_spring": moved(lambda d: 2e7 * d**3),
     "damper/dahl_friction": moved(lambda d: 0.6 * components.dahl(d, 3e-4)),
+    "damper/play_with_friction": moved(lambda d: 0.8 * components.dragged(d, 2e-3, 2e-4)),
     "damper/hysteresis": moved(lambda d: 800.0 * components.bouc_wen(d, 1e-3)),
     "damper/local_friction": damper(lambda d, v: 0.2 * np.tanh(v / 1e-3) * (1.0 + np.tanh((d - 1e-3) / 5e-4))),
     "damper/parameter": damper(nothing, k=1300.0),
@@ -86,6 +91,7 @@ NAMED = {
     "damper/dry_friction": ("strut", {"fc": 0.4, "vs": 1e-3}),
     "damper/hardening_spring": ("strut", {"k3": 2e7}),
     "damper/dahl_friction": ("strut", {"fc": 0.6, "x0": 3e-4}),
+    "damper/play_with_friction": ("strut", {"fc": 0.8, "gap": 2e-3, "x0": 2e-4}),
     "damper/hysteresis": ("strut", {"k": 800.0, "zmax": 1e-3}),
     "damper/local_friction": ("strut", {"fc": 0.4, "edge": 1e-3, "width": 5e-4, "vs": 1e-3}),
     "tank/hardening_spring": ("valve", {"k3": 0.02}),
@@ -281,6 +287,15 @@ def test_laws_are_tried_where_they_find_what_they_follow(folder):
     assert not taken["motor"] & {"hardening_spring", "linear_spring", "stop", "backlash", "local_friction"}
     assert taken["tank"] >= {"hardening_spring", "polynomial_spring", "constant_force"}
     assert not taken["tank"] & {"dry_friction", "viscous_damping", "hysteresis", "stop"}
+
+
+def test_of_laws_that_stick_a_bench_has_those_that_no_force_need_move(folder):
+    twin = discovery_inputs.rig(folder / "damper.yaml")
+    rig, span = AugmentedModel(twin, ("k", "c")), Span(-5e-3, 5e-3, 5e-3, 0.1)
+    spans = defaultdict(lambda: span)
+    sticking = {one.effect for one in candidates(rig, spans, 2e-3) if one.sticks}
+    assert "play_with_friction" in sticking
+    assert not sticking & {"dry_friction", "stribeck_friction", "stop"}
 
 
 def test_every_state_of_a_model_of_nothing_else_is_a_place(tmp_path):
