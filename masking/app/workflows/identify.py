@@ -91,10 +91,9 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     declared, left = np.array([twin.parameter_value(name) for name in names]), max(found.chi.values())
     notes = list[str]()
     for one, doubt in doubts:
-        notes += [
-            *one.notes,
-            *([doubt.note(twin, one)] if doubt and doubt.stands(declared, found.values, left) else []),
-        ]
+        notes += one.notes
+        if doubt is not None and doubt.stands(declared, found.values, left):
+            notes.append(doubt.note(twin, one))
     found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
     if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)

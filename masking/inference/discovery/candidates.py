@@ -58,11 +58,11 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
         for effect in every:
             fits = effect.where == "element" and ((straight or not effect.is_inertia) if is_known else effect.joins)
             if fits and place.is_open and place.takes(effect):
+                # What holds a contact follows how fast a force moves it; where the motion is given, none does.
+                is_held = any("mobility" in text for text in effect.by_step.values())
+                is_free = rig.mobilities[place.name] > 0.0 or not is_held
+                holds = is_free and (place.has_rate or effect.is_flow)
                 for trial in effect.ways:
-                    # What holds a contact follows how fast a force moves it; where the motion is given, none does.
-                    is_held = any("mobility" in text for text in effect.by_step.values())
-                    is_free = rig.mobilities[place.name] > 0.0 or not is_held
-                    holds = is_free and (place.has_rate or effect.is_flow)
                     if holds or not trial.sticks:
                         found = _candidate(effect, trial, place.name, spans["element", place.name])
                         yield from (_ready(rig, candidate, period) for candidate in found)

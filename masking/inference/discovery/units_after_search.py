@@ -8,6 +8,7 @@ record is searched in that one as well.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -31,7 +32,7 @@ NO_WORSE, MUCH_LESS = 1.05, 0.5  # times the error on unseen data as declared, i
 
 def doubted(problem: EstimationProblem) -> UnitDoubt | None:
     """Unit that is probably another than declared, before a search; None where none is."""
-    return unit_check.doubted(problem.rig.twin, problem.record, lambda record: _residuals(problem, record))
+    return unit_check.doubted(problem.rig.twin, problem.record, partial(_residuals, problem))
 
 
 def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None:
@@ -41,12 +42,12 @@ def suspected(problem: EstimationProblem, found: Hypothesis) -> UnitDoubt | None
     explains the record in the declared unit is known; the problem is simulated whole.
     """
     twin, record = problem.rig.twin, problem.record
-    part, otherwise = unit_check.liveliest(record), far_off(problem, found)
+    otherwise, compare = far_off(problem, found), unit_check.comparison(record, partial(_residuals, problem))
     every = (replace(one, otherwise=otherwise) for one in unit_check.others(twin, record) if one.kind != "clock")
-    tried = [*unit_check.tried(twin, record, every, lambda one: _residuals(problem, one))]
+    before, size = compare(record)
+    tried = [*unit_check.tried(twin, record, every, compare, before)]
     best, least = unit_check.best_of(tried)
-    before = unit_check.apart(_residuals(problem, part(record)), part(record))
-    return best if best and FAR * least < before else next((one for one, _ in tried if is_gain(one)), None)
+    return best if best and FAR * least < size else next((one for one, _ in tried if is_gain(one)), None)
 
 
 def is_gain(doubt: UnitDoubt) -> bool:

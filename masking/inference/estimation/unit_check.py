@@ -47,6 +47,8 @@ MANY = 10.0  # error from which it is not given as a number
 # Residuals (m, sensors) of a model as declared, simulated along a record from a fitted initial state; None where its
 # motion is not finite.
 Residuals = Callable[[Data], Array | None]
+# Error and difference in size of such a simulation, see `_compared`.
+Compare = Callable[[Data], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -179,42 +181,38 @@ def _as_declared(sensing: Sensitivity) -> Residuals:
 
 def doubted(twin: Twin, record: Data, residuals: Residuals) -> UnitDoubt | None:
     """Unit or sign that is probably another than declared; None where none is."""
-    part = liveliest(record)
-    declared = residuals(part(record))
-    before = _error(declared, part(record))
+    compare = comparison(record, residuals)
+    before, size = compare(record)
     if before < LOST:
         return None
-    found = [*tried(twin, record, others(twin, record), residuals)]
+    found = [*tried(twin, record, others(twin, record), compare, before)]
     best, least = best_of([(one, one.error[1]) for one, _ in found])
     if best and least < ENOUGH * min(before, 1.0):
         return best
     clocks = [pair for pair in found if pair[0].kind == "clock"]
     if not clocks or twin.substeps(record.rate) < SLOW:
         return None
-    best, size = min(clocks, key=lambda pair: pair[1])
-    return best if size < min(FAR, apart(declared, part(record))) else None
+    best, least = min(clocks, key=lambda pair: pair[1])
+    return best if least < min(FAR, size) else None
 
 
 def tried(
-    twin: Twin, record: Data, every: Iterable[UnitDoubt], residuals: Residuals
+    twin: Twin, record: Data, every: Iterable[UnitDoubt], compare: Compare, before: float
 ) -> Iterator[tuple[UnitDoubt, float]]:
-    """Other units with the errors as declared and in each, and how far simulation and readings are apart there."""
-    part = liveliest(record)
-    before = _error(residuals(part(record)), part(record))
+    """Other units with the errors as declared, `before`, and in each, and how far sizes are apart there."""
     for one in every:
-        other = part(one.of(twin, record))
-        after = residuals(other)
-        yield replace(one, error=(before, _error(after, other))), apart(after, other)
+        error, size = compare(one.of(twin, record))
+        yield replace(one, error=(before, error)), size
 
 
-def liveliest(record: Data) -> Callable[[Data], Data]:
-    """Function that takes the part of a record, in any units, in which its readings spread most."""
+def comparison(record: Data, residuals: Residuals) -> Compare:
+    """Comparison of a record, in any units, with a simulation, in the part in which its readings spread most."""
     size, count = _spread(record.readings), max(1, round(len(record) / SAMPLES))
     ends = len(record) * np.arange(count + 1) // count
     parts = zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
     varied = {(a, b): float((_spread(record.readings[a:b]) / size).sum()) for a, b in parts}
     begin, end = max(varied, key=lambda span: varied[span])
-    return lambda one: one.part(begin, end)
+    return lambda one: _compared(one.part(begin, end), residuals)
 
 
 def best_of(found: Sequence[tuple[UnitDoubt, float]]) -> tuple[UnitDoubt | None, float]:
@@ -267,19 +265,19 @@ def _is_other(unit: str, declared: str) -> bool:
     return dimension_of(unit) == dimension_of(declared) and not np.isclose(factor_of(unit), factor_of(declared))
 
 
-def _error(residuals: Array | None, record: Data) -> float:
-    """Largest error of a sensor, in parts of its spread; infinite if the motion is not finite."""
-    if residuals is None:
-        return np.inf
-    return float((np.sqrt((residuals**2).mean(axis=0)) / _spread(record.readings)).max())
+def _compared(record: Data, residuals: Residuals) -> tuple[float, float]:
+    """Largest error of a sensor, in parts of its spread, and how many times simulation and readings are apart in size.
 
-
-def apart(residuals: Array | None, record: Data) -> float:
-    """How many times the simulation of a sensor spreads as much as its readings, or less, at most."""
-    if residuals is None:
-        return np.inf
-    ratio = _spread(record.readings) / _spread(record.readings - residuals)
-    return float(np.maximum(ratio, 1.0 / ratio).max())
+    That is how many times the simulation of a sensor spreads as much as its readings, or less, at most. Both are
+    infinite where the motion is not finite.
+    """
+    left = residuals(record)
+    if left is None:
+        return np.inf, np.inf
+    spread = _spread(record.readings)
+    ratio = spread / _spread(record.readings - left)
+    error = np.sqrt((left**2).mean(axis=0)) / spread
+    return float(error.max()), float(np.maximum(ratio, 1.0 / ratio).max())
 
 
 def _spread(readings: Array) -> Array:

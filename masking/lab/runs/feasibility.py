@@ -11,7 +11,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader as lazy
@@ -190,7 +190,7 @@ def feasibility(experiment: Experiment) -> Feasibility:
     except (SingularityError, IntegrationError) as error:
         raise DeclarationError(_problem(motion, error)) from error
     unsettled = () if settled else (f"peaks between the {rows} rows of the simulation may be higher",)
-    passive = motion.zero_dynamics(motion.simulate(rows))
+    passive = motion.zero_dynamics(partial(motion.simulate, rows))
     notes = (*map(str, passive), *motion.notes, *unsettled)
     remedies = () if all(use.fits for use in uses) else tuple(_remedy(motion, what, rows, uses) for what in LADDERS)
     known = tuple(one for one in passive if isinstance(one, ZeroDynamics))
@@ -226,13 +226,16 @@ class Motion:
                 return self.simulate(FEWEST_ROWS, part=0.5**halvings)
         return None
 
-    def zero_dynamics(self, run: Run | None) -> tuple[ZeroDynamics | ModelError, ...]:
-        """How what is passive moves at rest and along a motion that `simulate` gave, or why that is not known."""
+    def zero_dynamics(self, follow: Callable[[], Run | None]) -> tuple[ZeroDynamics | ModelError, ...]:
+        """How what is passive moves at rest and along the motion that `follow` gives, or why that is not known.
+
+        The motion is asked for only where something is passive.
+        """
         passive, found = self.experiment.assumed_passive, list[ZeroDynamics | ModelError]()
         if passive is None:
             return ()
         moving: list[Passive | Growth] = [passive]
-        if run is not None:
+        if (run := follow()) is not None:
             moving.append(Growth(self.loop, run, self.experiment.inputs.of_rig(self.experiment.time_scale)))
         for one in moving:
             try:
@@ -419,7 +422,7 @@ def _digits(value: float) -> str:
 def _problem(motion: Motion, error: MaskingError) -> Problem:
     """Fault of an experiment whose ideal motion cannot be followed, and its place."""
     experiment, declaration = motion.experiment, motion.experiment.declaration
-    passive = motion.zero_dynamics(motion.followed())
+    passive = motion.zero_dynamics(motion.followed)
     words = f" ({'; '.join(map(str, passive))})" if passive else ""
     if isinstance(error, SingularityError):
         path = "transform"

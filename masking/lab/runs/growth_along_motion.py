@@ -123,7 +123,7 @@ class Growth:
     def _repeated(self, period: float) -> tuple[float, float, Array, Array] | None:
         """Begin, period, state and virtual state of a motion that repeats; None where it does not.
 
-        The period is mended until the motion comes nearest to that of the period before.
+        The period is refined until the motion comes nearest to that of the period before.
         """
         k, loop, run = len(self.loop.controller.virtual.coordinates), self.loop, self.run
         row = max(0, int(np.searchsorted(run.times, run.times[-1] - 2.0 * period)) - 1)

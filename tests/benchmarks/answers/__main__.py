@@ -73,8 +73,8 @@ def main() -> int:
             if number % n != k - 1 or chosen.only not in problem.name:
                 continue
             key = problem.suite, problem.name
-            if problem.lacking:
-                print(f"{problem.suite} {problem.name}: left out, {problem.lacking}", file=sys.stderr)
+            if problem.missing:
+                print(f"{problem.suite} {problem.name}: left out, {problem.missing}", file=sys.stderr)
             elif key in known:
                 wanted[key] = known[key]
             elif time.monotonic() < until:

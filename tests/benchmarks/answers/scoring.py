@@ -170,7 +170,7 @@ def table(lines: Iterable[Line]) -> list[str]:
     """Return the lines of a table for readers, one a problem, and a summary of each suite."""
     rows = [*lines]
     head = "| suite | problem | hidden | said | p | none | share | declared | adjusted | found | floor | s | |"
-    told = [head, "|---" * 13 + "|"]
+    shown = [head, "|---" * 13 + "|"]
     for one in rows:
         marks = [one.status, *(["CONFIDENT"] if one.confident_wrong else []), *(f"FALSE: {name}" for name in one.false)]
         marks += ["adjusted is worse"] if one.is_adjusted_worse else []
@@ -179,16 +179,16 @@ def table(lines: Iterable[Line]) -> list[str]:
             number(one.share), *map(percent, (one.declared, one.adjusted, one.found, one.floor)), f"{one.seconds:.0f}",
             ", ".join(marks),
         )  # fmt: skip
-        told.append(f"| {' | '.join(cells)} |")
-    told += [
+        shown.append(f"| {' | '.join(cells)} |")
+    shown += [
         "",
         "| suite | problems | right | class | unknown | wrong | confident wrong | plainly false | adjusted is worse "
         "| share, median | s, median | s, 95 % |",
         "|---" * 12 + "|",
     ]
     for suite in dict.fromkeys(one.suite for one in rows):
-        told.append(summary(suite, [one for one in rows if one.suite == suite]))
-    return told
+        shown.append(summary(suite, [one for one in rows if one.suite == suite]))
+    return shown
 
 
 def summary(suite: str, lines: Sequence[Line]) -> str:
@@ -206,7 +206,7 @@ def summary(suite: str, lines: Sequence[Line]) -> str:
 
 def differences(lines: Mapping[tuple[str, str], Line], others: Mapping[tuple[str, str], Line]) -> list[str]:
     """Return a row for each problem in both whose answer differs: what was said before, and now."""
-    told = ["| suite | problem | before | after | share before | share after | s before | s after |", "|---" * 8 + "|"]
+    shown = ["| suite | problem | before | after | share before | share after | s before | s after |", "|---" * 8 + "|"]
     for key in [key for key in others if key in lines]:
         before, after = others[key], lines[key]
         shares = [math.inf if one.share is None else one.share for one in (before, after)]
@@ -215,8 +215,8 @@ def differences(lines: Mapping[tuple[str, str], Line], others: Mapping[tuple[str
             continue
         said = [f"{one.status}, {one.error or one.said}" for one in (before, after)]
         cells = (*key, *said, *(number(one.share) for one in (before, after)), f"{before.seconds:.0f}")
-        told.append(f"| {' | '.join(cells)} | {after.seconds:.0f} |")
-    return told
+        shown.append(f"| {' | '.join(cells)} | {after.seconds:.0f} |")
+    return shown
 
 
 def number(value: float | None) -> str:

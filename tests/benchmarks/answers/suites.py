@@ -35,7 +35,7 @@ class Problem:
         suite, name, truth: what it is.
         prepare: writes its files into a folder, and returns what looks for the answer.
         judge: judges that.
-        lacking: why it cannot be run here; empty where it can.
+        missing: why it cannot be run here; empty where it can.
     """
 
     suite: str
@@ -43,15 +43,15 @@ class Problem:
     truth: str
     prepare: Callable[[Path], Callable[[], Discovery]]
     judge: Callable[[Discovery], Judgement]
-    lacking: str = ""
+    missing: str = ""
 
 
 def of_measured() -> Iterator[Problem]:
     """Give the measured sets."""
-    lacking = "" if measured.DATA.exists() else f"the measurements are not at {measured.DATA}"
+    missing = "" if measured.DATA.exists() else f"the measurements are not at {measured.DATA}"
     for name, truth in measured.SETS.items():
         yield Problem(
-            "measured", name, truth.cause, partial(measured.discovered, name), partial(judged_measured, truth), lacking
+            "measured", name, truth.cause, partial(measured.discovered, name), partial(judged_measured, truth), missing
         )
 
 
@@ -76,10 +76,10 @@ def is_confident(found: Discovery) -> bool:
 
 def of_quick() -> Iterator[Problem]:
     """Give the records of `make bench-discovery OPTIONS=--quick`."""
-    lacking = "" if mujoco_records.version() else "MuJoCo is not installed"
+    missing = "" if mujoco_records.version() else "MuJoCo is not installed"
     for line in suite.QUICK:
-        if line.family == "mujoco" and lacking:
-            yield Problem("quick", "mujoco", "", lambda _: lambda: None, lambda _: None, lacking)
+        if line.family == "mujoco" and missing:
+            yield Problem("quick", "mujoco", "", lambda _: lambda: None, lambda _: None, missing)
             continue
         made = suite.cases(line)
         records = cache(partial(_generated, line.family, tuple(made)))
