@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.explanation import nearest
 from masking.inference.discovery.verdict import noise_threshold, probabilities
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
-from masking.reports import discovery_figures, discovery_files, discovery_text, html, place_text
+from masking.reports import discovery_figures, discovery_files, discovery_text, discovery_trace, html, place_text
 from masking.reports.discovery_files import Files, Origin
 from masking.reports.style import CaptionedFigure
 from masking.reports.text import aligned, probability_text
@@ -56,6 +55,8 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         doubted=DOUBTED,
         tried=discovery_figures.tried(found)[:MOST_TRIED],
         rivals=_rivals(found),
+        trace=discovery_trace.rows(found, MOST_TRIED),
+        trace_head=discovery_trace.HEAD,
         refitted=discovery_files.refitted(found),
         known=found.written_rig.twin.base.parameters,
         records=origin.records,
@@ -65,25 +66,26 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
 
 def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     """Explanations that were fitted in full: explanation, probability, worse by, values."""
-    rivals, tempering = found.rivals, found.tempering
+    rivals = found.rivals
     if len(rivals) < 2 or not found.effects:
         return []
     rows: dict[str, tuple[float, str, str]] = {}
-    sure = map(float, probabilities([rival.score(tempering) for rival in rivals]))
-    for rival, probability in zip(rivals, sure, strict=True):
+    like = nearest(rivals)
+    scores = [rival.score(like) for rival in rivals]
+    for rival, score, probability in zip(rivals, scores, map(float, probabilities(scores)), strict=True):
         first, *more = rival.names
         others = [discovery_text.cause_name(found, *name) for name in more]
         causes = " and ".join([discovery_text.cause_label(found, *first), *others])
         if causes in rows:  # a delay of the only actuator is that of all of them
             rows[causes] = (rows[causes][0] + probability, *rows[causes][1:])
             continue
-        deviations = iter(np.sqrt(tempering) * rival.hypothesis.deviations[len(found.rig.start) :])
+        deviations = iter(rival.hypothesis.deviations[len(found.rig.start) :])
         values = [
             f"{name} = {with_deviation(instance.values[i], float(next(deviations)), '')}"
             for instance in rival.hypothesis.instances
             for name, i in zip(instance.names, instance.free, strict=True)
         ]
-        rows[causes] = probability, number(rival.score(tempering) - rivals[0].score(tempering), 4), ", ".join(values)
+        rows[causes] = probability, number(score - scores[0], 4), ", ".join(values)
     none = found.none_of_these
     every = [(causes, probability_text((1.0 - none) * p), worse, values) for causes, (p, worse, values) in rows.items()]
     return [*every, ("None of these", probability_text(none), "", "")]
@@ -92,7 +94,11 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
 def summary(found: Discovery, files: Files | None) -> str:
     """Finding and files in a few lines for the terminal."""
     said = [discovery_text.sentence(found), discovery_text.unexplained(found)]
-    said += [discovery_text.probability_sentence(found), *discovery_text.location(found)]
+    said += [
+        *discovery_text.weights(found),
+        discovery_text.probability_sentence(found),
+        *discovery_text.location(found),
+    ]
     lines = [f"{sentence}." for sentence in (*said, discovery_text.intervals(found)) if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")

@@ -14,10 +14,11 @@ from masking.model.declaration.units import combined, describe, dimension_of, pr
 from masking.model.effects import Effect
 from masking.reports import next_experiment_text
 from masking.reports.place_text import follows_command, opposite, portrayed, white
-from masking.reports.text import alternatives, capital, listed, much, plural
+from masking.reports.text import alternatives, capital, listed, much, plural, share
 
 MOST = 0.5  # part of the model error from which a place or a side of the rig is stated
 LEAST = 0.05  # part of a law, from which a term is stated
+MOST_ODDS = 1e6  # that are said: beyond, the odds are those of the model of the noise
 SHOWN = 0.01  # probability from which an alternative is stated
 SURE = 2.0  # deviations of a parameter from which it is stated in a sentence
 MOVED = 3.0  # of its deviations: a larger move of a parameter is stated; of those of its prior: a smaller one is held
@@ -164,6 +165,26 @@ def probability_sentence(found: Discovery) -> str:
     said = probabilities(found, found.effects[len(found.explanation.hypothesis.instances) - 1])
     said["none of these"] = found.none_of_these
     return f"Probabilities: {listed([f'{name} {percent(part)}' for name, part in said.items()])}"
+
+
+def weights(found: Discovery) -> list[str]:
+    """Weight of each cause: its share of the error on unseen data, and its odds against another class."""
+    said = []
+    for one in found.grades if found.verdict in {"named", "ambiguous"} else ():
+        against = ""
+        if one.odds is not None:
+            rival = listed([cause_name(found, *name) for name in one.rival]) or "no cause"
+            against = f" (odds {odds_text(one.odds)} against {rival})"
+        words = capital(cause_name(found, one.name, one.on))
+        said.append(f"{words} makes {share(one.share)} of the error on unseen data without it{against}")
+    return said
+
+
+def odds_text(odds: float) -> str:
+    """Odds in words: 300 : 1, and no more than a million."""
+    if odds > MOST_ODDS:
+        return f"beyond {MOST_ODDS:,.0f} : 1"
+    return f"{number(odds, 2)} : 1" if odds >= 1.0 else f"1 : {number(1.0 / max(odds, 1.0 / MOST_ODDS), 2)}"
 
 
 def is_open(found: Discovery) -> bool:

@@ -9,6 +9,7 @@ from masking.app.cli.verb import Call, Verb, verb
 from masking.app.workflows.settings_keywords import Parameter, parameters
 
 _EXPERIMENT = {"name_or_path": "EXPERIMENT"}
+_EXPLAIN = {"explain": "print every hypothesis that was looked at, what suggested it, and why it was not taken"}
 
 
 @verb(out="results/identified", doing="fitting", metavars={"records": "RECORD"})
@@ -40,14 +41,17 @@ def _measure(call: Call) -> int:
     return call.answer(content, "\n".join([found.sentence, *notes, f"page: {page}"]))
 
 
-@verb(out="results/discovered", doing="reading the record", has_json_file=True)
+@verb(out="results/discovered", doing="reading the record", has_json_file=True, flags=_EXPLAIN)
 def _discover(call: Call) -> int:
     """Find the physical effect that the model of a rig lacks, from a record, and add it."""
-    from masking.reports import discovery_files, discovery_page
+    from masking.reports import discovery_files, discovery_page, discovery_trace
 
     found = call.do()
     numbers = (call.out / discovery_files.NUMBERS).read_text(encoding="utf-8")
-    return call.answer(numbers, discovery_page.summary(found, discovery_files.paths(found, call.out)))
+    said = [discovery_page.summary(found, discovery_files.paths(found, call.out))]
+    if "explain" in call.written:
+        said.insert(0, discovery_trace.table(found))
+    return call.answer(numbers, "\n".join(said))
 
 
 @verb(out="results/{name_or_path}_refined", doing="reading the record", has_json_file=True, metavars=_EXPERIMENT)

@@ -29,6 +29,7 @@ class Verb:
     out: str = ""
     doing: str = ""  # what the progress bar says; empty where the verb takes no time
     interrupted: str = NOTHING_SAVED  # what an interrupt leaves, with `{out}`
+    flags: Mapping[str, str] = field(default_factory=dict)  # options without a value that are its own, with their help
     has_json_file: bool = False  # whether `--json` takes a file
     metavars: Mapping[str, str] = field(default_factory=dict)  # placeholders of arguments by their parameters
     note: str = ""  # below the help
@@ -87,6 +88,8 @@ def _add_arguments(sub: argparse.ArgumentParser, verb: Verb) -> None:
         return
     sub.epilog = verb.note
     arguments.add(sub, verb.parameters(), verb.metavars, {"out": verb.out} if verb.out else {})
+    for name, text in verb.flags.items():
+        sub.add_argument(f"--{name}", action="store_true", help=text)
     if verb.has_json_file:
         text = "print JSON, or write it to a file; give it after the other arguments"
         sub.add_argument("--json", metavar="FILE", nargs="?", const=True, help=text)

@@ -16,6 +16,7 @@ from masking.inference.discovery.places import is_of_one
 from masking.model.effects import DELAY, Effect, Span, Trial
 
 GROWTH = 1.6  # of a delay that is tried over the one before
+SEEN = 0.05  # of the largest value, that readings or commands of both signs have at least
 SHORTEST, LONGEST = 4.0, 3.0  # samples, and times of the motion, that the longest delay which is tried reaches at least
 
 
@@ -69,7 +70,9 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
-            for name in names:
+            # What differs between the signs shows where both are read.
+            signed = [name for name in names if "abs(" not in effect.expression or _has_both_signs(spans[where, name])]
+            for name in signed:
                 for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[where, name])
     # Delays that are tried, in s: from a sample to a few times the time of the motion.
@@ -79,6 +82,10 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
     for at in ("", *commanded) if commanded == rig.twin.actuators and len(commanded) > 1 else commanded:
         instances = tuple(EffectInstance(DELAY.name, at, (time,), (0,)) for time in times)
         yield Candidate(DELAY.name, at, (), (0,), instances)
+
+
+def _has_both_signs(span: Span) -> bool:
+    return min(-span.low, span.high) > SEEN * span.size
 
 
 def _ready(rig: AugmentedModel, candidate: Candidate, period: float) -> Candidate:

@@ -25,7 +25,6 @@ from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import KINDS, FreeLaw
 from masking.inference.discovery.grammar import MOST_SHAPES, Atom, atoms, evaluated
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.tempered_fits import tempered
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
 from masking.model.effects import EffectParameter
 
@@ -250,12 +249,6 @@ class ClosedForm:
     hypothesis: Hypothesis
     validated: Hypothesis
     score: float  # cost of both records, with Schwarz's penalty for each number
-
-    def tempered(self, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm:
-        """Form weighted as `tempered_fits.tempered` says; an IntegrationError where its motion is not finite."""
-        instances = self.hypothesis.instances
-        found = tempered(knowing(problem, instances), self.hypothesis)
-        return replace(self, hypothesis=found, validated=fitting.validated(knowing(validation, instances), found))
 
     @property
     def instance(self) -> EffectInstance:

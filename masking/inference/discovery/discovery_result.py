@@ -21,7 +21,7 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.units_after_search import far_off
 from masking.inference.discovery.unnamed_law import UnnamedLaw
-from masking.inference.discovery.verdict import at_noise_floor, is_closed
+from masking.inference.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.unit_check import UnitDoubt
 from masking.inference.estimation.whiteness import Whiteness, whiteness
@@ -41,6 +41,17 @@ class Alternative(NamedTuple):
     name: str
     on: str
     probability: float
+
+
+class Grade(NamedTuple):
+    """What speaks for a cause."""
+
+    name: str
+    on: str
+    share: float  # of the error without it on unseen data, of the worst sensor, which it takes away
+    without: float  # that error, with the other causes fitted anew
+    odds: float | None  # against the likeliest hypothesis of the record without a cause of its class there, if any
+    rival: tuple[Key, ...]  # causes of that
 
 
 class Errors(NamedTuple):
@@ -100,7 +111,6 @@ class Discovery(Explained):
     simulation_error: SimulationError  # before and after
     unexplained_fraction: float  # part of the excess cost that is left in the estimation record
     rivals: tuple[Explanation, ...]  # the explanations that the one was chosen from, itself first
-    tempering: float  # factor by which costs were divided, see `EstimationProblem.tempering`
     validation: EstimationProblem  # the estimation problem of the validation record
     # before and after: the model as declared and with the causes, on the validation record
     before: Hypothesis
@@ -114,6 +124,7 @@ class Discovery(Explained):
     law: UnnamedLaw | None = None  # the law without a name, where no name explains the record
     none_of_these: float = 0.0  # probability that none of the names is right
     withheld: Withheld | None = None  # what was found before, but is worse on unseen data than as declared
+    grades: tuple[Grade, ...] = ()  # of each effect of the explanation
     unit: UnitDoubt | None = None  # that of a channel which is probably another; the record is converted then
 
     def __repr__(self) -> str:
@@ -147,7 +158,7 @@ class Discovery(Explained):
     @property
     def deviations(self) -> Array:
         """Standard deviations of the rig's parameters and of those of the effects (k + f,)."""
-        return self.explanation.deviations(self.tempering)
+        return self.explanation.hypothesis.deviations
 
     @property
     def imperfections(self) -> list[Named]:
@@ -189,9 +200,7 @@ class Discovery(Explained):
     @property
     def written_deviations(self) -> Array:
         """Standard deviations of the rig's parameters and of those of the effects that are written."""
-        if self.law is None:
-            return self.deviations
-        return self.written.deviations(self.problem.tempering(self.written.hypothesis.residuals))
+        return self.written.hypothesis.deviations
 
     @property
     def unnamed(self) -> Named | None:
@@ -262,9 +271,18 @@ class Discovery(Explained):
         small = [{"name": one.name, "on": one.on, "parameters": one.parameters} for one in self.imperfections]
         names = (
             *("verdict", "closed", "effects", "simulation_error", "unexplained_fraction", "next_experiment"),
-            *("first_order_hold", "exchanged", "law", "none_of_these", "unit", "withheld", "shooting_interval"),
+            *(
+                "grades",
+                "first_order_hold",
+                "exchanged",
+                "law",
+                "none_of_these",
+                "unit",
+                "withheld",
+                "shooting_interval",
+            ),
         )
-        every = {name: getattr(self, name) for name in names} | {"notes": self.notes}
+        every = {name: getattr(self, name) for name in names} | {"notes": self.notes, "trace": self.problem.trace}
         return dict(plain({**every, "imperfections": small, "search_ended_early": self.problem.work.is_cut}))
 
 

@@ -36,15 +36,18 @@ from masking.inference.discovery.discovery_result import (
     SimulationError,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.explanation import Explanation, nearest
 from masking.inference.discovery.fitting import Hypothesis, by_instance
+from masking.inference.discovery.grading import with_grades
 from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
 from masking.inference.discovery.prior import prior_of, train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of, steps_of
+from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.search import SearchResult, Tell
 from masking.inference.discovery.smoothing import centred
+from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.verdict import Scored
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import NOT_LATE, Data
@@ -90,26 +93,32 @@ def discover(
     train, unseen = record, validation
     if unseen is None:
         train, unseen = train_validation_split(record, settings.rules.held_out)
-    found = _discovered(rig, train, unseen, settings, say)
+    trace = Trace()
+    found = _discovered(rig, (train, unseen), settings, trace, say)
     if not found.is_hidden:
         return found
     say("only unseen data show it: they are searched, and validated by the others", 0.0)
     try:
-        again = _discovered(rig, unseen, train, settings, say)
+        again = _discovered(rig, (unseen, train), settings, trace.under("the records exchanged"), say)
     except MaskingError:
         return found
     return found if again.explanation.kind == "none" else replace(again, exchanged=True)
 
 
-def _discovered(rig: AugmentedModel, train: Data, unseen: Data, settings: DiscoverySettings, say: Tell) -> Discovery:
-    twin, rules = rig.twin, settings.rules
+def _discovered(
+    rig: AugmentedModel, records: tuple[Data, Data], settings: DiscoverySettings, trace: Trace, say: Tell
+) -> Discovery:
+    """Discovery in the first of two records, validated by the other."""
+    (train, unseen), twin, rules = records, rig.twin, settings.rules
     prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
     work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
     with threadpool_limits(1):
-        whole = centred(EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work))
+        whole = centred(
+            EstimationProblem(rig, train, prior, noise_of(twin, train), most, rules=rules, work=work, trace=trace)
+        )
     named, substeps, doubt = _in_likeliest_unit(whole, unseen, settings, say)
     directed = _with_directed(named, substeps, named.validation.record, named.validation.sigma, say)
-    stated = _stated(replace(beside_names(directed, substeps, say), unit=doubt))
+    stated = with_grades(_stated(replace(beside_names(directed, substeps, say), unit=doubt)))
     return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
 
 
@@ -141,6 +150,7 @@ def _in_unit(
     The problem of the record, simulated whole, and the validation record are as declared; no doubt means these.
     """
     if doubt is not None:
+        whole = whole.under(f"another unit or sign of {' and '.join(doubt.names)}")
         whole, unseen = units_after_search.converted(doubt, whole), doubt.of(whole.rig.twin, unseen)
     problem = replace(whole, interval=shooting_intervals.interval(whole, settings.shooting_interval))
     problem = replace(problem.apart(), substeps=shooting_intervals.substeps(problem))
@@ -150,7 +160,8 @@ def _in_unit(
         problem = problem.apart()
         for seconds in shooting_intervals.shorter(whole):
             say(f"the motion loses phase with the record: in shooting intervals of {seconds:.2g} s", 0.0)
-            part = replace(problem, interval=shooting_intervals.interval(whole, seconds))
+            part = problem.under(f"in shooting intervals of {seconds:.2g} s")
+            part = replace(part, interval=shooting_intervals.interval(whole, seconds))
             again = _explained(part, unseen, noise, say)
             if again.verdict != "unknown":
                 found = again
@@ -176,7 +187,7 @@ def _with_directed(found: Discovery, substeps: int, unseen: Data, noise: Array, 
     if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
         return found
     say("forces between coordinates, of commands elsewhere and under load", 0.0)
-    problem = replace(found.problem, rig=rig, substeps=substeps)
+    problem = replace(found.problem.under("directed places"), rig=rig, substeps=substeps)
     try:
         with threadpool_limits(1):
             is_worth = are_worth_a_search(problem, found.search.base.hypothesis)
@@ -238,7 +249,7 @@ def _explained(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell
         return found
     say(f"again, with {steps} steps between samples", 0.0)
     alone = problem.substeps if known.instances else steps
-    return _found(replace(found.problem, substeps=alone), unseen, noise, say, steps)
+    return _found(replace(found.problem.under("finer steps"), substeps=alone), unseen, noise, say, steps)
 
 
 def _near(found: Discovery) -> Hypothesis | None:
@@ -274,11 +285,13 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         Errors(validation.errors(before.squares), validation.errors(given.after.squares)),
         known.noise_floor, validation.noise_floor, validation.errors(adjusted.squares), given.alone,
     )  # fmt: skip
-    tempering = known.tempering(chosen.hypothesis.residuals)
-    excess, left = (verdict.excess_cost(one.cost, size) for one in (search.base, chosen))
-    unexplained = left / excess if excess > 0.0 else 0.0
-    scored, composite = _scored(given.rivals, known, tempering), are_composite(chosen.names, known.rig, rules)
-    effects = _causes(known.rig, (chosen, *given.rivals[1:]), tempering, scored)
+    without, after = (float(one.misfits.sum()) for one in (adjusted, given.after))
+    unexplained = max(
+        verdict.part_left(search.base.cost, chosen.cost, size, rules),
+        verdict.part_left(without, after, given.after.residuals.size, rules),
+    )
+    scored, composite = _scored(given.rivals, known.rig, rules), are_composite(chosen.names, known.rig, rules)
+    effects = _causes(known.rig, (chosen, *given.rivals[1:]), scored)
     rounded = _rounded(known, chosen.hypothesis)
     answer = verdict.revised(
         verdict.decide(scored, unexplained, size, rules, composite=composite),
@@ -289,7 +302,7 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
     return Discovery(
         verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=search,
         effects=(*effects, *(cause for cause, _ in rounded)), simulation_error=errors,
-        unexplained_fraction=unexplained, rivals=given.rivals, tempering=tempering, validation=validation,
+        unexplained_fraction=unexplained, rivals=given.rivals, validation=validation,
         before=before, after=given.after, adjusted=adjusted, withheld=given.withheld,
         next_experiment=_separating(known, given.rivals, say) if answer == "ambiguous" else None,
     )  # fmt: skip
@@ -300,9 +313,9 @@ def _likeliest(
 ) -> tuple[tuple[Explanation, ...], bool]:
     """Explanations of the last step that is needed, the likeliest first, and whether parsimony put it behind."""
     needed = _needed(found, validation, adjusted)
-    tempering = problem.tempering(needed[0].hypothesis.residuals)
-    is_demoted = verdict.is_demoted(_scored(needed, problem, tempering), problem.record.readings.size, problem.rules)
-    return tuple(sorted(needed, key=lambda rival: rival.score(tempering))) if is_demoted else needed, is_demoted
+    like, scored = nearest(needed), _scored(needed, problem.rig, problem.rules)
+    is_demoted = verdict.is_demoted(scored, problem.record.readings.size, problem.rules)
+    return tuple(sorted(needed, key=lambda rival: rival.score(like))) if is_demoted else needed, is_demoted
 
 
 def _separating(problem: EstimationProblem, rivals: Sequence[Explanation], say: Tell) -> NextExperiment | None:
@@ -329,9 +342,9 @@ def _reordered(
     rivals: tuple[Explanation, ...], problem: EstimationProblem, validation: EstimationProblem
 ) -> tuple[Explanation, ...]:
     """Explanations that are nearly as good as the best, ordered by how well they explain another record, too."""
-    tempering, margin = problem.tempering(rivals[0].hypothesis.residuals), problem.rules.validation_margin
-    near = [rival for rival in rivals if rival.score(tempering) <= rivals[0].score(tempering) + margin]
-    if len(near) < 2 or any(rival.score(tempering) < rivals[0].score(tempering) for rival in near):
+    like, margin = nearest(rivals), problem.rules.validation_margin
+    near = [rival for rival in rivals if rival.score(like) <= rivals[0].score(like) + margin]
+    if len(near) < 2 or any(rival.score(like) < rivals[0].score(like) for rival in near):
         return rivals
     both: list[Explanation] = []
     for rival in near:
@@ -341,7 +354,8 @@ def _reordered(
             both.append(replace(rival, joint=joint))
     if not both:  # none moves on in the other record as it does in this one
         return rivals
-    ordered = sorted(both, key=lambda rival: rival.score(tempering))
+    like = nearest(both)
+    ordered = sorted(both, key=lambda rival: rival.score(like))
     size, rules = problem.record.readings.size, problem.rules
     follows_step = any(one.entry.by_step for one in ordered[0].hypothesis.instances[-1:])
     if not follows_step or not verdict.reaches_noise(ordered[0].cost, size, rules):
@@ -366,36 +380,53 @@ def _needed(found: SearchResult, validation: EstimationProblem, adjusted: Hypoth
     base = plain(found.base, float(adjusted.squares @ validation.weights))
     last = found.steps[-1][0].cost if found.steps else found.base.cost
     count = verdict.steps_needed(base, steps, last, size, validation.rules)
+    for step in found.steps[count:]:
+        validation.trace.refuse(step[0].names, "unseen data do not support it")
+    while count > 1 and (doubt := _doubt(found.steps[count - 1][0], validation)):
+        validation.trace.refuse(found.steps[count - 1][0].names, doubt)
+        count -= 1
     return found.steps[count - 1] if count else (found.base,)
 
 
+def _doubt(explanation: Explanation, validation: EstimationProblem) -> str:
+    """Why the last cause of an explanation that leaves more than noise is not given a name; '' where it is."""
+    rules = validation.rules
+    if verdict.reaches_noise(explanation.cost, explanation.hypothesis.residuals.size, rules):
+        return ""
+    if are_composite(explanation.names, validation.rig, rules):
+        return "together its causes imitate another law"
+    is_significant = _one_scored(explanation, validation.rig, explanation.hypothesis).is_significant(rules)
+    return "" if is_significant else "its last cause does not differ from nothing"
+
+
 def _plain(explanation: Explanation) -> Scored:
-    """Explanation as plain data, without what takes another record or a tempering factor."""
+    """Explanation as plain data, without what takes another record or another explanation."""
     absorbed = tuple(bool(instance.entry.absorbed_by) for instance in explanation.hypothesis.instances)
     return Scored(explanation.kind, explanation.names, explanation.cost, absorbed=absorbed, unique=explanation.unique)
 
 
-def _scored(rivals: Sequence[Explanation], problem: EstimationProblem, tempering: float) -> list[Scored]:
+def _scored(rivals: Sequence[Explanation], rig: AugmentedModel, rules: DecisionRules) -> list[Scored]:
     """Explanations as plain data; those that the records cannot tell from the first have its score.
 
     These have as many parameters and cost as much: only the units of their ranges would tell them apart, such as those
     of a constant force and of an offset of its sensor.
     """
-    found = [_one_scored(rival, problem, tempering) for rival in rivals]
-    first, *fits = [rival.joint or rival.hypothesis for rival in rivals]
+    like = nearest(rivals)
+    found = [_one_scored(rival, rig, like) for rival in rivals]
+    first, *fits = [rival.fitted for rival in rivals]
     for i, fit in enumerate(fits, 1):
-        is_same = abs(fit.cost - first.cost) < problem.rules.indifferent * tempering
+        is_same = abs(fit.misfit(like) - first.misfit(like)) < rules.indifferent
         if is_same and found[i].kind == found[0].kind and len(fit.added) == len(first.added):
             found[i] = replace(found[i], score=found[0].score)
     return found
 
 
-def _one_scored(explanation: Explanation, problem: EstimationProblem, tempering: float) -> Scored:
+def _one_scored(explanation: Explanation, rig: AugmentedModel, like: Hypothesis) -> Scored:
     """Explanation as plain data, with its score and the estimates of its last cause."""
-    rig, estimates = problem.rig, _estimates(problem.rig, explanation, tempering)
+    estimates = _estimates(rig, explanation)
     usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
-    return replace(_plain(explanation), score=explanation.score(tempering), estimates=last)
+    return replace(_plain(explanation), score=explanation.score(like), estimates=last)
 
 
 def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:
@@ -415,8 +446,8 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     return found
 
 
-def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) -> list[dict[str, Estimate]]:
-    hypothesis, deviations = explanation.hypothesis, explanation.deviations(tempering)
+def _estimates(rig: AugmentedModel, explanation: Explanation) -> list[dict[str, Estimate]]:
+    hypothesis, deviations = explanation.hypothesis, explanation.hypothesis.deviations
     if explanation.kind == "parameter":
         indices = {name: rig.names.index(name) for name, _ in explanation.names}
         return [{name: Estimate(float(hypothesis.theta[i]), float(deviations[i]))} for name, i in indices.items()]
@@ -427,12 +458,10 @@ def _estimates(rig: AugmentedModel, explanation: Explanation, tempering: float) 
     ]
 
 
-def _causes(
-    rig: AugmentedModel, rivals: Sequence[Explanation], tempering: float, scored: Sequence[Scored]
-) -> tuple[Named, ...]:
+def _causes(rig: AugmentedModel, rivals: Sequence[Explanation], scored: Sequence[Scored]) -> tuple[Named, ...]:
     """Causes of the chosen explanation; the last one with its probability and its alternatives."""
     chosen, weights = rivals[0], [float(weight) for weight in verdict.probabilities([one.score for one in scored])]
-    estimates = _estimates(rig, chosen, tempering)
+    estimates = _estimates(rig, chosen)
     if not estimates:
         return ()
     pairs = zip(rivals[1:], weights[1:], strict=True)

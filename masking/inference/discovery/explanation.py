@@ -5,7 +5,7 @@ Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -13,12 +13,12 @@ from typing import TypeVar
 import numpy as np
 
 from masking.compile.numerics import decompositions
-from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.trace import Tried
 from masking.inference.discovery.verdict import Key, Kind
 from masking.inference.discovery.work_budget import Work
 
@@ -53,22 +53,43 @@ class Explanation:
         names, instances = self.names, self.hypothesis.instances
         return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
-    def score(self, tempering: float) -> float:
-        """Its cost over a tempering factor, with the Occam factor of its parameters.
+    @property
+    def fitted(self) -> Hypothesis:
+        """Hypothesis that is compared: that of both records where there is one."""
+        return self.joint or self.hypothesis
 
-        Of parameters of the model, each beyond the first has Schwarz's penalty.
+    def score(self, like: Hypothesis) -> float:
+        """-2 log evidence, with the residual as coloured as that of another hypothesis, see `Hypothesis.misfit`.
+
+        That is the likelihood and prior, and the Occam factor of its parameters. Of parameters of the model, each
+        beyond the first has Schwarz's penalty.
         """
-        fitted, further = self.joint or self.hypothesis, (len(self.names) - 1) * (self.kind == "parameter")
-        penalty = further * float(np.log(self.hypothesis.residuals.size))
-        return fitted.cost / tempering + occam(fitted, tempering) + penalty
+        return self.fitted.misfit(like) + self._price(like)
 
-    def deviations(self, tempering: float) -> Array:
-        """Standard deviations of its parameters (k + f,), larger where more than white noise is left."""
-        return np.asarray(np.sqrt(tempering) * self.hypothesis.deviations)
+    def _price(self, like: Hypothesis) -> float:
+        further = (len(self.names) - 1) * (self.kind == "parameter")
+        return occam(self.fitted) + further * float(np.log(max(like.independent.sum(), 2.0)))
+
+    def tried(self, reading: str, move: str) -> Tried:
+        """It as a line of a trace."""
+        one, price = self.hypothesis, self.hypothesis.pull + self._price(self.hypothesis)
+        return Tried(reading, move, self.names, one.misfits[0], one.independent[0], price, one.residuals.size)
+
+
+def nearest(explanations: Iterable[Explanation]) -> Hypothesis:
+    """Hypothesis that leaves least, whose residual says how coloured those of all are."""
+    return min((one.fitted for one in explanations), key=lambda one: one.cost)
 
 
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
 Fit = TypeVar("Fit")
+
+
+def noted(problem: EstimationProblem, move: str, jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
+    """Explanations of fits that a move suggests, as `fitted`, noted in the trace of the problem."""
+    made = fitted(jobs, rival, problem.work)
+    problem.trace.tried += [one.tried(problem.trace.reading, move) for one in made if one is not None]
+    return made
 
 
 def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> list[Fit | None]:
@@ -91,7 +112,7 @@ def fitted(jobs: Sequence[Callable[[float], Fit]], rival: float, work: Work) -> 
     return made + [None] * (len(jobs) - len(made))
 
 
-def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
+def occam(hypothesis: Hypothesis) -> float:
     """Occam factor of the effects: by how much the record narrows their parameters, as -2 log evidence.
 
     Before the record, each factor of an effect could have been as large as makes it as strong as the strongest of them,
@@ -127,7 +148,7 @@ def occam(hypothesis: Hypothesis, tempering: float = 1.0) -> float:
     if not np.isfinite(weighed).all():
         return np.inf
     try:
-        ratios = decompositions.symmetric(weighed)[0] / tempering
+        ratios = decompositions.symmetric(weighed)[0]
     except IntegrationError:
         return np.inf
     return float(np.log1p(np.maximum(ratios, 0.0)).sum())
@@ -138,4 +159,4 @@ def _expected(instance: EffectInstance) -> list[float]:
     if instance.effect == compiled_laws.DELAY:
         return [0.0]
     declared = [instance.entry.parameters[name] for name in instance.names]
-    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior else 0.0 for p in declared]
+    return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior and not p.spread else 0.0 for p in declared]

@@ -1,7 +1,10 @@
 """Fitting: the rig with effects at some places, brought as near to its records as its parameters let it.
 
 The parameters of the rig have a normal prior around their declared values; the initial state of each shooting interval
-is estimated. Source: as `masking.compile.numerics.least_squares`.
+is estimated. The likelihood is that of `discrepancy`: what no values explain weighs as little as it is worth, so that
+the prior holds parameters which would else go far to stand for what is missing.
+Source: as `masking.compile.numerics.least_squares`; Green (1984), J. R. Stat. Soc. B 46(2), 149-192, for weights that
+follow the residuals.
 """
 
 from __future__ import annotations
@@ -9,15 +12,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.least_squares import Box, Damping, Linearised, Patience, System, minimise
+from masking.compile.numerics.least_squares import Box, Damping, Linearised, Minimum, Patience, System, minimise
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, continuation, excluded_laws
+from masking.inference.discovery import compiled_laws, continuation, discrepancy, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES, DecisionRules
@@ -31,6 +34,9 @@ CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit
 IDLE = 50.0  # times what has converged: several steps that take less together are those of a law with corners
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
+COLOURED = 0.7  # of the samples that a residual was worth where a fit began, and back: those of its end count
+COLOURS = 4  # fits of one colour at most
+EXACT = 1e300  # independent samples of a likelihood without discrepancy
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
@@ -42,11 +48,23 @@ class Hypothesis:
     instances: tuple[EffectInstance, ...]  # the effects with fitted values
     theta: Array  # parameters of the rig (k,)
     start: Array  # initial states of the shooting intervals (w, states)
-    cost: float  # -2 log likelihood and prior, up to a constant: squared residuals over their variance
+    cost: float  # squared residuals over the variance of the noise, and over that of the prior
+    pull: float  # of the cost, the part of the prior
     squares: Array  # of each sensor (sensors,)
+    misfits: Array  # squared residuals over the variance of the noise, of each record and sensor (records, sensors)
+    independent: Array  # how many independent samples these are worth (records, sensors)
     covariance: Array  # of rig's parameters and free parameters of the effects (k + f, k + f)
     residuals: Array  # of each sample (m, sensors)
     rules: DecisionRules = RULES  # the thresholds that it was fitted by
+
+    def misfit(self, like: Hypothesis) -> float:
+        """-2 log likelihood and prior, with the colour of the residual that another one leaves, as a rule the best."""
+        return discrepancy.misfit(self.misfits, like.independent) + self.pull
+
+    @property
+    def scale(self) -> float:
+        """Squared residuals over noise variances that are worth as much as one of noise; 1 or more."""
+        return 1.0 / float(discrepancy.weights(self.misfits, self.independent).min())
 
     @property
     def creeping(self) -> Hypothesis:
@@ -173,7 +191,8 @@ def solved(
 def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
     if one is None or other is None:
         return one or other
-    return other if other.cost < one.cost else one
+    like = min(one, other, key=lambda fit: fit.cost)
+    return other if other.misfit(like) < one.misfit(like) else one
 
 
 def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> tuple[Begun, float]:
@@ -260,7 +279,7 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
     """Cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
     try:
-        return whole.linearised(whole.unknowns(theta)).cost
+        return whole.linearised(whole.unknowns(theta), _Likelihood(is_exact=True)).cost
     except IntegrationError:
         return np.inf
 
@@ -301,6 +320,23 @@ class _LeastSquares:
         return np.array(found)
 
     @cached_property
+    def penalties(self) -> Array:
+        """Weights of squares and products of the effects' parameters in the cost (f, f).
+
+        Errors of instruments are small: a large one would imitate anything.
+        """
+        twin, record, found = self.problem.rig.twin, self.problem.record, list[float]()
+        for one in self.instances:
+            known = one.effect != compiled_laws.DELAY and one.where != "element"
+            names, table = (
+                (twin.sensors, record.readings) if one.where == "sensor" else (twin.actuators, record.commands)
+            )
+            largest = float(np.abs(table[:, names.index(one.at)]).max()) if known else 0.0
+            entries = [one.entry.parameters[name] for name in one.names] if known else [None] * len(one.free)
+            found += [0.0 if entry is None else entry.deviation(largest) ** -2.0 for entry in entries]
+        return np.diag(found) if self.penalty is None else np.diag(found) + self.penalty
+
+    @cached_property
     def edges(self) -> tuple[int, int, int]:
         """Where the unknowns of the rig, of the effects, and of the states of effects end."""
         k, f = len(self.problem.prior.mean), len(estimated(self.instances))
@@ -337,71 +373,150 @@ class _LeastSquares:
         return theta, added, inner, start
 
     def solve(self, theta: Array, rounds: int, rival: float, is_behind: Callable[[], bool] | None = None) -> Hypothesis:
-        """Fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`."""
-        rules, slow, enough, costs = self.problem.rules, 0, 0.0, list[float]()
+        """Fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`.
+
+        It is fitted again from where it ends while its residual is worth more or fewer samples there.
+        """
+        x, likelihood = self.unknowns(theta), _Likelihood(is_exact=self.frozen)
+        for _ in range(COLOURS):
+            made = self._solved(x, likelihood, rounds, rival, is_behind)
+            x, rounds, found, shared = made.x, rounds - made.rounds, made.at.extra, self.edges[1]
+            ended = found.independent
+            is_settled = likelihood.is_of(ended)
+            if is_settled or self.frozen or rounds < 1 or made.at.cost > likelihood.level(rival):
+                break
+            likelihood = _Likelihood(samples=ended, weights=discrepancy.weights(found.misfits, ended))
+        theta, added, _, start = self.parts(x)
+        parts = zip(self.instances, by_instance(self.instances, added), strict=True)
+        values = tuple(instance.with_values(instance.free, part) for instance, part in parts)
+        return Hypothesis(
+            values, theta, start, float(found.misfits.sum()) + found.pull, found.pull, found.equations.squares,
+            found.misfits, ended, made.at.equations.covariance()[:shared, :shared], found.equations.residuals,
+            self.problem.rules,
+        )  # fmt: skip
+
+    def _solved(
+        self, x: Array, likelihood: _Likelihood, rounds: int, rival: float, is_behind: Callable[[], bool] | None
+    ) -> Minimum[_Found]:
+        """Where the method ends, from values of the unknowns (n,)."""
+        rules, slow, costs, enough = self.problem.rules, 0, list[float](), CONVERGED * self.problem.rules.indifferent
 
         def wanted(now: float) -> float:
-            return rules.hopeless_fraction * max(now - rival, 0.0)
+            return rules.hopeless_fraction * max(now - likelihood.level(rival), 0.0)
 
         def is_hopeless(now: float, tried: float) -> bool:
             nonlocal slow
             costs.append(now)
             slow = slow + 1 if now - tried < wanted(now) else 0
             is_idle = len(costs) > rules.hopeless_steps and costs[-1 - rules.hopeless_steps] - now < IDLE * enough
-            is_far = len(costs) == continuation.ROUNDS and now > BEHIND * rival
+            is_far = len(costs) == continuation.ROUNDS and now > likelihood.level(BEHIND * rival)
             return slow == rules.hopeless_steps or is_idle or (is_far and is_behind is not None and is_behind())
-
-        def tolerance(at: Linearised[Equations]) -> float:
-            nonlocal enough
-            enough = CONVERGED * rules.indifferent * self.problem.tempering(at.extra.residuals)
-            return enough
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
         high = np.concatenate([prior.high, effects.high])
         box = Box(low, high, np.arange(len(low)) >= self.edges[0])
         with np.errstate(over="ignore", invalid="ignore"):  # a step that runs away costs more, and is not taken
-            made = minimise(
-                self.linearised, self.unknowns(theta), box, DAMPING, rounds=rounds, tolerance=tolerance,
-                patience=Patience(wanted, is_hopeless),
+            return minimise(
+                partial(self.linearised, likelihood=likelihood), x, box, DAMPING, rounds=rounds,
+                tolerance=lambda at: enough, patience=Patience(wanted, is_hopeless),
             )  # fmt: skip
-        theta, added, _, start = self.parts(made.x)
-        found, shared = made.at.extra, self.edges[1]
-        parts = zip(self.instances, by_instance(self.instances, added), strict=True)
-        values = [instance.with_values(instance.free, part) for instance, part in parts]
-        return Hypothesis(
-            tuple(values), theta, start, made.at.cost, found.squares,
-            made.at.equations.covariance()[:shared, :shared], found.residuals, rules,
-        )  # fmt: skip
 
-    def linearised(self, x: Array) -> Linearised[Equations]:
+    def linearised(self, x: Array, likelihood: _Likelihood) -> Linearised[_Found]:
         theta, added, inner, start = self.parts(x)
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
-        pieces = zip(self.records, starts, np.split(inner, len(self.records)), strict=True)
+        pieces = zip(self.records, starts, np.split(inner, len(self.records)), likelihood.of(self.records), strict=True)
         every = [
-            one.equations(theta, begin, self.instances, added, inner=begun, frozen=self.frozen)
-            for one, begin, begun in pieces
+            one.equations(theta, begin, self.instances, added, inner=begun, weights=weights, frozen=self.frozen)
+            for one, begin, begun, weights in pieces
         ]
-        weights = [one.weights / self.problem.weights for one in self.records]
-        found = _joined(every, self.edges[1], len(inner) // len(self.records), weights)
-        (k, first, last), prior, rough = self.edges, self.problem.prior, 0.0
-        if self.penalty is not None:
-            found.matrix[k:first, k:first] += self.penalty
-            found.gradient[k:first] -= self.penalty @ added
-            rough = max(float(added @ self.penalty @ added), 0.0)  # of factors that run away, rounding may be negative
+        (k, first, last), prior = self.edges, self.problem.prior
         off, deviation, fixed = np.zeros(len(x)), np.full(len(x), np.inf), np.zeros(len(x), dtype=bool)
         off[:k], deviation[:k], fixed[:first] = prior.mean - theta, prior.deviation, self.frozen
         known = self.begins == 0.0
         off[first:last], deviation[first:last], fixed[first:last] = -inner, np.where(known, np.inf, self.begins), known
-        cost = float(found.squares @ self.problem.weights + ((off / deviation) ** 2).sum()) + rough
+        rough = max(float(added @ self.penalties @ added), 0.0)  # of factors that run away, rounding may be negative
+        pull = float(((off / deviation) ** 2).sum()) + rough
+        left = np.array([part.squares * one.weights for part, one in zip(every, self.records, strict=True)])
+        cost, times = likelihood.cost(left, pull, self.records, every)
+        found = _joined(every, first, len(inner) // len(self.records))
+        found = replace(found, matrix=times * found.matrix, gradient=times * found.gradient)
+        if not self.frozen:
+            found.matrix[k:first, k:first] += self.penalties
+            found.gradient[k:first] -= self.penalties @ added
         equations = System(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
         if len(self.start) > 1 and self.free:
             equations = replace(equations, shared=last, block=len(self.free))
-        return Linearised(cost, equations.with_prior(off, deviation), found)
+        return Linearised(cost, equations.with_prior(off, deviation), _Found(found, left, pull, self.records, every))
 
 
-def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequence[Array]) -> Equations:
-    """Equations of several records as those of one; weights of squared residuals are beside the first one's (sensors,).
+@dataclass(frozen=True)
+class _Found:
+    """Records at values of the unknowns: equations, squares over noise variances (records, sensors), and prior."""
+
+    equations: Equations
+    misfits: Array
+    pull: float
+    records: tuple[EstimationProblem, ...]
+    every: Sequence[Equations]
+
+    @cached_property
+    def independent(self) -> Array:
+        """How many independent samples the residuals are worth (records, sensors)."""
+        pairs = zip(self.records, self.every, strict=True)
+        return np.array([one.independent(part.residuals) for one, part in pairs])
+
+
+def _none() -> Array:
+    return np.empty(0)
+
+
+@dataclass
+class _Likelihood:
+    """Likelihood as a fit goes on: weights follow the residual of the least cost, its colour is that of the first."""
+
+    is_exact: bool = False  # whether there is no discrepancy
+    samples: Array = field(default_factory=_none)  # independent samples of each record and sensor (records, sensors)
+    weights: Array = field(default_factory=_none)  # of squared residuals, over those by noise (records, sensors)
+    least: float = np.inf  # cost so far
+    first: Array = field(default_factory=_none)  # squares over noise variances with which it began
+
+    def of(self, records: Sequence[EstimationProblem]) -> Array:
+        """Weights of squared residuals (records, sensors)."""
+        every = np.array([one.weights for one in records])
+        return every * self.weights if self.weights.size else every
+
+    def is_of(self, samples: Array) -> bool:
+        """Whether it has nearly this colour."""
+        ratio = samples / self.samples
+        return bool(((ratio > COLOURED) & (ratio < 1.0 / COLOURED)).all())
+
+    def cost(
+        self, squares: Array, pull: float, records: Sequence[EstimationProblem], every: Sequence[Equations]
+    ) -> tuple[float, float]:
+        """-2 log posterior of squares over noise variances, and the factor that equations with the weights lack."""
+        if not self.first.size:
+            self.first = squares
+        if not self.samples.size:
+            pairs = zip(records, every, strict=True)
+            worth = [one.independent(part.residuals) for one, part in pairs] if not self.is_exact else EXACT
+            self.samples = np.broadcast_to(worth, squares.shape)
+        cost, times = discrepancy.misfit(squares, self.samples) + pull, 1.0
+        if cost < self.least:
+            before, self.least = self.weights if self.weights.size else np.ones_like(squares), cost
+            self.weights = discrepancy.weights(squares, self.samples)
+            times = float((squares * self.weights).sum() / max(float((squares * before).sum()), 1e-300))
+        return cost, times
+
+    def level(self, cost: float) -> float:
+        """What squares that sum up to a cost weigh here, shared out as those with which it began."""
+        if not self.first.size or not np.isfinite(cost):
+            return np.inf
+        return discrepancy.misfit(self.first * (cost / max(float(self.first.sum()), 1e-300)), self.samples)
+
+
+def _joined(parts: Sequence[Equations], shared: int, inner: int) -> Equations:
+    """Equations of several records as those of one, with the squares and residuals of the first.
 
     The first columns are `shared` by all; then come `inner` ones of states inside of effects, each record's own.
     """
@@ -415,8 +530,7 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int, weights: Sequen
         own = np.concatenate([np.arange(shared), np.arange(first, first + inner), np.arange(ends[i], ends[i + 1])])
         matrix[np.ix_(own, own)] += part.matrix
         gradient[own] += part.gradient
-    squares = np.sum([part.squares * weight for part, weight in zip(parts, weights, strict=True)], axis=0)
-    return Equations(matrix, gradient, squares, parts[0].simulated, parts[0].residuals)
+    return replace(parts[0], matrix=matrix, gradient=gradient)
 
 
 def bounds(instances: Sequence[EffectInstance]) -> Box:

@@ -26,7 +26,6 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import COLLINEAR, Screen
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces
-from masking.inference.discovery.tempered_fits import tempered
 from masking.inference.discovery.views_of_record import views
 from masking.model.effects import Effect, EffectParameter
 
@@ -113,10 +112,6 @@ class FreeLaw:
         """Covariance of the factors (f, f)."""
         return self.hypothesis.covariance[-self.size :, -self.size :]
 
-    def tempered(self) -> FreeLaw:
-        """Law with the record weighted as its residual allows, see `tempered_fits.tempered`."""
-        return replace(self, hypothesis=tempered(self.problem, self.hypothesis, self.penalty))
-
     def rows(self, x: Array, rate: Array) -> Array:
         """Basis functions at displacements and rates (m, f)."""
         return np.hstack([term.values(x, rate) for term in self.terms])
@@ -178,8 +173,8 @@ def fit(
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.
-    tempering = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
-    for one in sorted(starts, key=lambda one: one.cost / tempering + one.used * np.log(one.rows))[:MOST_FORMS]:
+    scale = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
+    for one in sorted(starts, key=lambda one: one.cost / scale + one.used * np.log(one.rows))[:MOST_FORMS]:
         law = _fitted(one, known, marks)
         if law is not None and (best is None or law.score < best.score):
             best = law

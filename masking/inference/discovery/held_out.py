@@ -23,7 +23,6 @@ from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.tempered_fits import tempered
 from masking.inference.discovery.verdict import Cause
 
 
@@ -58,8 +57,7 @@ def no_worse(
     """
     withheld, declared = None, float(before.squares @ unseen.weights)
     for rivals in tried[:-1]:
-        fitted, alone = tempered(rivals[0].with_prior(problem), rivals[0].hypothesis), None
-        chosen = replace(rivals[0], hypothesis=fitted, joint=None)
+        chosen, alone = replace(rivals[0], joint=None), None
         causes = tuple(Cause(*key) for key in chosen.names)
         try:
             after = fitting.validated(unseen, chosen.hypothesis)

@@ -19,7 +19,7 @@ from masking.compile.numerics import decompositions
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.explanation import Explanation, fitted
+from masking.inference.discovery.explanation import Explanation, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import Search, SearchResult, Tell
@@ -47,7 +47,7 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple
         return found, known
     tell("small errors of sensors and actuators are adjusted", 0.0)
     again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
-    is_better = not _is_complete(known, found) or _last(again).score(1.0) < _last(found).score(1.0)
+    is_better = not _is_complete(known, found) or _is_likelier(_last(again), _last(found))
     if _is_complete(wider, again) and (trial.is_shown or is_better):
         return again, wider
     if trial.is_shown:  # the first search ended early
@@ -78,7 +78,9 @@ class _Trial:
             return False
         wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
         most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
-        for made in fitted([partial(_beside, wider, one) for one in laws[:TRIED]], most, wider.work):
+        for made in noted(
+            wider, "with all instrument errors", [partial(_beside, wider, one) for one in laws[:TRIED]], most
+        ):
             if made is not None:
                 left = verdict.excess_cost(made.cost, size)
                 self.is_likely |= left < rules.unexplained_fraction * alone
@@ -117,7 +119,12 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
         gone = [i for i in range(many) if i not in kept]
         information = decompositions.inverse(covariance[np.ix_(gone, gone)], hermitian=True)
         costs.append(float(values[gone] @ information @ values[gone]))
-    return min(costs) / problem.tempering(known.residuals) < problem.rules.effect_evidence
+    return min(costs) < problem.rules.effect_evidence
+
+
+def _is_likelier(one: Explanation, other: Explanation) -> bool:
+    like = nearest([one, other])
+    return one.score(like) < other.score(like)
 
 
 def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
@@ -133,7 +140,8 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
     most = MOST * sizes
     least = [0.0 if one.effect == DELAY.name else -size for one, size in zip(instances, most, strict=True)]
     wider = problem.prior.extended(len(problem.prior.mean), np.zeros(len(sizes)), sizes, least, most)
-    return replace(problem.apart(), rig=replace(problem.rig, imperfections=instances), prior=wider)
+    apart = problem.apart().under("small errors of instruments adjusted")
+    return replace(apart, rig=replace(problem.rig, imperfections=instances), prior=wider)
 
 
 def _imperfections(problem: EstimationProblem) -> Iterator[tuple[EffectInstance, float]]:

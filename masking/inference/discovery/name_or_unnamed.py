@@ -34,17 +34,12 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
-    above, matched = 0.0 if found.is_at_noise_floor else errs, _in_intervals_of(law, found)
-    if law is None:
-        explained, better, unexplained = not above, -np.inf, left
-    else:
-        explained = law.reaches(found.simulation_error.validation_noise_floor)
-        alone = not matched.is_at_noise_floor and explained
+    matched, better, unexplained = _in_intervals_of(law, found), -np.inf, left if is_refused else 0.0
+    if law is not None:
+        alone = not matched.is_at_noise_floor and law.reaches(found.simulation_error.validation_noise_floor)
         better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
-        unexplained = law.unexplained(found)
-    none = verdict.none_of_these(
-        unexplained if is_open else 0.0, better, refused=is_refused, shared=are_two, above=above, explained=explained
-    )
+        unexplained = law.unexplained(found) if is_open else 0.0
+    none = verdict.none_of_these(unexplained, better, shared=are_two)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
     is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
     of, kept = (matched, law) if is_written else (found, None)
@@ -56,8 +51,8 @@ def _without_names(found: Discovery, substeps: int) -> Discovery:
     if found.verdict != "unknown":
         return replace(found, law=None, none_of_these=0.0)
     law = None if found.is_hidden else law_of(found, found.validation, substeps, OPEN)
-    is_right = law is not None and law.reaches(found.simulation_error.validation_noise_floor)
-    return replace(_in_intervals_of(law, found), law=law, none_of_these=1.0 if is_right else verdict.REFUSED)
+    none = verdict.none_of_these(1.0 if law is None else law.unexplained(found))
+    return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
 
 
 def _effects(found: Discovery, part: float) -> tuple[Named, ...]:

@@ -18,7 +18,7 @@ from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import verdict
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.excluded_laws import is_excluded
-from masking.inference.discovery.explanation import Explanation, Job, fitted
+from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import bounds
 from masking.inference.discovery.places import both_of
 from masking.inference.discovery.problem import EstimationProblem
@@ -82,13 +82,14 @@ def pairs_first(
             break
         if len({*names}) == len(names) and not are_composite(names, rig, rules):
             chosen.append(pair)
-    both = [e for e in fitted([job(pair.scores) for pair in chosen], alone, problem.work) if e is not None]
+    jobs = [job(pair.scores) for pair in chosen]
+    both = [e for e in noted(problem, "two causes at one place", jobs, alone) if e is not None]
     better = [e for e in both if verdict.excess_cost(e.cost, size) < left]
     better = [e for e in better if not is_excluded(problem, e.hypothesis.instances)]
     if not better:
         return found
-    tempering = problem.tempering(min(better, key=lambda e: e.cost).hypothesis.residuals)
-    return [*sorted(better, key=lambda e: e.score(tempering)), *found]
+    like = nearest(better)
+    return [*sorted(better, key=lambda e: e.score(like)), *found]
 
 
 def _group(score: Score) -> tuple[str, ...]:

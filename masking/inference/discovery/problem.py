@@ -13,8 +13,10 @@ from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings,
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
+from masking.inference.discovery.discrepancy import independent
 from masking.inference.discovery.prior import Prior
 from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import Data, is_first_order
 from masking.inference.estimation.initial_states import FIRST_READINGS, guessed_state
@@ -35,6 +37,11 @@ class EstimationProblem:
     rules: DecisionRules = RULES  # the thresholds of all decisions
     # simulation that was done for it; problems that are made of it share that
     work: Work = field(default_factory=partial(Work, np.inf), compare=False)
+    trace: Trace = field(default_factory=Trace, compare=False)  # what was fitted, in any reading of the record
+
+    def under(self, reading: str) -> EstimationProblem:
+        """Problem whose fits are noted as of another reading of the record."""
+        return replace(self, trace=self.trace.under(reading))
 
     def apart(self, part: float = 1.0) -> EstimationProblem:
         """Problem with a count of work of its own, which may be a part of what this one may do."""
@@ -54,6 +61,10 @@ class EstimationProblem:
     def weights(self) -> Array:
         """Weights of squared residuals (sensors,)."""
         return np.asarray(self.sigma**-2.0)
+
+    def independent(self, residuals: Array) -> Array:
+        """Number of independent samples that residuals (m, sensors) are worth, of each sensor (sensors,)."""
+        return independent(residuals, self.record.readings, self.sigma)
 
     @property
     def noise_floor(self) -> dict[str, float]:
@@ -89,6 +100,7 @@ class EstimationProblem:
         added: Array | None = None,
         *,
         inner: Array | None = None,
+        weights: Array | None = None,
         frozen: bool = False,
     ) -> Equations:
         """Normal equations of the record at values of the parameters.
@@ -99,6 +111,7 @@ class EstimationProblem:
             instances: effects, one after the other.
             added: their free parameters (f,).
             inner: where their states begin (s,); at 0 where this is not given.
+            weights: of squared residuals in the equations (sensors,); those of the noise by default.
             frozen: whether the parameters are known: their rows and columns are 0, which takes less time.
 
         Raises:
@@ -126,7 +139,7 @@ class EstimationProblem:
         shooting = Shooting(k, np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives)
         known = rig.sizes.table, p, *terms(rig.equations, basis), given.table, given.estimated, given.values
         acting = given.support, given.acting, record.late + late, given.late_columns, np.empty(len(late))
-        readings = Readings(record.commands, record.counted(late), self.weights)
+        readings = Readings(record.commands, record.counted(late), self.weights if weights is None else weights)
         sums = Sums(matrices, gradients, squares, simulated)
         arrays = AugmentedArrays(*known, *acting)
         status = rig.kernels.run(steps, self.interval_samples, shooting, arrays, readings, sums)
@@ -138,17 +151,3 @@ class EstimationProblem:
             matrix[np.ix_(own, own)] += matrices[i * width : (i + 1) * width, :width]
             gradient[own] += gradients[i * width : (i + 1) * width]
         return Equations(symmetric(matrix), gradient, squares, simulated, record.residuals(simulated, late))
-
-    def tempering(self, residuals: Array) -> float:
-        """Tempering factor: variance of residuals (m, sensors) over that of noise, of samples or means of blocks; >= 1.
-
-        The inverse is the effective sample size per reading of a residual that changes slowly.
-        """
-        found, block = 1.0, self.rules.tempering_block
-        for column, sigma in zip(residuals.T, self.sigma, strict=True):
-            found = max(found, float((column**2).mean() / sigma**2))
-            for length in {min(block, len(column)), min(self.interval or block, len(column))}:
-                blocks = column[: len(column) // length * length].reshape(-1, length).mean(axis=1)
-                slow = float((blocks**2).mean() * length / sigma**2)
-                found = max(found, slow if slow > self.rules.slow_excess else 1.0)
-        return found

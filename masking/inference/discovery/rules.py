@@ -53,27 +53,20 @@ class DecisionRules:
     instead.
     """
 
-    tempering_block: int = 32
-    """Samples of the block means that show whether a residual changes slowly.
-
-    Why: averages white noise by sqrt(32) = 5.7, and leaves 300 blocks in 10 s at 1 kHz.
-    """
-
     slow_excess: float = 1.3
-    """Variance of block means, over that of white noise, from which a residual is tempered for being slow.
-
-    A screen, which compares block means, takes it as the cost of noise.
+    """Cost of block means, over that of white noise, that a screen takes as the cost of noise.
 
     Why: with 300 blocks the ratio of white noise has a standard deviation of 0.08; 1.3 is more than three of them.
     """
 
     # Evidence for one cause
 
-    effect_evidence: float = 20.0
+    effect_evidence: float = 14.0
     """Reduction of the score from which an effect is there at all.
 
-    Why: twice the 10 that Kass and Raftery call very strong evidence, as about a hundred candidates are tried
-    (2 log 100 = 9.2). Half of it, beyond the complexity penalty, is asked of a screening score.
+    Why: prior odds of one in a hundred candidates, and of nine to one for a name: 2 log 100 + 2 log 9 = 13.6. Residuals
+    count for what they are worth, so that no more is asked against their colour. Half of it, beyond the complexity
+    penalty, is asked of a screening score.
     """
 
     parameter_evidence: float = 9.0
@@ -135,7 +128,7 @@ class DecisionRules:
     """
 
     unexplained_fraction: float = 0.3
-    """Part of the excess cost that named effects may leave.
+    """Part of the excess cost that named effects may leave, in either record.
 
     Why: below the 36 % and 40 % that a linear law leaves of dry friction and of a cubic spring under Gaussian motion,
     so that neither is named in the place of the other.
@@ -256,7 +249,7 @@ class DecisionRules:
     significant_deviations: float = 2.0
     """Standard deviations that a parameter of the last cause must be off, if the residual is above the noise floor.
 
-    Why: two standard deviations, 95 %, of the tempered posterior.
+    Why: two standard deviations, 95 %, of the posterior.
     """
 
     unique_fraction: float = 0.03
@@ -294,7 +287,7 @@ class DecisionRules:
     validation_margin: float = 60.0
     """Difference of scores up to which alternatives are fitted to both records together.
 
-    Why: three times `effect_evidence`; larger differences were never reversed by a validation record of equal length.
+    Why: four times `effect_evidence`; larger differences were never reversed by a validation record of equal length.
     """
 
     rounding_fraction: float = 0.3
@@ -414,7 +407,7 @@ class DecisionRules:
     separation: float = 40.0
     """Difference of costs from which an experiment separates two explanations.
 
-    Why: twice `effect_evidence`: the simulated difference is that of the best case, without errors of the model.
+    Why: three times `effect_evidence`: the simulated difference is that of the best case, without errors of the model.
     """
 
 

@@ -1,8 +1,8 @@
 """Search: the best explanation of the residual: nothing, a wrong parameter, or effects, one after the other.
 
 Hypotheses are compared by their cost, -2 log likelihood with the priors of the rig's parameters, and the Occam factor
-of the added ones. If the best hypothesis leaves residuals above the noise floor, or coloured ones, costs are divided by
-a tempering factor: residual variance over noise variance, or the excess of block means.
+of the added ones. What the best hypothesis leaves beyond noise says how much the residual of each is worth, see
+`discrepancy`.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
@@ -22,7 +22,7 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.excluded_laws import is_excluded
-from masking.inference.discovery.explanation import Explanation, Job, fitted
+from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.pairs_of_causes import pairs_first
 from masking.inference.discovery.problem import EstimationProblem
@@ -32,7 +32,6 @@ from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Key
 from masking.inference.discovery.views_of_record import Ground, views
-from masking.inference.discovery.work_budget import Work
 
 Tell = Callable[[str, float], None]
 Fits = dict[int, "Explanation"]  # of one more cause each, by the candidate; of a parameter by -1 and less
@@ -93,6 +92,7 @@ class Search:
         self.tell("fitting the model as it is", 0.0)
         plain = fitting.fit(self.problem)
         base = Explanation("none", (), plain)
+        self.problem.trace.tried.append(base.tried(self.problem.trace.reading, "parameters within their priors"))
         self.tell("smoothing the motion", 0.1)
         motion = smooth(self.problem, base.hypothesis.theta, base.hypothesis.start)
         every = list(candidates(self.problem.rig, spans(self.problem, motion), self.problem.dt))
@@ -137,7 +137,10 @@ class Search:
                 steps[-1], now = (steps[-1], now) if wider is now else ((wider, *steps[-1][1:]), wider)
             scores, found, likeliest = self._with_another(now, ground, number)
             tried = tried or tuple(scores)
-            if not found or verdict.is_too_little(base.cost, now, found[0], self.size, self.rules):
+            if not found:
+                break
+            if verdict.is_too_little(base.cost, now, found[0], self.size, self.rules):
+                self.problem.trace.refuse(found[0].names, "its last cause explains too little of the rest")
                 break
             # In steps that are too large, the right law leaves so much that one nested in it is taken in its place.
             needed = self._steps_of(base, found[0])
@@ -225,25 +228,26 @@ class Search:
         repeated = [p for p in scores if id(p.candidate) in known and not _is_among(p, worth)]
         wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
         freed = [(-1 - i, partial(self._freed, now, i)) for i in wrong if parameters]
-        jobs, work = near([*added([*worth, *repeated]), *freed]), self.problem.work
+        jobs, problem, move = near([*added([*worth, *repeated]), *freed]), self.problem, "one more cause"
         if jobs:
             self.tell(f"fitting {len(jobs)} of them", 0.3)
-        leading = self._noted(jobs[:2], work, now.hypothesis.cost, made)  # the best scores set the mark for the others
-        first = [*leading, *self._noted(jobs[2:], work, min(e.hypothesis.cost for e in (now, *leading)), made)]
-        nearest = min((now, *first), key=lambda e: e.hypothesis.cost)
-        rival, further = nearest.hypothesis.cost, list[Explanation]()
+        # The best scores set the mark for the others.
+        leading = self._noted(problem, move, jobs[:2], now.hypothesis.cost, made)
+        first = [*leading, *self._noted(problem, move, jobs[2:], min(e.hypothesis.cost for e in (now, *leading)), made)]
+        close = min((now, *first), key=lambda e: e.hypothesis.cost)
+        rival, further = close.hypothesis.cost, list[Explanation]()
         if first and not verdict.reaches_noise(rival, self.size, rules):
             # Screens expect too much of others: those that they put beside the best fit may be right.
             is_more = ground.declared is None and rival / screen.every > self._worth(screen, screen.total - best)
-            gain = next((one.gain for one in scores if one.candidate.key in nearest.names[-1:]), best)
+            gain = next((one.gain for one in scores if one.candidate.key in close.names[-1:]), best)
             others, variants = self._worth_a_fit(now, scores, screen, np.inf if is_more else screen.total - gain)
             more = near(added([p for p in others if not _is_among(p, [*worth, *repeated])]))
-            further = self._noted(more, work, rival, made)
+            further = self._noted(problem, "one of many that look alike", more, rival, made)
         every = [*first, *further]
         if parameters and not known:
-            noted = partial(self._noted, rival=rival, made=made)
-            every += sticking_laws.fits(self.problem, now, every, ground, noted)
-            every += sticking_laws.nearest(self.problem, now, every, ground, noted)
+            note = partial(self._noted, rival=rival, made=made)
+            every += sticking_laws.fits(self.problem, now, every, ground, note)
+            every += sticking_laws.nearest(self.problem, now, every, ground, note)
             every += wrong_parameters.several(self.problem, now, every)
         if not every:
             return [], now
@@ -252,34 +256,39 @@ class Search:
         least = now.hypothesis.cost - (1.0 - rules.gain_fraction) * (now.hypothesis.cost - rival)
         keys = {e.names[-1] for e in every if e.hypothesis.cost < least}
         again = added([p for p in variants if p.candidate.key in keys and not _is_among(p, repeated)])
-        shaped = [*every, *self._noted(again, work, rival, made)]
+        shaped = [*every, *self._noted(problem, "another shape of a simpler cause", again, rival, made)]
         possible = [e for e in (*shaped, *self._simpler(shaped)) if self._is_possible(e)]
         return self._compared(now, possible) if possible else ([], now)
 
     def _compared(self, now: Explanation, found: Sequence[Explanation]) -> tuple[list[Explanation], Explanation]:
         """Distinct explanations, the best first, and the likeliest; none if the best is no better than chance."""
         rules = self.rules
-        tempering = self.problem.tempering(min(found, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
+        like = nearest(found)
         merged: dict[tuple[Key, ...], Explanation] = {}
-        for explanation in sorted(found, key=lambda e: e.score(tempering)):
+        for explanation in sorted(found, key=lambda e: e.score(like)):
             merged.setdefault(tuple(sorted(explanation.names)), explanation)
         every = merged.values()
-        redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, tempering=tempering)
+        redundant = partial(verdict.is_redundant, others=every, now=now.cost, rules=rules, scale=like.scale)
         distinct = [e for e in every if not redundant(e, nested=self._nested_in(e.names[-1]))]
+        for idle in (e for e in every if not any(e is one for one in distinct)):
+            self.problem.trace.refuse(idle.names, "a simpler law does as much")
         # Of what is the same, a parameter of the rig comes first.
         bonus = rules.parameter_preference * float(np.log(self.size))
-        ranked = sorted(distinct, key=lambda e: e.score(tempering) - bonus * (e.kind == "parameter"))
+        ranked = sorted(distinct, key=lambda e: e.score(like) - bonus * (e.kind == "parameter"))
         if verdict.reaches_noise(now.cost, self.size, rules):  # nothing is left that several laws would imitate
             ranked = [e for e in ranked if not are_composite(e.names, self.problem.rig, rules)]
         if not ranked:
             return [], now
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
-        if now.score(tempering) - ranked[0].score(tempering) < least:
+        if now.score(like) - ranked[0].score(like) < least:
             return [], now
         # A law that follows the steps of integration errs by what these may.
         last = ranked[0].hypothesis.instances[-1:]
         numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
-        return verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical), ranked[0]
+        ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
+        if ordered[0] is not ranked[0]:
+            self.problem.trace.refuse(ranked[0].names, "a simpler law does nearly as much")
+        return ordered, ranked[0]
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -318,14 +327,16 @@ class Search:
         chosen += [p for p in others if first[p.candidate.key] is p]
         return chosen, [p for p in others if not _is_among(p, chosen)]
 
-    def _noted(self, jobs: Sequence[tuple[int, Job]], work: Work, rival: float, made: Fits) -> list[Explanation]:
+    def _noted(
+        self, problem: EstimationProblem, move: str, jobs: Sequence[tuple[int, Job]], rival: float, made: Fits
+    ) -> list[Explanation]:
         """Fits whose motion is finite, noted by their numbers.
 
         A round in which some are noted already begins no more where the work is over.
         """
-        if jobs and made and work.ends():
+        if jobs and made and problem.work.ends():
             return []
-        every = zip(jobs, fitted([job for _, job in jobs], rival, work), strict=True)
+        every = zip(jobs, noted(problem, move, [job for _, job in jobs], rival), strict=True)
         found = {number: e for (number, _), e in every if e is not None}
         made.update({number: e for number, e in found.items() if number not in made or e.cost < made[number].cost})
         return [*found.values()]
@@ -352,11 +363,11 @@ class Search:
             scores = [p for p in screen.scores(ground.every) if p.candidate.key not in best.names]
             chosen = [p for p in scores if screen.total - p.gain < most][: self.rules.most_exchanges]
             jobs = [partial(self._in_place, best, i, score) for score in chosen]
-            made = [e for e in fitted(jobs, best.hypothesis.cost, self.problem.work) if e and self._is_possible(e)]
-            others = [e for e in made if self._is_better(ground.base, e, best, i)]
+            made = noted(self.problem, "another in the place of a cause", jobs, best.hypothesis.cost)
+            others = [e for e in made if e and self._is_possible(e) and self._is_better(ground.base, e, best, i)]
             if others:
-                tempering = self.problem.tempering(min(others, key=lambda e: e.hypothesis.cost).hypothesis.residuals)
-                best = min(others, key=lambda e: e.score(tempering))
+                like = nearest(others)
+                best = min(others, key=lambda e: e.score(like))
                 return self._swapped(best, ground) if i + 1 < len(best.names) - 1 else best
         return best
 
@@ -366,15 +377,18 @@ class Search:
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_possible(self, explanation: Explanation) -> bool:
-        return not is_excluded(self.problem, explanation.hypothesis.instances)
+        excluded = is_excluded(self.problem, explanation.hypothesis.instances)
+        if excluded:
+            self.problem.trace.refuse(explanation.names, "readings contradict it")
+        return not excluded
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Whether an explanation is better than the best with another effect in the place of one."""
         richer = best.names[i][0] in self.nested[other.names[0][0]]
         if richer and verdict.is_too_little(base.cost, best, other, self.size, self.rules):
             return False
-        tempering = self.problem.tempering(other.hypothesis.residuals)
-        return other.score(tempering) < best.score(tempering) - self.rules.indifferent
+        like = nearest([other, best])
+        return other.score(like) < best.score(like) - self.rules.indifferent
 
     def _widened(self, now: Explanation, ground: Ground) -> Explanation:
         """Free further parameters of the shape of each effect, or let one that sticks creep, where a trial does."""
@@ -393,22 +407,21 @@ class Search:
                     before, after = now.hypothesis.instances[:i], now.hypothesis.instances[i + 1 :]
                     shaped = ((*before, wider.with_values(more, start), *after) for start in starts)
                     jobs += [partial(self._refitted, now, now.names, instances) for instances in shaped]
-        found = [one for one in fitted(jobs, now.hypothesis.cost, self.problem.work) if one is not None]
+        found = [e for e in noted(self.problem, "a freer shape", jobs, now.hypothesis.cost) if e is not None]
         if not found:
             return now
         best = min(found, key=lambda e: e.hypothesis.cost)
-        tempering = self.problem.tempering(best.hypothesis.residuals)
-        return best if best.score(tempering) < now.score(tempering) - rules.effect_evidence else now
+        like = nearest([best, now])
+        return best if best.score(like) < now.score(like) - rules.effect_evidence else now
 
     def _reduced(self, best: Explanation, ground: Ground) -> Explanation:
         """Simpler explanation that does as well as one of several causes, or that one where there is none."""
         if len(best.hypothesis.instances) < 2:
             return best
-        tempering = self.problem.tempering(best.hypothesis.residuals)
         simpler = simpler_explanations.simpler(best, ground.every, partial(in_steps, self.problem))
         jobs = [partial(self._refitted, best, names, instances) for names, instances in simpler]
-        for fewer in fitted(jobs, best.hypothesis.cost, self.problem.work):
-            if fewer and fewer.score(tempering) < best.score(tempering) + self.rules.effect_evidence:
+        for fewer in noted(self.problem, "a simpler one", jobs, best.hypothesis.cost):
+            if fewer and fewer.score(best.hypothesis) < best.score(best.hypothesis) + self.rules.effect_evidence:
                 return self._reduced(fewer, ground)
         return best
 

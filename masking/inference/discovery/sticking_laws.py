@@ -4,8 +4,9 @@ Along a motion that sticks no law has the force that holds it, and where a senso
 such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
 these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
 place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range,
-and at each state the bounds that hold it. Where all of these leave much, every other law is approached from what is
-declared, since along a wrong motion of what is not seen any law may look best; those that come nearest are fitted.
+and at each state the bounds that hold it. Where all of these leave much, every other law is fitted from what is
+declared in a few rounds, since along a wrong motion of what is not seen any law may look best; those that come nearest
+are fitted to the end.
 """
 
 from __future__ import annotations
@@ -23,12 +24,10 @@ from masking.inference.discovery import excluded_laws, fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, fitted
-from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.fitting import Begun, Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.tempered_fits import approached
 from masking.inference.discovery.verdict import Key
 from masking.inference.discovery.views_of_record import Ground
-from masking.inference.discovery.work_budget import Work
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
 LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
@@ -38,11 +37,13 @@ WORSE = 10.0  # times what another law leaves: with two levels, friction may lea
 SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
 PART = 0.5  # of what a search may simulate, for the first laws; the others have as much
 SHARE = 0.2  # of that, after which a law begins at no further start
-BEGUN = 12  # laws that are approached further, those that come nearest at once
-NEAREST = 3  # of these, laws that are fitted
+ROUNDS = 12  # of a fit that shows how near a law comes
+NEAREST = 3  # laws that are fitted, those that come nearest
 FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
 
-Noted = Callable[[Sequence[tuple[int, Job]], Work], list[Explanation]]
+MOVE = "a law that sticks or folds, from the declared parameters"
+
+Noted = Callable[[EstimationProblem, str, Sequence[tuple[int, Job]]], list[Explanation]]
 
 
 def fits(
@@ -58,14 +59,14 @@ def fits(
     begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
     bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
     if ground.declared is None:
-        return noted(bounds, problem.work)
+        return noted(problem, MOVE, bounds)
     simple = [one for one in sticking if one.factors and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
     jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
     folding = [one for one in ground.every if any(excluded_laws.folds(problem, at) for at in one.instances)]
     jobs += [(id(one), _job(problem, one, one.instances, begun)) for one in folding]
-    made = noted([*jobs, *bounds], problem.work)
+    made = noted(problem, MOVE, [*jobs, *bounds])
     best = min(made, key=lambda one: one.cost, default=now)
     least = min(WORSE * min(one.cost for one in (now, *found)), (1.0 - SHOWN) * now.cost)
     if not made or best.cost > least or not _leaves_much(problem, now, made):
@@ -73,7 +74,7 @@ def fits(
     (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
     others = [one for one in sticking if one.factors and one.at == at and one.effect != effect]
     jobs = [(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others]
-    return made + noted(jobs, problem.work)
+    return made + noted(problem, "another law that sticks", jobs)
 
 
 def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> bool:
@@ -99,20 +100,18 @@ def nearest(
         first.setdefault(score.candidate.key, score.candidate)
 
     def begin(candidate: Candidate, rival: float) -> Hypothesis:
-        return approached(problem, candidate.instances[:1], begun, once=True)
-
-    def near(known: Hypothesis, rival: float) -> Hypothesis:
-        return approached(problem, known.instances, known)
+        made = fitting.solved(problem, Begun(candidate.instances[:1], begun.theta, begun.start), rounds=ROUNDS)
+        if made is None:
+            raise IntegrationError("the simulated motion is no longer finite")
+        return made
 
     def fit(key: Key, known: Hypothesis, rival: float) -> Explanation:
         made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
         return Explanation("effects", (key,), made)
 
-    pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))[:BEGUN]
-    farther = fitted([partial(near, one) for _, one in pairs], np.inf, problem.work)
-    # One that is at the noise already, or that the work ends before, stays where it is.
-    pairs = _by_cost([key for key, _ in pairs], [made or one for made, (_, one) in zip(farther, pairs, strict=True)])
-    return noted([(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]], problem.work)
+    pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))
+    jobs = [(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]]
+    return noted(problem, "nearest from the declared parameters", jobs)
 
 
 def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tuple[Key, Hypothesis]]:
@@ -146,8 +145,7 @@ def _job(problem: EstimationProblem, candidate: Candidate, starts: Sequence[Effe
                 break
             least = min([rival, *(known.cost for known in fits)])  # a start that no longer comes near it is left
             with suppress(IntegrationError):
-                near = approached(own, (one,), begun)
-                fits.append(fitting.fit(own, near.instances, theta=near.theta, start=near.start, rival=least))
+                fits.append(fitting.fit(own, (one,), theta=begun.theta, start=begun.start, rival=least))
         if not fits:
             raise IntegrationError("the simulated motion is no longer finite")
         return Explanation("effects", (candidate.key,), min(fits, key=lambda fit: fit.cost))

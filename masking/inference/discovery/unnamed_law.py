@@ -75,12 +75,8 @@ class UnnamedLaw:
 
     @cached_property
     def curves(self) -> tuple[Array, Array]:
-        """Factors of the curves (f,) and their covariance (f, f), beside the parameters that are written.
-
-        The covariance is larger where more than white noise is left.
-        """
-        factors, covariance = self.free.given(self.fitted.theta)
-        return factors, self.free.problem.tempering(self.free.hypothesis.residuals) * covariance
+        """Factors of the curves (f,) and their covariance (f, f), beside the parameters that are written."""
+        return self.free.given(self.fitted.theta)
 
     def deviation(self, x: Array, rate: Array) -> Array:
         """Standard deviation of the curves at displacements and rates (m,)."""
@@ -115,8 +111,12 @@ class UnnamedLaw:
         return self.free.problem.rig
 
     def unexplained(self, found: Explained) -> float:
-        """Part of the rms of the model error that the names leave and this law explains, in both records."""
-        costs = np.zeros(3)
+        """Part of the rms of the model error that the names leave and this law explains, in both records.
+
+        What it leaves itself is of as many independent samples as it is worth, and is larger or smaller by chance.
+        """
+        costs, samples = np.zeros(3), self.fitted.independent.sum() + self.validated.independent.sum()
+        chance = found.problem.rules.chance_deviations * float(np.sqrt(2.0 / samples))
         every = found.search.base.hypothesis, found.explanation.hypothesis
         with threadpool_limits(1):
             for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):
@@ -133,7 +133,7 @@ class UnnamedLaw:
         base, named, left = costs
         if not np.isfinite(named) or named >= base:
             return 1.0
-        return float(np.sqrt(max(named - left, 0.0) / base))
+        return float(np.sqrt(max(named - (1.0 + chance) * left, 0.0) / base))
 
     def reaches(self, floor: Mapping[str, float]) -> bool:
         """Whether it leaves little more than the noise floor of each sensor on unseen data."""
@@ -255,11 +255,11 @@ def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> Unn
         penalty = free.size * float(np.log(problem.record.readings.size + validation.record.readings.size))
         cost = free.hypothesis.cost + float(followed.squares @ validation.weights) + penalty
         if form is not None and form.score <= cost:
-            law, formula = free, form.tempered(free.problem, validation)
+            law, formula = free, form
             fitted, validated = formula.hypothesis, formula.validated
             written = _explanation(fitted, fitted.instances)
         else:
-            law, formula = free.tempered(), None
+            law, formula = free, None
             fitted, validated = law.hypothesis, fitting.validated(validation, law.hypothesis)
             written = _in_tables(law)
     except IntegrationError:

@@ -27,9 +27,7 @@ Key = tuple[str, str]  # an effect and its place, or a parameter and ''
 NONE_LEAST = 0.01  # p0, where the names leave no more than noise; and of the names, where a closed form is better
 NONE_HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 NONE_SHARPNESS = 3.0  # s
-REFUSED = 0.6  # at least, where names are refused for what they leave: then it is likelier than not
 SHARED = 0.3  # at least, where two forces of one place are named: together they imitate many a single law
-ABOVE = 0.25  # at least, where unseen data are not at the noise floor; more where the error is above EXPLAINED times it
 EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
 CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
@@ -68,7 +66,7 @@ class Scored:
     kind: Kind  # 'none': the model with its parameters adjusted; 'parameter': one that is off; or 'effects'
     names: tuple[Key, ...] = ()  # (parameter, '') or (effect, place) of each cause, as they were found
     cost: float = 0.0  # -2 log posterior density up to a constant: squared residuals over noise variances, and priors
-    score: float = 0.0  # the cost over the tempering factor, and the Occam factor of the effects
+    score: float = 0.0  # -2 log evidence, up to a constant
     misfit: float = 0.0  # of the cost, the part of the residuals, with the noise of the validation record
     # squared residuals over noise variances in the validation record; infinite if the simulation does not stay finite
     # there
@@ -141,6 +139,13 @@ def excess_cost(cost: float, readings: int) -> float:
     return max(cost - readings, 0.0)
 
 
+def part_left(base: float, cost: float, readings: int, rules: DecisionRules) -> float:
+    """Part of the excess cost of the model alone that causes leave, beyond chance; 0 where there is no excess."""
+    if not is_excess(base, readings, rules):
+        return 0.0
+    return excess_cost(cost, readings) / excess_cost(base, readings) if is_excess(cost, readings, rules) else 0.0
+
+
 def leaves_little(cost: float, base: float, size: int, rules: DecisionRules) -> bool:
     """Whether causes leave hardly anything of what the model alone does, however far above noise."""
     return excess_cost(cost, size) < rules.trace_fraction * excess_cost(base, size)
@@ -176,13 +181,14 @@ def _are_alike(one: Law, other: Law) -> bool:
 
 
 def is_redundant(
-    richer: Fitted, others: Iterable[Fitted], nested: set[Key], now: float, rules: DecisionRules, *, tempering: float
+    richer: Fitted, others: Iterable[Fitted], nested: set[Key], now: float, rules: DecisionRules, *, scale: float
 ) -> bool:
     """Whether a nested model does all that a richer one does, which then is that nested model.
 
-    `nested` are the last causes that are nested in that of the richer model, `now` is the cost without the last cause.
+    `nested` are the last causes that are nested in that of the richer model, `now` is the cost without the last cause,
+    `scale` what of a cost is worth as much as one squared deviation of noise.
     """
-    margin = max(rules.indifferent * tempering, rules.redundant_fraction * (now - richer.cost))
+    margin = max(rules.indifferent * scale, rules.redundant_fraction * (now - richer.cost))
     return any(other.names[-1] in nested and other.cost < richer.cost + margin for other in others)
 
 
@@ -319,15 +325,7 @@ def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -
     return "unknown" if verdict == "none" and not at_noise else verdict
 
 
-def none_of_these(
-    left: float,
-    better: float = -np.inf,
-    *,
-    refused: bool = False,
-    shared: bool = False,
-    above: float = 0.0,
-    explained: bool = True,
-) -> float:
+def none_of_these(left: float, better: float = -np.inf, *, shared: bool = False) -> float:
     """Probability that none of the names is right, of which a law without a name is the rival.
 
         p = p0 + (1 - p0)/(1 + (l0/l)**s)
@@ -338,17 +336,11 @@ def none_of_these(
     Args:
         left: l, what the names leave and the law without a name explains, as part of the rms of the model error.
         better: score by which a closed form is better than the names, beyond what is asked of an effect.
-        refused: whether the names are refused for what they leave.
         shared: whether two of them are forces of one place.
-        above: error that they leave on unseen data, over the noise; 0 where that is the noise floor. A name that leaves
-            several times the noise is as likely wrong as right, since something else is missing.
-        explained: whether a law without a name leaves no more than noise; where neither does, little is sure.
     """
     found = NONE_LEAST + (1.0 - NONE_LEAST) / (1.0 + (NONE_HALF / left) ** NONE_SHARPNESS) if left > 0.0 else NONE_LEAST
     found = max(found, (1.0 - NONE_LEAST) * float(special.expit(0.5 * float(better))))
-    beyond = min(LIKELIER, 1.0 - (1.0 - ABOVE) * min(1.0, EXPLAINED / above)) if above else 0.0
-    found = max(found, REFUSED if refused else 0.0, SHARED if shared else 0.0, beyond)
-    return found if explained else min(found, REFUSED)
+    return max(found, SHARED if shared else 0.0)
 
 
 def none_matters(left: float) -> bool:

@@ -30,10 +30,11 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
         names = tuple((problem.rig.names[i], "") for i in indices)
         free = Explanation("parameter", names, now.hypothesis).with_prior(problem)
         try:
-            fit = fitting.fit(free, rival=float(size))
+            found = Explanation("parameter", names, fitting.fit(free, rival=float(size)))
         except IntegrationError:
             return None
-        return Explanation("parameter", names, fit) if verdict.reaches_noise(fit.cost, size, rules) else None
+        problem.trace.tried.append(found.tried(problem.trace.reading, "several parameters off"))
+        return found if verdict.reaches_noise(found.cost, size, rules) else None
 
     def far(one: Explanation) -> list[int]:
         """Parameters that moved far and are not free, the farthest first."""
@@ -51,7 +52,7 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
     best = made(left)
     for i in reversed(left):  # those that moved least may have stood for the others
         fewer = made([one for one in left if one != i])
-        if fewer is not None and best is not None and fewer.score(1.0) < best.score(1.0):
+        if fewer is not None and best is not None and fewer.score(best.hypothesis) < best.score(best.hypothesis):
             left.remove(i)
             best = fewer
     return [] if best is None else [best]

@@ -71,6 +71,15 @@ class EffectParameter:
     # command if it is S or U, of the rms rate if it is D/s, of the time of the motion if it is s, and plain values
     # otherwise
     tried: tuple[float, ...] = ()
+    # standard deviation among instruments: of a sensor or actuator at its largest reading or command, as a part of
+    # that; None where any value is as likely
+    spread: float | None = None
+
+    def deviation(self, largest: float) -> float:
+        """Standard deviation among instruments whose largest reading or command is given; infinite where none is."""
+        if self.spread is None or not largest:
+            return math.inf
+        return self.spread * Expression(self.unit).evaluate({"S": largest, "U": largest})
 
     def starts(self, span: Span) -> list[float]:
         """Values from which fits start, within the bounds, in coherent units."""

@@ -21,6 +21,7 @@ _CLIPPED = (0.8, 0.9, 0.97, 1.0)  # what is clipped reads the limit, and its noi
 _LIMITS = (0.3, 0.45, 0.6, 0.75, 0.9)  # beyond 1 nothing is cut off
 _ZONES = (0.01, 0.03, 0.08, 0.2)  # half-decades
 _LAGS = (0.02, 0.1, 0.4)  # of the time of the motion: a filter or amplifier, a coil under voltage, and a slow drive
+_SPREAD = 0.03  # of the range: twice to three times the error of a sensor that is sold for it
 _ANY = "1e3"  # a record may begin in motion
 _LOST = EffectParameter("1", "part of the reading that has lost its sign", (0.0, 1.0), 1.0, None, (0.0, 1.0), (1.0,))
 _SILENT = EffectParameter("U", "largest value without an answer", (0.0, 1.0), 0.01, None, NOT_NEGATIVE, _ZONES)
@@ -71,7 +72,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_cubic",
         "The sensor's gain changes towards the ends of its range.",
         "s + c*s**3",
-        {"c": EffectParameter("S**(-2)", "cubic coefficient", (-1.0, 1.0), 0.01)},
+        {"c": EffectParameter("S**(-2)", "cubic coefficient", (-1.0, 1.0), 0.01, spread=_SPREAD)},
         cause="a sensor used beyond its linear range, the field of a coil towards its end",
         remedy="calibrate over the whole stroke and undo the curve, or stay near the middle",
         source=_DOEBELIN,
@@ -80,7 +81,11 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "sensor_rectification",
         "The sensor's gain differs between the two signs.",
         "s + r*abs(s)",
-        {"r": EffectParameter("1", "half the difference of the gains", (-1.0, 1.0), 0.02, None, (-1.0, 1.0))},
+        {
+            "r": EffectParameter(
+                "1", "half the difference of the gains", (-1.0, 1.0), 0.02, None, (-1.0, 1.0), (), _SPREAD
+            )
+        },
         cause="a diode or a demodulator that is out of balance",
         remedy="adjust the demodulator, or undo the difference",
         source=_DOEBELIN,
@@ -155,7 +160,11 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "actuator_asymmetry",
         "The actuator's gain differs between the two signs.",
         "u + r*abs(u)",
-        {"r": EffectParameter("1", "half the difference of the gains", (-1.0, 1.0), 0.05, None, (-1.0, 1.0))},
+        {
+            "r": EffectParameter(
+                "1", "half the difference of the gains", (-1.0, 1.0), 0.05, None, (-1.0, 1.0), (), _SPREAD
+            )
+        },
         cause="the two halves of an amplifier or bridge, a motor with worn brushes, one side of a valve",
         remedy="undo the difference in the command, or repair the weaker half",
         source=_TAO,
@@ -183,7 +192,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "actuator_cubic",
         "The actuator's gain changes towards the ends of its range.",
         "u + c*u**3",
-        {"c": EffectParameter("U**(-2)", "cubic coefficient", (-10.0, 10.0), 0.1)},
+        {"c": EffectParameter("U**(-2)", "cubic coefficient", (-10.0, 10.0), 0.1, spread=_SPREAD)},
         cause="a voice coil that leaves its field, an amplifier near its supply",
         remedy="ask for less, or undo the curve",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",

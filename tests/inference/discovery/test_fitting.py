@@ -9,7 +9,7 @@ from scipy import optimize, signal
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
-from masking.inference.discovery import fitting, shooting_intervals
+from masking.inference.discovery import discrepancy, fitting, shooting_intervals
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
@@ -294,12 +294,15 @@ def test_screening_tells_what_a_fit_would_take_off(problem):
     hidden = INSTANCES["dry friction"]
     record = noisy(problem, (hidden,))
     base = fitting.fit(record)
+    worth = discrepancy.weights(base.misfits, base.independent)[0]
+    record = replace(record, sigma=record.sigma / np.sqrt(worth))  # as the fit weighs what it leaves
     motion = smooth(record, base.theta, base.start)
     every = [c for c in candidates(record.rig, spans(record, motion), record.dt) if c.at in ("spring1", "s1")]
     best = Screen(record, base, motion).scores(every)
     friction = next(score for score in best if score.candidate.key == ("dry_friction", "spring1"))
-    fitted = fitting.fit(record, (friction.instance,), theta=base.theta, start=base.start)
-    assert friction.gain == pytest.approx(base.cost - fitted.cost, rel=0.02)
+    fitted = fitting.fit(noisy(problem, (hidden,)), (friction.instance,), theta=base.theta, start=base.start)
+    less = float(worth @ (base.misfits - fitted.misfits)[0]) + base.pull - fitted.pull
+    assert friction.gain == pytest.approx(less, rel=0.02)
     assert friction.instance.values[0] == pytest.approx(0.05, rel=0.01)
     assert fitted.added[0] == pytest.approx(0.05, abs=4.0 * fitted.deviations[-1])
 
@@ -350,13 +353,17 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, problem,
         parts = [(theta - first.prior.mean) / first.prior.deviation]
         for one, state in zip(records, states, strict=True):
             simulated = one.equations(theta, state, (start,), np.array([k3])).simulated
-            parts.append(((one.record.readings - simulated) / one.sigma).ravel())
+            parts.append(((one.record.readings - simulated) * np.sqrt(worth[len(parts) - 1]) / one.sigma).ravel())
         return np.concatenate(parts)
 
-    begin = np.concatenate([both.theta / rig.start, both.added / 3e4, both.start.ravel() / 1e-4])
+    begin, worth = (
+        np.concatenate([both.theta / rig.start, both.added / 3e4, both.start.ravel() / 1e-4]),
+        np.ones((2, 3)),
+    )
     assert both.cost == pytest.approx((residuals(begin) ** 2).sum(), rel=1e-9)
+    worth = discrepancy.weights(both.misfits, both.independent)
     found = optimize.least_squares(residuals, begin, x_scale="jac", max_nfev=3)
-    assert 2.0 * found.cost == pytest.approx(both.cost, abs=0.1)
+    assert 2.0 * found.cost == pytest.approx((residuals(begin) ** 2).sum(), abs=0.1)
     deviation = 3e4 * np.sqrt(np.linalg.inv(found.jac.T @ found.jac)[k, k])
     assert both.deviations[k] == pytest.approx(deviation, rel=1e-2)
     assert both.deviations[k] < 0.9 * alone.deviations[k]

@@ -340,7 +340,7 @@ def discoveries(rig):
         gap = SimulationError((each, each), (each, each), each, each, each)
         return Discovery(
             verdict="named", twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=named,
-            simulation_error=gap, unexplained_fraction=0.0, rivals=(chosen,), tempering=1.0, validation=problem,
+            simulation_error=gap, unexplained_fraction=0.0, rivals=(chosen,), validation=problem,
             before=base, after=known, adjusted=base,
         )  # fmt: skip
 

@@ -258,13 +258,7 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert values == sorted(values)
     assert values[0] == verdict.NONE_LEAST
     assert verdict.none_of_these(verdict.NONE_HALF) == pytest.approx(0.5 * (1.0 + verdict.NONE_LEAST))
-    assert verdict.none_of_these(0.0, refused=True) > verdict.LIKELIER
     assert verdict.none_of_these(0.0, shared=True) == verdict.SHARED
-    assert verdict.none_of_these(0.0, above=1.2) == verdict.ABOVE
-    grown = [verdict.none_of_these(0.0, above=error) for error in (1.2, 1.6, 2.0, 5.0, 50.0)]
-    assert grown == sorted(grown)
-    assert grown[-1] == verdict.LIKELIER
-    assert verdict.none_of_these(1.0, explained=False) == verdict.REFUSED
 
 
 def test_what_leaves_hardly_anything_has_no_rival():

@@ -300,13 +300,13 @@ def test_at_the_noise_floor_a_further_effect_is_judged_by_chance():
 def test_a_richer_law_that_does_no_more_is_redundant():
     richer = effect(M, names=(("stribeck_friction", "spring1"),))
 
-    def redundant(other, now=2.0 * M, tempering=1.0):
-        return verdict.is_redundant(richer, [other, richer], {FRICTION}, now, RULES, tempering=tempering)
+    def redundant(other, now=2.0 * M, scale=1.0):
+        return verdict.is_redundant(richer, [other, richer], {FRICTION}, now, RULES, scale=scale)
 
     edge = RULES.indifferent
     assert redundant(effect(M + 0.999 * edge))
     assert not redundant(effect(M + 1.001 * edge))
-    assert redundant(effect(M + 2.9 * edge), tempering=3.0)
+    assert redundant(effect(M + 2.9 * edge), scale=3.0)
     fine = 1e9 * M
     assert redundant(effect(M + 0.999 * RULES.redundant_fraction * (fine - M)), now=fine)
     assert not redundant(effect(M + 1.001 * RULES.redundant_fraction * (fine - M)), now=fine)

@@ -1,4 +1,4 @@
-"""Approach to an effect without which the model runs far from the record: strong friction on a chain that rings."""
+"""Fits from afar: strong friction on a chain that rings, without which the model runs far from the record."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.tempered_fits import approached
 from masking.inference.estimation.identification_data import Data
 
 MODEL = """
@@ -54,13 +53,21 @@ def friction(problem, force):
     return instance.at_step(problem.rig.mobilities["spring2"], problem.dt / problem.substeps)
 
 
-@pytest.mark.parametrize("part", [0.5, 1.0, 2.0])
-def test_friction_is_reached_from_half_and_twice_its_force(problem, part):
-    """Without an approach, parameters of the rig go off to stand for it, which leaves up to 12 times the noise."""
+def test_friction_is_reached_from_a_quarter_to_three_times_its_force(problem):
+    """Parameters of the rig do not go off to stand for it, since what they cannot explain weighs little.
+
+    The cost has minima beside the true one, each with another sequence of sticking: one start in ten may end in these.
+    """
     known = fitting.fit(problem, theta=problem.prior.mean, frozen=True)
     assert known.cost > 1e8 * problem.record.readings.size
-    near = approached(problem, (friction(problem, part * FRICTION),), known)
-    assert (np.abs(near.theta / problem.prior.mean - 1.0) < 0.1).all()
-    found = fitting.fit(problem, near.instances, theta=near.theta, start=near.start)
-    assert found.cost < 1.2 * problem.record.readings.size
-    assert found.added[0] == pytest.approx(FRICTION, rel=0.02)
+    starts = [friction(problem, part * FRICTION) for part in np.geomspace(0.25, 3.0, 24)]
+    found = [fitting.fit(problem, (one,), theta=known.theta, start=known.start) for one in starts]
+    assert all((np.abs(one.theta / problem.prior.mean - 1.0) < 0.1).all() for one in found)
+    reached = [one for one in found if one.cost < 1.2 * problem.record.readings.size]
+    assert len(reached) > 0.9 * len(starts)
+    assert all(one.added[0] == pytest.approx(FRICTION, rel=0.02) for one in reached)
+
+
+def test_without_the_friction_parameters_stay_where_their_prior_holds_them(problem):
+    alone = fitting.fit(problem)
+    assert (np.abs(alone.theta - problem.prior.mean) < 3.0 * problem.prior.deviation).all()

@@ -1,0 +1,71 @@
+"""Discrepancy: the likelihood of what a model leaves of readings beyond their noise.
+
+No model of a real rig is exact: what it leaves has a size and a colour that nobody knows. The residual r of a sensor
+with m readings has the mean square P over the variance of the noise, and is worth n <= m independent samples, since it
+changes slowly. With an unknown size, the likelihood of what exceeds noise is that of n samples at its best value:
+
+    -2 log L = m P                   for m P <= n, as for white noise
+    -2 log L = n (1 + log(m P/n))    beyond
+
+A residual that is white and no more than noise has n = m. The colour is that of one hypothesis, by which all others are
+compared: with a colour of its own for each, slow residuals of any size would pass for the discrepancy of the model.
+Source: Kennedy and O'Hagan (2001), J. R. Stat. Soc. B 63(3), 425-464, for the discrepancy of a model; Seber and Wild
+(1989), Nonlinear Regression, section 2.2, for likelihoods at the best value of an unknown variance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+from masking.compile.numerics.arrays import Array
+
+BANDS = 3  # in an octave: as wide as a resonance with a tenth of critical damping
+CHANCE = 3.0  # standard deviations of the density of white noise, below which it is that
+
+
+def independent(residuals: Array, readings: Array, sigma: Array) -> Array:
+    """Number n of independent samples that residuals are worth, of each sensor (sensors,).
+
+        n = m P/s, at most m
+
+    s is the power density of the residual over that of the noise, at the frequencies where the readings have their
+    power: parameters of a model change readings there. It is 1 where it is no more than white noise has by chance.
+
+    Args:
+        residuals: measured less simulated (m, sensors).
+        readings: measured (m, sensors).
+        sigma: standard deviation of the noise of each sensor (sensors,).
+    """
+    count = len(residuals)
+    band = np.concatenate([[0], 1 + np.floor(BANDS * np.log2(np.arange(1, count)))]).astype(int)
+    lines, found = np.bincount(band), np.full(len(sigma), float(count))
+    for i, size in enumerate(sigma):
+        left, read = (
+            np.bincount(band, fft.dct(column, norm="ortho") ** 2)
+            for column in (residuals[:, i], readings[:, i] - readings[:, i].mean())
+        )
+        square, power = float(left.sum()), float(read.sum())
+        if square <= 0.0 or power <= 0.0:
+            continue
+        part, many = read / power, np.maximum(lines, 1)
+        density = float(left / many @ part) / size**2
+        if density > 1.0 + CHANCE * np.sqrt(2.0 * (part**2 / many).sum()):
+            found[i] = min(found[i], square / (size**2 * density))
+    return np.asarray(np.maximum(found, 1.0))
+
+
+def weights(squares: Array, samples: Array) -> Array:
+    """Part of its weight by noise that a squared residual has, by the likelihood.
+
+    Args:
+        squares: sums m P of squared residuals over noise variances.
+        samples: their numbers n of independent samples, of the same shape.
+    """
+    return np.asarray(samples / np.maximum(squares, samples))
+
+
+def misfit(squares: Array, samples: Array) -> float:
+    """-2 log likelihood of residuals; arguments as of `weights`."""
+    beyond = np.maximum(squares / samples, 1.0)
+    return float((np.minimum(squares, samples) + samples * np.log(beyond)).sum())
