@@ -13,7 +13,7 @@ EQUAL = 2.0  # difference of -2 log evidence that separates nothing
 
 
 def rows(found: Discovery, most: int | None = None) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Each reading of the record with its hypotheses, the likeliest first, at most so many of each reading."""
+    """Each reading of the record with its hypotheses, the likeliest first, at most that many of each."""
     made = dict[str, list[tuple[str, ...]]]()
     for line in found.problem.trace.lines():
         part = made.setdefault(line.tried.reading, [])

@@ -70,9 +70,9 @@ def candidates(rig: AugmentedModel, spans: Mapping[tuple[str, str], Span], perio
     commanded = tuple(name for name in rig.twin.actuators if name not in rig.twin.measured_actuators)
     for where, names in (("sensor", rig.twin.sensors), ("actuator", commanded)):
         for effect in [e for e in every if e.where == where]:
-            # What differs between the signs shows where both are read.
-            signed = [name for name in names if "abs(" not in effect.expression or _has_both_signs(spans[where, name])]
-            for name in signed:
+            # A small difference between the signs shows where both are read.
+            is_of_signs = "abs(" in effect.expression and any(one.spread for one in effect.parameters.values())
+            for name in [n for n in names if not is_of_signs or _has_both_signs(spans[where, n])]:
                 for trial in effect.ways:
                     yield from _candidate(effect, trial, name, spans[where, name])
     # Delays that are tried, in s: from a sample to a few times the time of the motion.

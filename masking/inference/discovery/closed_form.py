@@ -288,12 +288,13 @@ class ClosedForm:
         }
 
 
-def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProblem) -> ClosedForm | None:
+def fitted(law: FreeLaw, problem: EstimationProblem, unseen: tuple[EstimationProblem, Hypothesis]) -> ClosedForm | None:
     """Closed form of a free law that explains both records best; None where none can be simulated.
 
-    Forms of fewer terms come first, and one that leaves no more than the free law ends the search.
+    Forms of fewer terms come first, and one that leaves no more than the free law ends the search. `unseen` is the
+    validation record, and the free law on it.
     """
-    known, evidence = law.hypothesis, problem.rules.effect_evidence
+    (validation, followed), known, evidence = unseen, law.hypothesis, problem.rules.effect_evidence
     others = tuple(one for one in known.instances if one.effect not in KINDS)
     best: ClosedForm | None = None
     both = float(np.log(problem.record.readings.size + validation.record.readings.size))
@@ -303,14 +304,14 @@ def fitted(law: FreeLaw, problem: EstimationProblem, validation: EstimationProbl
         every_one = (*others, instance(form, law))
         found = fitting.fit(knowing(problem, every_one), every_one, theta=known.theta, start=known.start, rival=rival)
         checked = fitting.validated(knowing(validation, every_one), found)
-        cost = found.cost + float(checked.squares @ validation.weights)
+        cost = found.misfit(known) + checked.misfit(followed)
         return ClosedForm(form, found, checked, cost + both * form.size + evidence * len(form.atoms))
 
     for many, fits in FITS.items():
         jobs = [partial(made, form) for form in every if len(form.atoms) == many][:fits]
         found = explanation.fitted(jobs, np.inf, problem.work)
         best = min((one for one in (best, *found) if one is not None), key=lambda one: one.score, default=None)
-        if best is not None and (problem.work.ends() or best.hypothesis.cost < known.cost + evidence):
+        if best is not None and (problem.work.ends() or best.hypothesis.misfit(known) < known.misfit(known) + evidence):
             break
     return best
 

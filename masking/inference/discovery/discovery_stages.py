@@ -25,7 +25,7 @@ from masking.inference.discovery import (
     verdict,
 )
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.composites import are_composite
+from masking.inference.discovery.composites import are_composite, is_of_one_family
 from masking.inference.discovery.directed_places import are_worth_a_search
 from masking.inference.discovery.discovery_result import (
     Alternative,
@@ -274,6 +274,9 @@ def _found(problem: EstimationProblem, unseen: Data, noise: Array, say: Tell, su
         validation = replace(known, record=unseen, sigma=noise)
         declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
         before, adjusted = (fitting.validated(validation, one) for one in (declared.hypothesis, search.base.hypothesis))
+        left, declared_left = (float(one.misfits.sum()) for one in (adjusted, before))
+        if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):
+            adjusted = before  # parameters that are worse on unseen data are not kept
         say("comparing explanations on data that were not used", 0.95)
         search = replace(search, steps=tuple(_reordered(step, known, validation) for step in search.steps))
         rivals, is_demoted = _likeliest(search, known, validation, adjusted)
@@ -393,8 +396,8 @@ def _doubt(explanation: Explanation, validation: EstimationProblem) -> str:
     rules = validation.rules
     if verdict.reaches_noise(explanation.cost, explanation.hypothesis.residuals.size, rules):
         return ""
-    if are_composite(explanation.names, validation.rig, rules):
-        return "together its causes imitate another law"
+    if are_composite(explanation.names, validation.rig, rules) and is_of_one_family(explanation.names, validation.rig):
+        return "together its causes imitate another law of their family"
     is_significant = _one_scored(explanation, validation.rig, explanation.hypothesis).is_significant(rules)
     return "" if is_significant else "its last cause does not differ from nothing"
 

@@ -15,12 +15,17 @@ Source: Kennedy and O'Hagan (2001), J. R. Stat. Soc. B 63(3), 425-464, for the d
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
 import numpy as np
 from scipy import fft
 
 from masking.compile.numerics.arrays import Array
 
 BANDS = 3  # in an octave: as wide as a resonance with a tenth of critical damping
+COLOURED = 0.7  # of the samples that a residual was worth where a fit began, and back: those of its end count
+EXACT = 1e300  # independent samples of a likelihood without discrepancy
 CHANCE = 3.0  # standard deviations of the density of white noise, below which it is that
 
 
@@ -69,3 +74,49 @@ def misfit(squares: Array, samples: Array) -> float:
     """-2 log likelihood of residuals; arguments as of `weights`."""
     beyond = np.maximum(squares / samples, 1.0)
     return float((np.minimum(squares, samples) + samples * np.log(beyond)).sum())
+
+
+def _none() -> Array:
+    return np.empty(0)
+
+
+@dataclass
+class Likelihood:
+    """Likelihood as a fit goes on: weights follow the residual of the least cost, its colour is that of the first."""
+
+    is_exact: bool = False  # whether there is no discrepancy
+    samples: Array = field(default_factory=_none)  # independent samples of each record and sensor (records, sensors)
+    weights: Array = field(default_factory=_none)  # of squared residuals, over those by noise (records, sensors)
+    least: float = np.inf  # cost so far
+    first: Array = field(default_factory=_none)  # squares over noise variances with which it began
+
+    def of(self, noise: Array) -> Array:
+        """Weights of squared residuals, of those by noise (records, sensors)."""
+        return noise * self.weights if self.weights.size else noise
+
+    def is_of(self, samples: Array) -> bool:
+        """Whether it has nearly this colour."""
+        ratio = samples / self.samples
+        return bool(((ratio > COLOURED) & (ratio < 1.0 / COLOURED)).all())
+
+    def cost(self, squares: Array, pull: float, worth: Callable[[], Array]) -> tuple[float, float]:
+        """-2 log posterior of squares over noise variances, and the factor that equations with the weights lack.
+
+        `pull` is that of the prior, `worth` gives the independent samples, which count where the fit begins.
+        """
+        if not self.first.size:
+            self.first = squares
+        if not self.samples.size:
+            self.samples = np.full(squares.shape, EXACT) if self.is_exact else worth()
+        cost, times = misfit(squares, self.samples) + pull, 1.0
+        if cost < self.least:
+            before, self.least = self.weights if self.weights.size else np.ones_like(squares), cost
+            self.weights = weights(squares, self.samples)
+            times = float((squares * self.weights).sum() / max(float((squares * before).sum()), 1e-300))
+        return cost, times
+
+    def level(self, cost: float) -> float:
+        """What squares that sum up to a cost weigh here, shared out as those with which it began."""
+        if not self.first.size or not np.isfinite(cost):
+            return np.inf
+        return misfit(self.first * (cost / max(float(self.first.sum()), 1e-300)), self.samples)

@@ -26,6 +26,13 @@ def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance])
     return any(_is_beyond(problem, one) for one in alone) or any(map(_belies_its_name, instances))
 
 
+def is_beyond_instruments(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
+    """Whether an error of an instrument is larger than instruments have."""
+    most = problem.rules.excluded_spreads
+    pairs = [pair for one in instances for pair in zip(one.estimated, problem.spreads(one), strict=True)]
+    return any(abs(value) > most * spread for value, spread in pairs)
+
+
 def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
     """Whether a law of a sensor reads the same for several values within the readings."""
     if instance.where != "sensor" or instance.entry.states:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
 import numpy as np
@@ -22,6 +22,7 @@ from masking.compile.numerics.least_squares import Box, Damping, Linearised, Min
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws, continuation, discrepancy, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
+from masking.inference.discovery.discrepancy import Likelihood
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES, DecisionRules
 from masking.inference.discovery.smoothing import sizes
@@ -34,9 +35,7 @@ CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit
 IDLE = 50.0  # times what has converged: several steps that take less together are those of a law with corners
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
-COLOURED = 0.7  # of the samples that a residual was worth where a fit began, and back: those of its end count
 COLOURS = 4  # fits of one colour at most
-EXACT = 1e300  # independent samples of a likelihood without discrepancy
 REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
@@ -279,7 +278,7 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
     """Cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
     try:
-        return whole.linearised(whole.unknowns(theta), _Likelihood(is_exact=True)).cost
+        return whole.linearised(whole.unknowns(theta), Likelihood(is_exact=True)).cost
     except IntegrationError:
         return np.inf
 
@@ -325,15 +324,7 @@ class _LeastSquares:
 
         Errors of instruments are small: a large one would imitate anything.
         """
-        twin, record, found = self.problem.rig.twin, self.problem.record, list[float]()
-        for one in self.instances:
-            known = one.effect != compiled_laws.DELAY and one.where != "element"
-            names, table = (
-                (twin.sensors, record.readings) if one.where == "sensor" else (twin.actuators, record.commands)
-            )
-            largest = float(np.abs(table[:, names.index(one.at)]).max()) if known else 0.0
-            entries = [one.entry.parameters[name] for name in one.names] if known else [None] * len(one.free)
-            found += [0.0 if entry is None else entry.deviation(largest) ** -2.0 for entry in entries]
+        found = [size**-2.0 for one in self.instances for size in self.problem.spreads(one)]
         return np.diag(found) if self.penalty is None else np.diag(found) + self.penalty
 
     @cached_property
@@ -377,7 +368,7 @@ class _LeastSquares:
 
         It is fitted again from where it ends while its residual is worth more or fewer samples there.
         """
-        x, likelihood = self.unknowns(theta), _Likelihood(is_exact=self.frozen)
+        x, likelihood = self.unknowns(theta), Likelihood(is_exact=self.frozen)
         for _ in range(COLOURS):
             made = self._solved(x, likelihood, rounds, rival, is_behind)
             x, rounds, found, shared = made.x, rounds - made.rounds, made.at.extra, self.edges[1]
@@ -385,18 +376,18 @@ class _LeastSquares:
             is_settled = likelihood.is_of(ended)
             if is_settled or self.frozen or rounds < 1 or made.at.cost > likelihood.level(rival):
                 break
-            likelihood = _Likelihood(samples=ended, weights=discrepancy.weights(found.misfits, ended))
+            likelihood = Likelihood(samples=ended, weights=discrepancy.weights(found.misfits, ended))
         theta, added, _, start = self.parts(x)
         parts = zip(self.instances, by_instance(self.instances, added), strict=True)
         values = tuple(instance.with_values(instance.free, part) for instance, part in parts)
         return Hypothesis(
-            values, theta, start, float(found.misfits.sum()) + found.pull, found.pull, found.equations.squares,
-            found.misfits, ended, made.at.equations.covariance()[:shared, :shared], found.equations.residuals,
+            values, theta, start, float(found.misfits.sum()) + found.pull, found.pull, found.every[0].squares,
+            found.misfits, ended, made.at.equations.covariance()[:shared, :shared], found.every[0].residuals,
             self.problem.rules,
         )  # fmt: skip
 
     def _solved(
-        self, x: Array, likelihood: _Likelihood, rounds: int, rival: float, is_behind: Callable[[], bool] | None
+        self, x: Array, likelihood: Likelihood, rounds: int, rival: float, is_behind: Callable[[], bool] | None
     ) -> Minimum[_Found]:
         """Where the method ends, from values of the unknowns (n,)."""
         rules, slow, costs, enough = self.problem.rules, 0, list[float](), CONVERGED * self.problem.rules.indifferent
@@ -422,10 +413,11 @@ class _LeastSquares:
                 tolerance=lambda at: enough, patience=Patience(wanted, is_hopeless),
             )  # fmt: skip
 
-    def linearised(self, x: Array, likelihood: _Likelihood) -> Linearised[_Found]:
+    def linearised(self, x: Array, likelihood: Likelihood) -> Linearised[_Found]:
         theta, added, inner, start = self.parts(x)
         starts = np.split(start, np.cumsum([one.intervals for one in self.records])[:-1])
-        pieces = zip(self.records, starts, np.split(inner, len(self.records)), likelihood.of(self.records), strict=True)
+        noise = likelihood.of(np.array([one.weights for one in self.records]))
+        pieces = zip(self.records, starts, np.split(inner, len(self.records)), noise, strict=True)
         every = [
             one.equations(theta, begin, self.instances, added, inner=begun, weights=weights, frozen=self.frozen)
             for one, begin, begun, weights in pieces
@@ -438,7 +430,8 @@ class _LeastSquares:
         rough = max(float(added @ self.penalties @ added), 0.0)  # of factors that run away, rounding may be negative
         pull = float(((off / deviation) ** 2).sum()) + rough
         left = np.array([part.squares * one.weights for part, one in zip(every, self.records, strict=True)])
-        cost, times = likelihood.cost(left, pull, self.records, every)
+        ended = _Found(left, pull, self.records, every)
+        cost, times = likelihood.cost(left, pull, lambda: ended.independent)
         found = _joined(every, first, len(inner) // len(self.records))
         found = replace(found, matrix=times * found.matrix, gradient=times * found.gradient)
         if not self.frozen:
@@ -447,72 +440,23 @@ class _LeastSquares:
         equations = System(found.matrix, found.gradient, fixed, self.resistance(found.matrix))
         if len(self.start) > 1 and self.free:
             equations = replace(equations, shared=last, block=len(self.free))
-        return Linearised(cost, equations.with_prior(off, deviation), _Found(found, left, pull, self.records, every))
+        return Linearised(cost, equations.with_prior(off, deviation), ended)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Records at values of the unknowns: equations, squares over noise variances (records, sensors), and prior."""
+    """Records at values of the unknowns."""
 
-    equations: Equations
-    misfits: Array
-    pull: float
+    misfits: Array  # squared residuals over noise variances (records, sensors)
+    pull: float  # of the prior
     records: tuple[EstimationProblem, ...]
-    every: Sequence[Equations]
+    every: Sequence[Equations]  # of each record
 
     @cached_property
     def independent(self) -> Array:
         """How many independent samples the residuals are worth (records, sensors)."""
         pairs = zip(self.records, self.every, strict=True)
         return np.array([one.independent(part.residuals) for one, part in pairs])
-
-
-def _none() -> Array:
-    return np.empty(0)
-
-
-@dataclass
-class _Likelihood:
-    """Likelihood as a fit goes on: weights follow the residual of the least cost, its colour is that of the first."""
-
-    is_exact: bool = False  # whether there is no discrepancy
-    samples: Array = field(default_factory=_none)  # independent samples of each record and sensor (records, sensors)
-    weights: Array = field(default_factory=_none)  # of squared residuals, over those by noise (records, sensors)
-    least: float = np.inf  # cost so far
-    first: Array = field(default_factory=_none)  # squares over noise variances with which it began
-
-    def of(self, records: Sequence[EstimationProblem]) -> Array:
-        """Weights of squared residuals (records, sensors)."""
-        every = np.array([one.weights for one in records])
-        return every * self.weights if self.weights.size else every
-
-    def is_of(self, samples: Array) -> bool:
-        """Whether it has nearly this colour."""
-        ratio = samples / self.samples
-        return bool(((ratio > COLOURED) & (ratio < 1.0 / COLOURED)).all())
-
-    def cost(
-        self, squares: Array, pull: float, records: Sequence[EstimationProblem], every: Sequence[Equations]
-    ) -> tuple[float, float]:
-        """-2 log posterior of squares over noise variances, and the factor that equations with the weights lack."""
-        if not self.first.size:
-            self.first = squares
-        if not self.samples.size:
-            pairs = zip(records, every, strict=True)
-            worth = [one.independent(part.residuals) for one, part in pairs] if not self.is_exact else EXACT
-            self.samples = np.broadcast_to(worth, squares.shape)
-        cost, times = discrepancy.misfit(squares, self.samples) + pull, 1.0
-        if cost < self.least:
-            before, self.least = self.weights if self.weights.size else np.ones_like(squares), cost
-            self.weights = discrepancy.weights(squares, self.samples)
-            times = float((squares * self.weights).sum() / max(float((squares * before).sum()), 1e-300))
-        return cost, times
-
-    def level(self, cost: float) -> float:
-        """What squares that sum up to a cost weigh here, shared out as those with which it began."""
-        if not self.first.size or not np.isfinite(cost):
-            return np.inf
-        return discrepancy.misfit(self.first * (cost / max(float(self.first.sum()), 1e-300)), self.samples)
 
 
 def _joined(parts: Sequence[Equations], shared: int, inner: int) -> Equations:

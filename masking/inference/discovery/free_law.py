@@ -57,10 +57,9 @@ class FreeLaw:
     problem: EstimationProblem  # the record in the shooting intervals of the fit
     further: FurtherPlaces | None = None  # further places that it sits in one of; None for places of the rig itself
 
-    @property
-    def score(self) -> float:
-        """Cost with Schwarz's penalty for each factor."""
-        return self.hypothesis.cost + self.numbers * float(np.log(self.hypothesis.residuals.size))
+    def score(self, like: Hypothesis) -> float:
+        """-2 log likelihood by the colour of another hypothesis, with Schwarz's penalty for each factor."""
+        return self.hypothesis.misfit(like) + self.numbers * float(np.log(self.hypothesis.residuals.size))
 
     @property
     def numbers(self) -> int:
@@ -144,6 +143,12 @@ class FreeLaw:
         return factors, np.asarray(self.covariance - gain @ every[:k, -self.size :])
 
 
+def likelier(one: FreeLaw, other: FreeLaw) -> FreeLaw:
+    """Likelier one of two laws."""
+    like = min(one.hypothesis, other.hypothesis, key=lambda fit: fit.cost)
+    return other if other.score(like) < one.score(like) else one
+
+
 KINDS = {
     "free_spring": "a curve over the {d}",
     "free_damping": "a curve over the {v}",
@@ -176,8 +181,8 @@ def fit(
     scale = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
     for one in sorted(starts, key=lambda one: one.cost / scale + one.used * np.log(one.rows))[:MOST_FORMS]:
         law = _fitted(one, known, marks)
-        if law is not None and (best is None or law.score < best.score):
-            best = law
+        if law is not None:
+            best = law if best is None else likelier(best, law)
         if found.problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
             break
     return best

@@ -35,11 +35,13 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
     matched, better, unexplained = _in_intervals_of(law, found), -np.inf, left if is_refused else 0.0
-    if law is not None:
+    if law is not None and law.follows(found.problem, found.validation):
         alone = not matched.is_at_noise_floor and law.reaches(found.simulation_error.validation_noise_floor)
         better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
         unexplained = law.unexplained(found) if is_open else 0.0
     none = verdict.none_of_these(unexplained, better, shared=are_two)
+    if law is None and leaves_more and found.problem.work.is_cut:  # no rival was tried
+        none = max(none, verdict.LIKELIER)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
     is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
     of, kept = (matched, law) if is_written else (found, None)

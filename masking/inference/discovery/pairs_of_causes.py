@@ -65,7 +65,7 @@ def pairs_first(
     scores: Sequence[Score],
     job: Callable[[Sequence[Score]], Job],
 ) -> list[Explanation]:
-    """Explanations with pairs of laws first that leave far less than any single one.
+    """Explanations with pairs of laws first that are likelier than any single one.
 
     Causes are added to the explanation `now`; `found` are those with one more. The job fits with some of the scores.
     """
@@ -84,11 +84,12 @@ def pairs_first(
             chosen.append(pair)
     jobs = [job(pair.scores) for pair in chosen]
     both = [e for e in noted(problem, "two causes at one place", jobs, alone) if e is not None]
-    better = [e for e in both if verdict.excess_cost(e.cost, size) < left]
-    better = [e for e in better if not is_excluded(problem, e.hypothesis.instances)]
-    if not better:
+    possible = [e for e in both if not is_excluded(problem, e.hypothesis.instances)]
+    if not possible:
         return found
-    like = nearest(better)
+    like = nearest([now, *found, *possible])
+    least = min(e.score(like) for e in (now, *found)) - rules.effect_evidence
+    better = [e for e in possible if e.score(like) < least]
     return [*sorted(better, key=lambda e: e.score(like)), *found]
 
 

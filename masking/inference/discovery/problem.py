@@ -22,6 +22,7 @@ from masking.inference.estimation.identification_data import Data, is_first_orde
 from masking.inference.estimation.initial_states import FIRST_READINGS, guessed_state
 from masking.inference.estimation.sensitivity import symmetric, terms
 from masking.inference.estimation.simulation import relative
+from masking.model.effects import DELAY
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,17 @@ class EstimationProblem:
     def weights(self) -> Array:
         """Weights of squared residuals (sensors,)."""
         return np.asarray(self.sigma**-2.0)
+
+    def spreads(self, instance: EffectInstance) -> list[float]:
+        """Standard deviation among instruments of each estimated parameter of an effect; infinite without one."""
+        twin, where = self.rig.twin, instance.where
+        if instance.effect == DELAY.name or where == "element":
+            return [np.inf] * len(instance.free)
+        names, table = (
+            (twin.sensors, self.record.readings) if where == "sensor" else (twin.actuators, self.record.commands)
+        )
+        largest = float(np.abs(table[:, names.index(instance.at)]).max())
+        return [instance.entry.parameters[name].deviation(largest) for name in instance.names]
 
     def independent(self, residuals: Array) -> Array:
         """Number of independent samples that residuals (m, sensors) are worth, of each sensor (sensors,)."""

@@ -169,6 +169,12 @@ class DecisionRules:
     Why: of a billion readings with normal noise, two.
     """
 
+    excluded_spreads: float = 3.0
+    """Spreads of the errors of instruments beyond which one counts only if it leaves no more than noise.
+
+    Why: a larger error of a sensor imitates any law whose force or motion it reads, as no law of a rig is exact.
+    """
+
     # Which candidates are fitted
 
     fewest_fits: int = 3

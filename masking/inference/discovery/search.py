@@ -21,7 +21,7 @@ from masking.inference.discovery.add_cause import Addition, in_steps, ready
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.excluded_laws import is_excluded
+from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.pairs_of_causes import pairs_first
@@ -154,7 +154,7 @@ class Search:
                     now, steps[-1] = settled, (settled,)
                     continue
             number += 1
-            is_kept = any(one is likeliest for one in found) or self._is_composite(likeliest)
+            is_kept = any(one is likeliest for one in (now, *found)) or self._is_composite(likeliest)
             passed_over = passed_over if is_kept else (*steps, (likeliest,))
             now, before = self._reduced(found[0], ground), now
             if now is not found[0] and set(now.names) == set(before.names):
@@ -282,13 +282,16 @@ class Search:
         least = rules.parameter_evidence if ranked[0].kind == "parameter" else rules.effect_evidence
         if now.score(like) - ranked[0].score(like) < least:
             return [], now
-        # A law that follows the steps of integration errs by what these may.
-        last = ranked[0].hypothesis.instances[-1:]
-        numerical = rules.law_error**2 * self.size if any(one.entry.by_step for one in last) else 0.0
+        numerical = self._numerical(ranked[0].hypothesis.instances[-1:])
         ordered = verdict.simplest_first(ranked, now.cost, self.nested, self.size, rules, numerical=numerical)
         if ordered[0] is not ranked[0]:
             self.problem.trace.refuse(ranked[0].names, "a simpler law does nearly as much")
         return ordered, ranked[0]
+
+    def _numerical(self, instances: Sequence[EffectInstance]) -> float:
+        """Error of a cost with laws that follow the steps of integration, or whose cost jumps with their parameter."""
+        jumps = any(one.entry.by_step or one.entry.quantum for one in instances)
+        return self.rules.law_error**2 * self.size if jumps else 0.0
 
     def _simpler(self, found: Sequence[Explanation]) -> list[Explanation]:
         """Nested models of the best fit, fitted from its parameters if they begin better than they ended."""
@@ -377,10 +380,14 @@ class Search:
         return Explanation("effects", (score.candidate.key, *names), found, min(best.unique, score.unique))
 
     def _is_possible(self, explanation: Explanation) -> bool:
-        excluded = is_excluded(self.problem, explanation.hypothesis.instances)
-        if excluded:
-            self.problem.trace.refuse(explanation.names, "readings contradict it")
-        return not excluded
+        problem, instances = self.problem, explanation.hypothesis.instances
+        is_noise = verdict.reaches_noise(explanation.cost, self.size, self.rules)
+        why = "readings contradict it" if is_excluded(problem, instances) else ""
+        if not why and not is_noise and is_beyond_instruments(problem, instances):
+            why = "larger than errors of instruments are"
+        if why:
+            problem.trace.refuse(explanation.names, why)
+        return not why
 
     def _is_better(self, base: Explanation, other: Explanation, best: Explanation, i: int) -> bool:
         """Whether an explanation is better than the best with another effect in the place of one."""
@@ -420,8 +427,10 @@ class Search:
             return best
         simpler = simpler_explanations.simpler(best, ground.every, partial(in_steps, self.problem))
         jobs = [partial(self._refitted, best, names, instances) for names, instances in simpler]
+        jumping = [one for one in best.hypothesis.instances if one.entry.quantum]
+        most = best.score(best.hypothesis) + self.rules.effect_evidence + self._numerical(jumping)
         for fewer in noted(self.problem, "a simpler one", jobs, best.hypothesis.cost):
-            if fewer and fewer.score(best.hypothesis) < best.score(best.hypothesis) + self.rules.effect_evidence:
+            if fewer and fewer.score(best.hypothesis) < most:
                 return self._reduced(fewer, ground)
         return best
 

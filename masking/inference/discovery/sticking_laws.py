@@ -58,8 +58,6 @@ def fits(
     problem = problem.apart(PART)
     begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
     bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
-    if ground.declared is None:
-        return noted(problem, MOVE, bounds)
     simple = [one for one in sticking if one.factors and not one.entry.nested]
     scores = ground.screen(problem, begun, ()).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
@@ -87,20 +85,20 @@ def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[E
 def nearest(
     problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
 ) -> list[Explanation]:
-    """Fits of the laws that come nearest when each is approached from the model as declared; arguments as of `fits`.
+    """Fits of the laws that come nearest in a few rounds from each of their starts; arguments as of `fits`.
 
-    There are none where that is near to its fit, or where other fits leave little.
+    To first order along the motion of a model that lacks it, a law may look best with a shape that is far from its own.
     """
-    begun = ground.declared
-    if begun is None or not _leaves_much(problem, now, found):
+    if not _leaves_much(problem, now, found):
         return []
-    problem, others = problem.apart(PART), [one for one in ground.every if one.factors and not one.sticks]
-    first = dict[Key, Candidate]()
-    for score in ground.screen(problem, begun, ()).scores(others):
-        first.setdefault(score.candidate.key, score.candidate)
+    begun, problem = ground.declared or ground.base.hypothesis, problem.apart(PART)
+    others = [one for one in ground.every if one.factors and not one.sticks and (one.has_shape or ground.declared)]
+    scores = {id(score.candidate): score.gain for score in ground.screen(problem, begun, ()).scores(others)}
+    likeliest = sorted(others, key=lambda one: -scores.get(id(one), 0.0))
+    starts = [(candidate, one) for candidate in likeliest for one in candidate.instances]
 
-    def begin(candidate: Candidate, rival: float) -> Hypothesis:
-        made = fitting.solved(problem, Begun(candidate.instances[:1], begun.theta, begun.start), rounds=ROUNDS)
+    def begin(one: EffectInstance, rival: float) -> Hypothesis:
+        made = fitting.solved(problem, Begun((one,), begun.theta, begun.start), rounds=ROUNDS)
         if made is None:
             raise IntegrationError("the simulated motion is no longer finite")
         return made
@@ -109,14 +107,15 @@ def nearest(
         made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
         return Explanation("effects", (key,), made)
 
-    pairs = _by_cost([*first], fitted([partial(begin, one) for one in first.values()], np.inf, problem.work))
-    jobs = [(id(first[key]), partial(fit, key, one)) for key, one in pairs[:NEAREST]]
-    return noted(problem, "nearest from the declared parameters", jobs)
-
-
-def _by_cost(keys: Sequence[Key], made: Sequence[Hypothesis | None]) -> list[tuple[Key, Hypothesis]]:
-    pairs = [(key, one) for key, one in zip(keys, made, strict=True) if one is not None]
-    return sorted(pairs, key=lambda pair: pair[1].cost)
+    made = fitted([partial(begin, one) for _, one in starts], np.inf, problem.work)
+    pairs = sorted(
+        ((candidate, one) for (candidate, _), one in zip(starts, made, strict=True) if one is not None),
+        key=lambda pair: pair[1].cost,
+    )
+    first = {candidate.key: (candidate, one) for candidate, one in reversed(pairs)}
+    best = sorted(first.values(), key=lambda pair: pair[1].cost)[:NEAREST]
+    jobs = [(id(candidate), partial(fit, candidate.key, one)) for candidate, one in best]
+    return noted(problem, "nearest of all laws and starts", jobs)
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:

@@ -19,7 +19,7 @@ from masking.inference.discovery.closed_form import ClosedForm
 from masking.inference.discovery.coverage import Coverage
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.free_law import ALIKE, FEWEST, KINDS, PARTS, FreeLaw
+from masking.inference.discovery.free_law import ALIKE, FEWEST, KINDS, PARTS, FreeLaw, likelier
 from masking.inference.discovery.grammar import evaluated
 from masking.inference.discovery.latent_force import Explained, binned
 from masking.inference.discovery.problem import EstimationProblem
@@ -135,6 +135,14 @@ class UnnamedLaw:
             return 1.0
         return float(np.sqrt(max(named - (1.0 + chance) * left, 0.0) / base))
 
+    def follows(self, problem: EstimationProblem, unseen: EstimationProblem) -> bool:
+        """Whether it follows both records in intervals as long as those of two problems.
+
+        In shorter ones, each from an initial state of its own, any law leaves less.
+        """
+        pairs = (self.free.problem, problem), (self.problem, unseen)
+        return all(own.interval_samples >= other.interval_samples for own, other in pairs)
+
     def reaches(self, floor: Mapping[str, float]) -> bool:
         """Whether it leaves little more than the noise floor of each sensor on unseen data."""
         return all(error <= verdict.EXPLAINED * floor[name] for name, error in self.error[1].items())
@@ -183,13 +191,14 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
     fine, other = (closed_form.knowing(one, form.hypothesis.instances) for one in (law.free.problem, unseen))
     try:
         with threadpool_limits(1):
-            costs = [fitting.together(*both).cost for both in ((known, seen, named), (fine, other, form.hypothesis))]
+            made = [fitting.together(*both) for both in ((known, seen, named), (fine, other, form.hypothesis))]
     except IntegrationError:
         return -np.inf
+    costs, like = [one.cost for one in made], min(made, key=lambda one: one.cost)
     noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
     if costs[0] > noise and costs[1] - noise > (1.0 - LITTLE) * (costs[0] - noise):
         return -np.inf
-    return costs[0] - costs[1] + penalty * (numbers[0] - numbers[1])
+    return made[0].misfit(like) - made[1].misfit(like) + penalty * (numbers[0] - numbers[1])
 
 
 def law_of(found: Explained, validation: EstimationProblem, substeps: int, part: float) -> UnnamedLaw | None:
@@ -240,7 +249,7 @@ def _free_law(found: Explained) -> FreeLaw | None:
 
 
 def _better(law: FreeLaw, other: FreeLaw | None) -> FreeLaw:
-    return other if other is not None and other.score < law.score else law
+    return law if other is None else likelier(law, other)
 
 
 def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> UnnamedLaw | None:
@@ -250,10 +259,10 @@ def _in_model(found: Explained, free: FreeLaw, unseen: EstimationProblem) -> Unn
         validation, followed = _followed(free.of(unseen), free)
         plain = replace(validation, rig=problem.rig, prior=problem.prior)
         without = [fitting.validated(plain, one) for one in (base, replace(base, theta=problem.prior.mean))]
-        form = closed_form.fitted(free, free.problem, validation)
+        form = closed_form.fitted(free, free.problem, (validation, followed))
         # The free law costs what it does in both records, with Schwarz's penalty for each factor.
         penalty = free.size * float(np.log(problem.record.readings.size + validation.record.readings.size))
-        cost = free.hypothesis.cost + float(followed.squares @ validation.weights) + penalty
+        cost = free.hypothesis.misfit(free.hypothesis) + followed.misfit(followed) + penalty
         if form is not None and form.score <= cost:
             law, formula = free, form
             fitted, validated = formula.hypothesis, formula.validated

@@ -98,6 +98,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         cause="a pulse counter, an encoder with one track, a rectifier",
         remedy="use a sensor of direction, too, such as a second track",
         source="Wigren and Schoukens (2013), European Control Conference, 2933-2938",
+        positive="r - 3/4",
     ),
     _sensor(
         "sensor_delay",
