@@ -55,7 +55,7 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         doubted=DOUBTED,
         tried=discovery_figures.tried(found)[:MOST_TRIED],
         rivals=_rivals(found),
-        trace=discovery_trace.rows(found, MOST_TRIED),
+        trace=discovery_trace.rows(found),
         trace_head=discovery_trace.HEAD,
         refitted=discovery_files.refitted(found),
         known=found.written_rig.twin.base.parameters,

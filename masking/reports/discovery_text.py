@@ -176,7 +176,7 @@ def weights(found: Discovery) -> list[str]:
             rival = listed([cause_name(found, *name) for name in one.rival]) or "no cause"
             against = f" (odds {odds_text(one.odds)} against {rival})"
         words = capital(cause_name(found, one.name, one.on))
-        said.append(f"{words} makes {share(one.share)} of the error on unseen data without it{against}")
+        said.append(f"{words} makes {share(one.share)} of the error on unseen data{against}")
     return said
 
 

@@ -9,32 +9,28 @@ from masking.reports import discovery_text
 from masking.reports.text import aligned, listed
 
 HEAD = ("explanation", "suggested by", "behind", "error over noise", "why not")
-EQUAL = 2.0  # difference of -2 log evidence that separates nothing
+MOST = 20  # hypotheses of each reading that are shown
 
 
-def rows(found: Discovery, most: int | None = None) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Each reading of the record with its hypotheses, the likeliest first, at most that many of each."""
-    made = dict[str, list[tuple[str, ...]]]()
-    for line in found.problem.trace.lines():
+def rows(found: Discovery) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Each reading of the record with its hypotheses, the likeliest first; the answer and the model alone are shown."""
+    made, lines = dict[str, list[tuple[str, ...]]](), [*found.problem.trace.lines()]
+    answer = next((line.behind for line in lines if _is_taken(found, line)), 0.0)
+    for line in lines:
         part = made.setdefault(line.tried.reading, [])
-        if most is None or len(part) < most or not line.tried.names or _is_taken(found, line):
-            part.append(_row(found, line))
+        if len(part) < MOST or not line.tried.names or _is_taken(found, line):
+            one, why = line.tried, _why(found, line, answer)
+            causes = listed([discovery_text.cause_name(found, *name) for name in one.names]) or "no cause"
+            part.append((causes, one.move, number(line.behind, 3), number(one.over_noise, 3), why))
     return [*made.items()]
 
 
-def table(found: Discovery, most: int | None = None) -> str:
+def table(found: Discovery) -> str:
     """Table for the terminal."""
     lines = list[str]()
-    for reading, part in rows(found, most):
-        lines += [f"The record {reading}:", *aligned([HEAD, *part])]
-    behind = "behind: -2 log of the odds against the likeliest hypothesis of the same reading"
-    return "\n".join([*lines, behind])
-
-
-def _row(found: Discovery, line: Line) -> tuple[str, ...]:
-    one = line.tried
-    causes = listed([discovery_text.cause_name(found, *name) for name in one.names]) or "no cause"
-    return causes, one.move, number(line.behind, 3), number(one.over_noise, 3), _why(found, line)
+    for reading, part in rows(found):
+        lines += [f"Hypotheses in the record, {reading}:", *aligned([HEAD, *part])]
+    return "\n".join([*lines, "behind: -2 log of the odds against the likeliest hypothesis of the same reading"])
 
 
 def _is_taken(found: Discovery, line: Line) -> bool:
@@ -42,12 +38,14 @@ def _is_taken(found: Discovery, line: Line) -> bool:
     return is_here and sorted(line.tried.names) == sorted(found.explanation.names)
 
 
-def _why(found: Discovery, line: Line) -> str:
-    """Why a hypothesis was not taken, or that it was."""
+def _why(found: Discovery, line: Line, answer: float) -> str:
+    """Why a hypothesis was not taken, or that it was; the answer is `answer` behind."""
     if _is_taken(found, line):
         return "the answer"
     if line.why:
-        return f"not taken: {line.why}"
+        return line.why
     if line.tried.reading != found.problem.trace.reading:
         return "another reading of the record is the answer"
-    return "less likely" if line.behind > EQUAL else "replaced in a later step"
+    if line.behind > answer:
+        return "less likely"
+    return "the answer has fewer causes" if len(line.tried.names) > len(found.explanation.names) else ""

@@ -87,8 +87,13 @@ def _pooled(
     """
     rules, free, fitted = problem.rules, chosen.with_prior(problem), chosen.hypothesis
     least = verdict.noise_threshold(min(len(problem.record), len(validation.record)), rules)
-    most = np.maximum(least, rules.noise_floor * _over_noise(fitted, problem))
-    if fitted.cost > rules.small_residual * fitted.residuals.size or (_over_noise(after, validation) <= most).all():
+    alone = rules.noise_floor * _over_noise(fitted, problem)
+
+    def is_explained(found: Hypothesis, record: EstimationProblem) -> bool:
+        left = _over_noise(found, record)
+        return bool(((left <= least) | (left <= alone)).all())
+
+    if fitted.cost > rules.small_residual * fitted.residuals.size or is_explained(after, validation):
         return None
     joint = fitting.together(free, validation, fitted)
     starts = joint.start[: problem.intervals], joint.start[problem.intervals :]
@@ -96,7 +101,7 @@ def _pooled(
         fitting.fit(part, joint.instances, theta=joint.theta, start=start, frozen=True)
         for part, start in zip((free, validation), starts, strict=True)
     )
-    if not all((_over_noise(*one) <= most).all() for one in ((seen, problem), (unseen, validation))):
+    if not (is_explained(seen, problem) and is_explained(unseen, validation)):
         return None
     return replace(chosen, hypothesis=replace(seen, covariance=joint.covariance)), unseen
 

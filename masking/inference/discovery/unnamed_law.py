@@ -116,7 +116,7 @@ class UnnamedLaw:
         What it leaves itself is of as many independent samples as it is worth, and is larger or smaller by chance.
         """
         costs, samples = np.zeros(3), self.fitted.independent.sum() + self.validated.independent.sum()
-        chance = found.problem.rules.chance_deviations * float(np.sqrt(2.0 / samples))
+        chance = float(found.problem.rules.chance_deviations) * float(np.sqrt(2.0 / samples))
         every = found.search.base.hypothesis, found.explanation.hypothesis
         with threadpool_limits(1):
             for part, law in ((self.free.problem, self.fitted), (self.problem, self.validated)):

@@ -85,7 +85,7 @@ def test_the_grade_of_a_cause_is_its_share_and_its_odds(found):
     assert all(found.twin.dictionary[name].family != "springs" for name, _ in grade.rival)
     (words,) = discovery_text.weights(found)
     assert words.startswith("Hardening spring in spring makes")
-    assert "of the error on unseen data without it (odds" in words
+    assert "of the error on unseen data (odds" in words
 
 
 def test_the_trace_has_the_answer_and_what_was_refused(found):
@@ -103,7 +103,7 @@ def test_explain_prints_the_trace(files, capsys):
     words = ["discover", str(files / "record.npz"), "--model", str(files / "model.yaml"), "--hold", "first-order"]
     assert cli.main([*words, "--explain", "--out", str(files / "out")]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("The record as declared:")
+    assert printed.startswith("Hypotheses in the record, as declared:")
     assert "hardening spring in spring" in printed
     content = json.loads((files / "out" / "discovery.json").read_text(encoding="utf-8"))
     assert {"reading", "causes", "suggested_by", "behind", "error_over_noise", "not_taken"} == {*content["trace"][0]}
