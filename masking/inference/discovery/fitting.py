@@ -374,7 +374,7 @@ class _LeastSquares:
             x, rounds, found, shared = made.x, rounds - made.rounds, made.at.extra, self.edges[1]
             ended = found.independent
             is_settled = likelihood.is_of(ended)
-            if is_settled or self.frozen or rounds < 1 or made.at.cost > likelihood.level(rival):
+            if is_settled or self.frozen or rounds < 1 or made.at.cost > likelihood.level(BEHIND * rival):
                 break
             likelihood = Likelihood(samples=ended, weights=discrepancy.weights(found.misfits, ended))
         theta, added, _, start = self.parts(x)
