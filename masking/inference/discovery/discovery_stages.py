@@ -429,6 +429,8 @@ def _one_scored(explanation: Explanation, rig: AugmentedModel, like: Hypothesis)
     estimates = _estimates(rig, explanation)
     usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
+    if explanation.hypothesis.instances:
+        last = (*last, (explanation.last_strength, 1.0))
     return replace(_plain(explanation), score=explanation.score(like), estimates=last)
 
 

@@ -48,6 +48,21 @@ class Explanation:
             prior = prior.freed(problem.rig.names.index(name), problem.rules.freed_factor)
         return replace(problem, prior=prior)
 
+    @property
+    def last_strength(self) -> float:
+        """Deviations by which the parameters of the last effect differ from 0 together, in rms (Wald's test).
+
+        Factors of a polynomial may be known together, and none by itself. It is 0 where their covariance is not known.
+        """
+        values = np.array(self.hypothesis.instances[-1].estimated)
+        covariance = self.hypothesis.covariance[len(self.hypothesis.covariance) - len(values) :][:, -len(values) :]
+        if not len(values) or not np.isfinite(covariance).all():
+            return 0.0
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        inverse = decompositions.inverse(covariance / np.outer(size, size), ROUNDING, hermitian=True)
+        square = float((values / size) @ inverse @ (values / size))
+        return float(np.sqrt(max(square, 0.0) / len(values)))
+
     def without(self, i: int) -> tuple[tuple[Key, ...], tuple[EffectInstance, ...]]:
         """Its names and effects without one of its causes."""
         names, instances = self.names, self.hypothesis.instances

@@ -18,7 +18,15 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.least_squares import Box, Damping, Linearised, Minimum, Patience, System, minimise
+from masking.compile.numerics.least_squares import (
+    Box,
+    Damping,
+    Linearised,
+    Minimum,
+    Patience,
+    System,
+    minimise,
+)
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws, continuation, discrepancy, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations

@@ -72,7 +72,7 @@ class Scored:
     # there
     validation_cost: float = 0.0
     # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
-    # parameter), and its standard deviation
+    # parameter), and its standard deviation; and the same of all parameters of an effect together
     estimates: tuple[tuple[float, float], ...] = ()
     absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model could have the form of its law
     unique: float = 1.0  # fraction of the response of the effects outside of the span of the parameters' responses
