@@ -271,16 +271,8 @@ class Discovery(Explained):
         small = [{"name": one.name, "on": one.on, "parameters": one.parameters} for one in self.imperfections]
         names = (
             *("verdict", "closed", "effects", "simulation_error", "unexplained_fraction", "next_experiment"),
-            *(
-                "grades",
-                "first_order_hold",
-                "exchanged",
-                "law",
-                "none_of_these",
-                "unit",
-                "withheld",
-                "shooting_interval",
-            ),
+            *("grades", "first_order_hold", "exchanged", "law", "none_of_these", "unit", "withheld"),
+            "shooting_interval",
         )
         every = {name: getattr(self, name) for name in names} | {"notes": self.notes, "trace": self.problem.trace}
         return dict(plain({**every, "imperfections": small, "search_ended_early": self.problem.work.is_cut}))

@@ -384,7 +384,7 @@ def _needed(found: SearchResult, validation: EstimationProblem, adjusted: Hypoth
     last = found.steps[-1][0].cost if found.steps else found.base.cost
     count = verdict.steps_needed(base, steps, last, size, validation.rules)
     for step in found.steps[count:]:
-        validation.trace.refuse(step[0].names, "unseen data do not support it")
+        validation.trace.refuse(step[0].names, "unseen data do not support it, or it explains too little of the rest")
     while count > 1 and (doubt := _doubt(found.steps[count - 1][0], validation)):
         validation.trace.refuse(found.steps[count - 1][0].names, doubt)
         count -= 1

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws
+from masking.inference.discovery import compiled_laws, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -81,9 +82,13 @@ class Explanation:
         """
         return self.fitted.misfit(like) + self._price(like)
 
+    @cached_property
+    def _occam(self) -> float:
+        return occam(self.fitted)
+
     def _price(self, like: Hypothesis) -> float:
         further = (len(self.names) - 1) * (self.kind == "parameter")
-        return occam(self.fitted) + further * float(np.log(max(like.independent.sum(), 2.0)))
+        return self._occam + further * float(np.log(max(like.independent.sum(), 2.0)))
 
     def tried(self, reading: str, move: str) -> Tried:
         """It as a line of a trace."""
@@ -93,7 +98,7 @@ class Explanation:
 
 def nearest(explanations: Iterable[Explanation]) -> Hypothesis:
     """Hypothesis that leaves least, whose residual says how coloured those of all are."""
-    return min((one.fitted for one in explanations), key=lambda one: one.cost)
+    return fitting.nearest(one.fitted for one in explanations)
 
 
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival

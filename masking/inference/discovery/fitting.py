@@ -10,7 +10,7 @@ follow the residuals.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -18,15 +18,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.least_squares import (
-    Box,
-    Damping,
-    Linearised,
-    Minimum,
-    Patience,
-    System,
-    minimise,
-)
+from masking.compile.numerics.least_squares import Box, Damping, Linearised, Minimum, Patience, System, minimise
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws, continuation, discrepancy, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
@@ -55,14 +47,18 @@ class Hypothesis:
     instances: tuple[EffectInstance, ...]  # the effects with fitted values
     theta: Array  # parameters of the rig (k,)
     start: Array  # initial states of the shooting intervals (w, states)
-    cost: float  # squared residuals over the variance of the noise, and over that of the prior
-    pull: float  # of the cost, the part of the prior
+    pull: float  # squares of parameters over the variance of their prior
     squares: Array  # of each sensor (sensors,)
     misfits: Array  # squared residuals over the variance of the noise, of each record and sensor (records, sensors)
     independent: Array  # how many independent samples these are worth (records, sensors)
     covariance: Array  # of rig's parameters and free parameters of the effects (k + f, k + f)
     residuals: Array  # of each sample (m, sensors)
     rules: DecisionRules = RULES  # the thresholds that it was fitted by
+
+    @property
+    def cost(self) -> float:
+        """Squared residuals over the variance of the noise, and parameters over that of their prior."""
+        return float(self.misfits.sum()) + self.pull
 
     def misfit(self, like: Hypothesis) -> float:
         """-2 log likelihood and prior, with the colour of the residual that another one leaves, as a rule the best."""
@@ -87,6 +83,11 @@ class Hypothesis:
     def deviations(self) -> Array:
         """Standard deviations of rig's parameters and of those of the effects (k + f,)."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+
+def nearest(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
+    """Hypothesis that leaves least, whose residual says how coloured those of all are."""
+    return min(hypotheses, key=lambda one: one.cost)
 
 
 def estimated(instances: Sequence[EffectInstance]) -> Array:
@@ -198,7 +199,7 @@ def solved(
 def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | None:
     if one is None or other is None:
         return one or other
-    like = min(one, other, key=lambda fit: fit.cost)
+    like = nearest([one, other])
     return other if other.misfit(like) < one.misfit(like) else one
 
 
@@ -389,8 +390,8 @@ class _LeastSquares:
         parts = zip(self.instances, by_instance(self.instances, added), strict=True)
         values = tuple(instance.with_values(instance.free, part) for instance, part in parts)
         return Hypothesis(
-            values, theta, start, float(found.misfits.sum()) + found.pull, found.pull, found.every[0].squares,
-            found.misfits, ended, made.at.equations.covariance()[:shared, :shared], found.every[0].residuals,
+            values, theta, start, found.pull, found.every[0].squares, found.misfits, ended,
+             made.at.equations.covariance()[:shared, :shared], found.every[0].residuals,
             self.problem.rules,
         )  # fmt: skip
 

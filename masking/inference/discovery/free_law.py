@@ -145,7 +145,7 @@ class FreeLaw:
 
 def likelier(one: FreeLaw, other: FreeLaw) -> FreeLaw:
     """Likelier one of two laws."""
-    like = min(one.hypothesis, other.hypothesis, key=lambda fit: fit.cost)
+    like = fitting.nearest([one.hypothesis, other.hypothesis])
     return other if other.score(like) < one.score(like) else one
 
 

@@ -48,13 +48,13 @@ def _odds(
     lines: Sequence[Line], names: Sequence[Key], i: int, dictionary: Mapping[str, Effect]
 ) -> tuple[float | None, tuple[Key, ...]]:
     """Odds of causes against the likeliest hypothesis without one of the class of cause i, and the causes of that."""
-    (name, on), known = names[i], {tuple(sorted(names))}
+    name, on = names[i]
     family = dictionary[name].family if name in dictionary else name
 
     def is_other(line: Line) -> bool:
         return not any(at == on and n in dictionary and dictionary[n].family == family for n, at in line.tried.names)
 
-    own = next((line for line in lines if tuple(sorted(line.tried.names)) in known), None)
+    own = next((line for line in lines if sorted(line.tried.names) == sorted(names)), None)
     rivals = sorted((line for line in lines if is_other(line) and not line.why), key=lambda line: line.behind)
     if own is None or not rivals:
         return None, ()

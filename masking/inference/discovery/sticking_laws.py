@@ -4,8 +4,8 @@ Along a motion that sticks no law has the force that holds it, and where a senso
 such as a magnitude, the motion that is smoothed from its readings is another one. Parameters that are fitted without
 these laws go far to stand for them. So dry friction is fitted at each place from the declared parameters, and at the
 place where it leaves least the other frictions that stick, from there; and at each sensor the laws that fold its range,
-and at each state the bounds that hold it. Where all of these leave much, every other law is fitted from what is
-declared in a few rounds, since along a wrong motion of what is not seen any law may look best; those that come nearest
+and at each state the bounds that hold it. Where all of these leave much, every law with a shape is fitted in a few
+rounds from each of its starts, since to first order along a wrong motion any law may look best; those that come nearest
 are fitted to the end.
 """
 
@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import excluded_laws, fitting, verdict
+from masking.inference.discovery import continuation, excluded_laws, fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, fitted
@@ -37,7 +37,6 @@ WORSE = 10.0  # times what another law leaves: with two levels, friction may lea
 SHOWN = 0.1  # of what the model without a law leaves, that dry friction takes at least where it is one of these
 PART = 0.5  # of what a search may simulate, for the first laws; the others have as much
 SHARE = 0.2  # of that, after which a law begins at no further start
-ROUNDS = 12  # of a fit that shows how near a law comes
 NEAREST = 3  # laws that are fitted, those that come nearest
 FITTED = 6  # starts of a law, those of least cost; from the others few fits end where the best one does
 
@@ -92,13 +91,15 @@ def nearest(
     if not _leaves_much(problem, now, found):
         return []
     begun, problem = ground.declared or ground.base.hypothesis, problem.apart(PART)
-    others = [one for one in ground.every if one.factors and not one.sticks and (one.has_shape or ground.declared)]
+    others = [
+        one for one in ground.every if one.factors and not one.sticks and (one.has_shape or ground.declared is not None)
+    ]
     scores = {id(score.candidate): score.gain for score in ground.screen(problem, begun, ()).scores(others)}
     likeliest = sorted(others, key=lambda one: -scores.get(id(one), 0.0))
     starts = [(candidate, one) for candidate in likeliest for one in candidate.instances]
 
     def begin(one: EffectInstance, rival: float) -> Hypothesis:
-        made = fitting.solved(problem, Begun((one,), begun.theta, begun.start), rounds=ROUNDS)
+        made = fitting.solved(problem, Begun((one,), begun.theta, begun.start), rounds=continuation.ROUNDS)
         if made is None:
             raise IntegrationError("the simulated motion is no longer finite")
         return made
@@ -108,13 +109,11 @@ def nearest(
         return Explanation("effects", (key,), made)
 
     made = fitted([partial(begin, one) for _, one in starts], np.inf, problem.work)
-    pairs = sorted(
-        ((candidate, one) for (candidate, _), one in zip(starts, made, strict=True) if one is not None),
-        key=lambda pair: pair[1].cost,
-    )
-    first = {candidate.key: (candidate, one) for candidate, one in reversed(pairs)}
-    best = sorted(first.values(), key=lambda pair: pair[1].cost)[:NEAREST]
-    jobs = [(id(candidate), partial(fit, candidate.key, one)) for candidate, one in best]
+    ended = ((candidate, one) for (candidate, _), one in zip(starts, made, strict=True) if one is not None)
+    best = dict[Key, tuple[Candidate, Hypothesis]]()
+    for candidate, one in sorted(ended, key=lambda pair: pair[1].cost):
+        best.setdefault(candidate.key, (candidate, one))
+    jobs = [(id(candidate), partial(fit, candidate.key, one)) for candidate, one in [*best.values()][:NEAREST]]
     return noted(problem, "nearest of all laws and starts", jobs)
 
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import discrepancy
-
-Key = tuple[str, str]  # an effect and its place, or a parameter and ''
+from masking.inference.discovery.verdict import Key
 
 
 @dataclass(frozen=True)

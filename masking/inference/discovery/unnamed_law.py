@@ -194,7 +194,7 @@ def evidence(found: Explained, validated: Hypothesis, law: UnnamedLaw, *, alone:
             made = [fitting.together(*both) for both in ((known, seen, named), (fine, other, form.hypothesis))]
     except IntegrationError:
         return -np.inf
-    costs, like = [one.cost for one in made], min(made, key=lambda one: one.cost)
+    costs, like = [one.cost for one in made], fitting.nearest(made)
     noise = (1.0 + found.problem.rules.screen_resolution) * (named.residuals.size + validated.residuals.size)
     if costs[0] > noise and costs[1] - noise > (1.0 - LITTLE) * (costs[0] - noise):
         return -np.inf
