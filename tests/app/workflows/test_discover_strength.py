@@ -201,7 +201,7 @@ def test_no_parameter_is_named_where_a_fit_ended_elsewhere_and_none_is_far_off(t
     found = shaken(tmp_path, [[0.0, 1.0], [-900.0 / 0.3, -1.5 / 0.3]], seed=16)
     assert found.verdict == "none"
     base = found.search.base
-    elsewhere = replace(base, hypothesis=replace(base.hypothesis, cost=1e9))
+    elsewhere = replace(base, hypothesis=replace(base.hypothesis, pull=1e9))
     assert wrong_parameters.several(found.problem, elsewhere, []) == []
 
 
