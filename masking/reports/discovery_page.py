@@ -7,8 +7,8 @@ from pathlib import Path
 
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.explanation import nearest
-from masking.inference.discovery.verdict import noise_threshold, probabilities
+from masking.inference.discovery.explanation import in_both
+from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
 from masking.reports import discovery_figures, discovery_files, discovery_text, discovery_trace, html, place_text
@@ -70,9 +70,11 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     if len(rivals) < 2 or not found.effects:
         return []
     rows: dict[str, tuple[float, str, str]] = {}
-    like = nearest(rivals)
-    scores = [rival.score(like) for rival in rivals]
-    for rival, score, probability in zip(rivals, scores, map(float, probabilities(scores)), strict=True):
+    scores = in_both(rivals)
+    for rival, score, probability in zip(rivals, scores, found.weights, strict=True):
+        if not rival.names:
+            rows["None"] = probability, number(score - scores[0], 4), ""
+            continue
         first, *more = rival.names
         others = [discovery_text.cause_name(found, *name) for name in more]
         causes = " and ".join([discovery_text.cause_label(found, *first), *others])

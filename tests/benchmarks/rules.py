@@ -37,8 +37,8 @@ from tests.benchmarks.problems.drawn import drawn
 from tests.benchmarks.watched import WatchedRules
 
 FACTORS: Final = (0.5, 2.0)
-ABOVE_ONE: Final = {"noise_floor", "slow_excess", "validation_tolerance"}  # neutral at 1, not at 0
-PARTS: Final = {"late_gain_fraction", "small_unexplained_fraction", "named_probability"}  # up to 1
+ABOVE_ONE: Final = {"noise_floor", "slow_excess"}  # neutral at 1, not at 0
+PARTS: Final = {"small_unexplained_fraction", "named_probability"}  # up to 1
 MOST = 4.0  # s of processor time of a search that is repeated
 LONG = 20.0  # s of processor time after which a search is ended
 LATE = f"no answer within {LONG:g} s"

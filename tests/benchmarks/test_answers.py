@@ -35,7 +35,7 @@ def found(verdict, *causes, probability=0.99, unit=None, law=None):
     return SimpleNamespace(
         verdict=verdict, effects=[SimpleNamespace(name=name, on=on, probability=probability) for name, on in causes],
         simulation_error=errors, unit=unit, law=law, none_of_these=0.01, shooting_interval=None,
-        twin=SimpleNamespace(dictionary=EFFECTS),
+        twin=SimpleNamespace(dictionary=EFFECTS), explanation=SimpleNamespace(move="one more cause"),
     )  # fmt: skip
 
 

@@ -111,6 +111,7 @@ class Discovery(Explained):
     simulation_error: SimulationError  # before and after
     unexplained_fraction: float  # part of the excess cost that is left in the estimation record
     rivals: tuple[Explanation, ...]  # the explanations that the one was chosen from, itself first
+    weights: tuple[float, ...]  # probability of each of them
     validation: EstimationProblem  # the estimation problem of the validation record
     # before and after: the model as declared and with the causes, on the validation record
     before: Hypothesis

@@ -1,7 +1,7 @@
 """Excluded laws: those that a record rules out by itself, whatever the motion was, and those that belie their names.
 
 A sensor reads no more than its law can give: behind a limit nothing exceeds it, and what has no sign is never negative.
-Friction that falls with the rate is no such friction where it grows.
+Friction that falls with the rate is no such friction where it grows, and what repeats does so within the record.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance])
     """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called."""
     sensors = [one.at for one in instances if one.where == "sensor"]
     alone = [one for one in instances if one.where == "sensor" and sensors.count(one.at) == 1 and not one.entry.states]
-    return any(_is_beyond(problem, one) for one in alone) or any(map(_belies_its_name, instances))
+    return any(_is_beyond(problem, one) for one in alone) or any(_belies_its_name(problem, one) for one in instances)
 
 
 def is_beyond_instruments(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
@@ -54,6 +54,7 @@ def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
     return int(((readings > law.max() + margin) | (readings < law.min() - margin)).sum()) > OUTLIERS
 
 
-def _belies_its_name(instance: EffectInstance) -> bool:
+def _belies_its_name(problem: EstimationProblem, instance: EffectInstance) -> bool:
     text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
+    known["duration"] = len(problem.record) * problem.dt
     return bool(text) and not Expression(text).evaluate(known) > 0.0

@@ -5,7 +5,7 @@ Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, fitting
+from masking.inference.discovery import compiled_laws, discrepancy, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -35,7 +35,8 @@ class Explanation:
     names: tuple[Key, ...]  # (parameter, '') or (effect, place) of each cause
     hypothesis: Hypothesis  # fitted
     unique: float = 1.0  # unique fraction, the least part of an effect that parameters could not have
-    joint: Hypothesis | None = None  # the hypothesis fitted to both records, if it has been validated on another
+    move: str = "parameters within their priors"  # what suggested it
+    unseen: Hypothesis | None = None  # the hypothesis on a validation record, where it has been simulated there
 
     @property
     def cost(self) -> float:
@@ -69,36 +70,54 @@ class Explanation:
         names, instances = self.names, self.hypothesis.instances
         return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
-    @property
-    def fitted(self) -> Hypothesis:
-        """Hypothesis that is compared: that of both records where there is one."""
-        return self.joint or self.hypothesis
+    def is_inside(self, richer: Explanation, nested: Mapping[str, Collection[str]]) -> bool:
+        """Whether it is a special case of another one: that without a cause, or with one that is nested in it."""
+        new, old = {*self.names} - {*richer.names}, {*richer.names} - {*self.names}
+        if len(old) != 1 or self.kind == "parameter" or richer.kind != "effects":
+            return False
+        ((effect, at),) = old
+        return new <= {(name, at) for name in nested.get(effect, ())}
 
     def score(self, like: Hypothesis) -> float:
         """-2 log evidence, with the residual as coloured as that of another hypothesis, see `Hypothesis.misfit`.
 
-        That is the likelihood and prior, and the Occam factor of its parameters. Of parameters of the model, each
-        beyond the first has Schwarz's penalty.
+        That is the likelihood and prior, the Occam factor of its parameters, and the price of each cause.
         """
-        return self.fitted.misfit(like) + self._price(like)
+        return self.hypothesis.misfit(like) + self._price
 
     @cached_property
     def _occam(self) -> float:
-        return occam(self.fitted)
+        return occam(self.hypothesis)
 
-    def _price(self, like: Hypothesis) -> float:
-        further = (len(self.names) - 1) * (self.kind == "parameter")
-        return self._occam + further * float(np.log(max(like.independent.sum(), 2.0)))
+    @property
+    def _price(self) -> float:
+        rules = self.hypothesis.rules
+        each = rules.parameter_evidence if self.kind == "parameter" else rules.effect_evidence
+        return self._occam + each * len(self.names)
 
-    def tried(self, reading: str, move: str) -> Tried:
+    def tried(self, reading: str) -> Tried:
         """It as a line of a trace."""
-        one, price = self.hypothesis, self.hypothesis.pull + self._price(self.hypothesis)
-        return Tried(reading, move, self.names, one.misfits[0], one.independent[0], price, one.residuals.size)
+        one, price = self.hypothesis, self.hypothesis.pull + self._price
+        return Tried(reading, self.move, self.names, one.misfits[0], one.independent[0], price, one.residuals.size)
 
 
 def nearest(explanations: Iterable[Explanation]) -> Hypothesis:
     """Hypothesis that leaves least, whose residual says how coloured those of all are."""
-    return fitting.nearest(one.fitted for one in explanations)
+    return fitting.nearest(one.hypothesis for one in explanations)
+
+
+def in_both(explanations: Sequence[Explanation]) -> list[float]:
+    """-2 log evidence of explanations in their record and in unseen data, where all have been simulated there.
+
+    That is the score, and the likelihood of unseen data with what was estimated before them.
+    Source: Dawid (1984), J. R. Stat. Soc. A 147(2), 278-292, for the likelihood of what comes by what came before.
+    """
+    like, later = nearest(explanations), [one.unseen for one in explanations if one.unseen is not None]
+    if len(later) < len(explanations):
+        return [one.score(like) for one in explanations]
+    other = fitting.nearest(later).independent
+    misfits = (discrepancy.misfit(unseen.misfits, other) for unseen in later)
+    return [one.score(like) + unseen for one, unseen in zip(explanations, misfits, strict=True)]
 
 
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival
@@ -107,8 +126,8 @@ Fit = TypeVar("Fit")
 
 def noted(problem: EstimationProblem, move: str, jobs: Sequence[Job], rival: float) -> list[Explanation | None]:
     """Explanations of fits that a move suggests, as `fitted`, noted in the trace of the problem."""
-    made = fitted(jobs, rival, problem.work)
-    problem.trace.tried += [one.tried(problem.trace.reading, move) for one in made if one is not None]
+    made = [one and replace(one, move=move) for one in fitted(jobs, rival, problem.work)]
+    problem.trace.tried += [one.tried(problem.trace.reading) for one in made if one is not None]
     return made
 
 

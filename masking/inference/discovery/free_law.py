@@ -26,7 +26,6 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import COLLINEAR, Screen
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces
-from masking.inference.discovery.views_of_record import views
 from masking.model.effects import Effect, EffectParameter
 
 NAME = "unnamed_law"  # of the effect that a model holds
@@ -38,7 +37,6 @@ MOST_FORMS = 3  # forms that are fitted
 ROUNDS, FIRST_ROUNDS = 25, 8  # of a fit, and of those in shorter shooting intervals before it
 PARTS, FEWEST = (60, 12), 20  # of a record in a shooting interval to begin with, and samples in it
 NEARER = (2.0, 1.4, 1.2, 1.1, 1.05, 1.025)  # times the best relaxation time: those that are tried next
-FAR = 3.0  # deviations of the prior
 LOST = 1.5  # times the cost of shorter shooting intervals, from which the motion has lost the record
 ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
 
@@ -172,9 +170,7 @@ def fit(
     else:
         theta, search = found.explanation.hypothesis.theta, found.search
         places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
-        sides = views(found.problem, search.base.hypothesis, search.motion, FAR)
-        grounds = (_Ground(found.problem, one.hypothesis, one.motion, places) for one in sides)
-        starts = [start for ground in grounds for start in _at(ground, theta, known)]
+        starts = _at(_Ground(found.problem, search.base.hypothesis, search.motion, places), theta, known)
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.

@@ -20,9 +20,11 @@ from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.composites import are_composite, is_of_one_family
+from masking.inference.discovery.explanation import Explanation, in_both, nearest
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.verdict import Cause
 
 
@@ -47,6 +49,71 @@ class Given:
     alone: dict[str, float] | None = None
 
 
+def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Explanation, ...]:
+    """Explanations that are nearly as good as the best and those that lack causes of these, the likeliest in both.
+
+    None has a cause in doubt, and each cause makes a part of the error on unseen data.
+    """
+    problem, like, near = found.problem, nearest(found.ranked), list[Explanation]()
+
+    def simulated(one: Explanation) -> bool:
+        doubt = _doubt(one, problem)
+        if doubt:
+            problem.trace.refuse(one.names, doubt)
+            return False
+        with suppress(IntegrationError):  # one whose motion ends in the other record is no answer
+            near.append(replace(one, unseen=fitting.validated(validation, one.hypothesis)))
+            return True
+        return False
+
+    most, others = np.inf, list[Explanation]()
+    for one in found.ranked:
+        if one.score(like) > most or len(near) >= problem.rules.most_fits:
+            others.append(one)
+        elif simulated(one):
+            most = min(most, one.score(like) + problem.rules.validation_margin)
+    nested = {name: effect.nested for name, effect in problem.rig.twin.dictionary.items()}
+    for one in others:
+        if any({*one.names} < {*richer.names} or one.is_inside(richer, nested) for richer in near):
+            simulated(one)
+
+    def is_idle(richer: Explanation) -> bool:
+        simpler = (one for one in near if {*one.names} < {*richer.names} or one.is_inside(richer, nested))
+        return any(_does_nearly_as_much(one, richer) for one in simpler)
+
+    idle = [*filter(is_idle, near)]
+    for one in idle:
+        problem.trace.refuse(one.names, "a simpler one leaves hardly more of unseen data")
+    sound = [one for one in near if not any(one is other for other in idle)]
+    return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (found.base,)
+
+
+def _does_nearly_as_much(simple: Explanation, richer: Explanation) -> bool:
+    """Whether a special case of an explanation leaves hardly more of unseen data, if what it leaves is no chance.
+
+    A richer law in the place of a simpler one imitates what else is missing: it must leave much less.
+    """
+    if simple.unseen is None or richer.unseen is None:
+        return False
+    size, rules = richer.unseen.residuals.size, simple.hypothesis.rules
+    left, more = (float(one.misfits.sum()) for one in (simple.unseen, richer.unseen))
+    if not verdict.is_excess(max(left, more), size, rules):
+        return False
+    part = rules.much_less**2 if len(simple.names) == len(richer.names) else 1.0 - rules.gain_fraction
+    return verdict.excess_cost(more, size) > part * verdict.excess_cost(left, size)
+
+
+def _doubt(explanation: Explanation, problem: EstimationProblem) -> str:
+    """Why one of several causes that leave more than noise is not given a name; '' where it is."""
+    rules, names = problem.rules, explanation.names
+    if len(names) < 2 or verdict.reaches_noise(explanation.cost, explanation.hypothesis.residuals.size, rules):
+        return ""
+    if are_composite(names, problem.rig, rules) and is_of_one_family(names, problem.rig):
+        return "together its causes imitate another law of their family"
+    is_significant = explanation.kind != "effects" or explanation.last_strength >= rules.significant_deviations
+    return "" if is_significant else "its last cause does not differ from nothing"
+
+
 def no_worse(
     tried: Sequence[tuple[Explanation, ...]], problem: EstimationProblem, unseen: EstimationProblem, before: Hypothesis
 ) -> Given:
@@ -57,10 +124,10 @@ def no_worse(
     """
     withheld, declared = None, float(before.squares @ unseen.weights)
     for rivals in tried[:-1]:
-        chosen, alone = replace(rivals[0], joint=None), None
+        chosen, alone = rivals[0], None
         causes = tuple(Cause(*key) for key in chosen.names)
         try:
-            after = fitting.validated(unseen, chosen.hypothesis)
+            after = chosen.unseen or fitting.validated(unseen, chosen.hypothesis)
         except IntegrationError:
             withheld = withheld or Withheld(causes, None)
             continue

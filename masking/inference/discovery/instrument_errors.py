@@ -9,7 +9,7 @@ all, each with a normal prior around none.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -21,8 +21,9 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.ground import Tell
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.search import Search, SearchResult, Tell
+from masking.inference.discovery.search import Search, SearchResult
 from masking.model.effects import DELAY, GAINS_AND_ZEROS
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
@@ -33,33 +34,30 @@ FEW = 2  # imperfections that are left to be causes
 TRIED = 3  # explanations of the first round that are fitted with all imperfections
 
 
-def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> tuple[SearchResult, EstimationProblem]:
-    """Search for causes, where many imperfections hide them with these adjusted, and the problem in which that was.
+def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> SearchResult:
+    """Search for causes, where many imperfections hide them with these adjusted.
 
-    Arguments are those of `Search` and `Search.run`.
+    Arguments are those of `Search.begun`.
     """
+    search = Search.begun(problem, tell, substeps)
     if problem.rig.imperfections:
-        return _in_problem(Search(problem, tell), substeps)
-    trial = _Trial()
-    found, known = _in_problem(Search(problem, tell, ends=trial.ends), substeps)
-    is_settled = _is_complete(known, found) and not (trial.is_near and _laws(_last(found)) > 1)
-    if not trial.is_shown and (is_settled or not trial.is_likely):
-        return found, known
+        return search.run()
+    search.first_round()
+    trial, found = _trial(search), None
+    if not trial.is_shown:
+        found = search.run()
+        is_settled = _is_complete(found) and not (trial.is_near and _laws(found.best) > 1)
+        if is_settled or not trial.is_likely:
+            return found
     tell("small errors of sensors and actuators are adjusted", 0.0)
-    again, wider = _in_problem(Search(with_imperfections(problem), tell), substeps)
-    is_better = not _is_complete(known, found) or _is_likelier(_last(again), _last(found))
-    if _is_complete(wider, again) and (trial.is_shown or is_better):
-        return again, wider
-    if trial.is_shown:  # the first search ended early
-        found, known = _in_problem(Search(problem.apart(), tell), substeps)
-        if not _is_complete(known, found) and _last(again).cost < _last(found).cost:
-            return again, wider
-    return found, known
-
-
-def _in_problem(search: Search, substeps: int) -> tuple[SearchResult, EstimationProblem]:
-    found = search.run(substeps)
-    return found, found.problem or search.problem
+    again = Search.begun(with_imperfections(problem), tell, substeps).run()
+    if found is None:  # the first search ended early
+        if _is_complete(again):
+            return again
+        found = search.run()
+        return again if not _is_complete(found) and again.best.cost < found.best.cost else found
+    is_better = not _is_complete(found) or _is_likelier(again.best, found.best)
+    return again if _is_complete(again) and is_better else found
 
 
 @dataclass
@@ -70,32 +68,29 @@ class _Trial:
     is_near: bool = False  # whether one leaves hardly anything
     is_shown: bool = False  # whether it does so with more than a few imperfections
 
-    def ends(self, problem: EstimationProblem, found: Sequence[Explanation]) -> bool:
-        """Whether the search ends after its first round, to be repeated with imperfections."""
-        size, rules = problem.record.readings.size, problem.rules
-        laws = [one for one in found if one.kind == "effects" and _laws(one)]
-        if not laws or verdict.reaches_noise(found[0].cost, size, rules):
-            return False
-        wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
-        most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
-        for made in noted(
-            wider, "with all instrument errors", [partial(_beside, wider, one) for one in laws[:TRIED]], most
-        ):
-            if made is not None:
-                left = verdict.excess_cost(made.cost, size)
-                self.is_likely |= left < rules.unexplained_fraction * alone
-                is_near = left < rules.trace_fraction * alone or verdict.reaches_noise(made.cost, size, rules)
-                self.is_near |= is_near
-                self.is_shown |= is_near and not _suffice(wider, made.hypothesis)
-        return self.is_shown
+
+def _trial(search: Search) -> _Trial:
+    """Trial of the likeliest laws of a first round."""
+    problem, found, trial = search.ground.problem, search.ground.ranked(search.table), _Trial()
+    size, rules = problem.record.readings.size, problem.rules
+    laws = [one for one in found if one.kind == "effects" and _laws(one)]
+    if not laws or verdict.reaches_noise(found[0].cost, size, rules):
+        return trial
+    wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
+    most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
+    jobs = [partial(_beside, wider, one) for one in laws[:TRIED]]
+    for made in noted(wider, "with all instrument errors", jobs, most):
+        if made is not None:
+            left = verdict.excess_cost(made.cost, size)
+            trial.is_likely |= left < rules.unexplained_fraction * alone
+            is_near = left < rules.trace_fraction * alone or verdict.reaches_noise(made.cost, size, rules)
+            trial.is_near |= is_near
+            trial.is_shown |= is_near and not _suffice(wider, made.hypothesis)
+    return trial
 
 
 def _laws(explanation: Explanation) -> int:
     return sum(name not in {*GAINS_AND_ZEROS, DELAY.name} for name, _ in explanation.names)
-
-
-def _last(found: SearchResult) -> Explanation:
-    return found.steps[-1][0] if found.steps else found.base
 
 
 def _beside(problem: EstimationProblem, one: Explanation, rival: float) -> Explanation:
@@ -127,10 +122,10 @@ def _is_likelier(one: Explanation, other: Explanation) -> bool:
     return one.score(like) < other.score(like)
 
 
-def _is_complete(problem: EstimationProblem, found: SearchResult) -> bool:
-    last = _last(found)
-    is_noise = verdict.reaches_noise(last.cost, problem.record.readings.size, problem.rules)
-    return is_noise and not are_composite(last.names, problem.rig, problem.rules)
+def _is_complete(found: SearchResult) -> bool:
+    problem, best = found.problem, found.best
+    is_noise = verdict.reaches_noise(best.cost, problem.record.readings.size, problem.rules)
+    return is_noise and not are_composite(best.names, problem.rig, problem.rules)
 
 
 def with_imperfections(problem: EstimationProblem) -> EstimationProblem:

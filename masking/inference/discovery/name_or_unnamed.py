@@ -10,7 +10,7 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
-from masking.inference.discovery.search import Tell
+from masking.inference.discovery.ground import Tell
 from masking.inference.discovery.unnamed_law import UnnamedLaw, evidence, law_of
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
@@ -58,12 +58,12 @@ def _without_names(found: Discovery, substeps: int) -> Discovery:
 
 
 def _effects(found: Discovery, part: float) -> tuple[Named, ...]:
-    """Causes, the probabilities of the last one and of its alternatives multiplied by a part."""
-    at = len(found.explanation.hypothesis.instances) - 1
-    last = found.effects[at]
-    others = tuple(one._replace(probability=part * one.probability) for one in last.alternatives)
-    named = replace(last, probability=part * last.probability, alternatives=others)
-    return (*found.effects[:at], named, *found.effects[at + 1 :])
+    """Causes, with their probabilities and those of their alternatives multiplied by a part."""
+    causes = []
+    for one in found.effects[: len(found.explanation.names)]:
+        others = tuple(other._replace(probability=part * other.probability) for other in one.alternatives)
+        causes.append(replace(one, probability=part * one.probability, alternatives=others))
+    return (*causes, *found.effects[len(causes) :])
 
 
 def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
@@ -108,10 +108,10 @@ def changes_beyond(found: Discovery) -> bool:
 
 def _takes_a_rest(found: Discovery) -> bool:
     """Whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
-    if len(found.search.steps) < 2 or len(found.explanation.names) < 2:
-        return False
-    before, base, size = found.search.steps[-2][0], found.search.base, found.problem.record.readings.size
-    return verdict.leaves_little(before.cost, base.cost, size, found.problem.rules)
+    names, ranked = {*found.explanation.names}, found.search.ranked
+    before = next((one for one in ranked if {*one.names} < names and len(one.names) == len(names) - 1), None)
+    base, size = found.search.base, found.problem.record.readings.size
+    return before is not None and verdict.leaves_little(before.cost, base.cost, size, found.problem.rules)
 
 
 def _left(found: Discovery) -> float:

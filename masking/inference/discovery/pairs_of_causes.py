@@ -9,19 +9,20 @@ pairs come from the products of what candidates do to the sensors, as single one
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
 from masking.inference.discovery import verdict
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.excluded_laws import is_excluded
-from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
+from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import bounds
+from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.one_more_cause import Addition
 from masking.inference.discovery.places import both_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen, best_factors
 
 LEFT = 0.5  # of the excess cost that the best single law leaves, which two laws may leave: else one comes after another
@@ -56,41 +57,28 @@ def pairs(screen: Screen, scores: Sequence[Score]) -> list[Pair]:
     return sorted(found, key=lambda pair: -pair.gain)
 
 
-def pairs_first(
-    problem: EstimationProblem,
-    now: Explanation,
-    found: list[Explanation],
-    screen: Screen,
-    *,
-    scores: Sequence[Score],
-    job: Callable[[Sequence[Score]], Job],
-) -> list[Explanation]:
-    """Explanations with pairs of laws first that are likelier than any single one.
-
-    Causes are added to the explanation `now`; `found` are those with one more. The job fits with some of the scores.
-    """
-    rules, rig, size = problem.rules, problem.rig, problem.record.readings.size
-    alone, noise = min(e.cost for e in (now, *found)), float(size // screen.every)
-    if verdict.reaches_noise(alone, size, rules) or len(now.names) + 2 > rules.most_effects:
-        return found
-    left = LEFT * verdict.excess_cost(alone, size)
-    most = rules.fit_ratio * left / verdict.excess_cost(now.cost, size) * (screen.total - noise)
+def pairs_of_causes(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with two more causes that belong together."""
+    rules = ground.rules
+    alone = min(one.cost for one in table)
+    if ground.is_noise(alone) or len(now.names) + 2 > rules.most_effects:
+        return []
+    try:
+        screen, scores = ground.screened(now)
+    except IntegrationError:
+        return []
+    noise = float(ground.size // screen.every)
+    left = LEFT * verdict.excess_cost(alone, ground.size)
+    most = rules.fit_ratio * left / verdict.excess_cost(now.cost, ground.size) * (screen.total - noise)
     chosen = list[Pair]()
     for pair in pairs(screen, scores):
         names = (*now.names, *(score.candidate.key for score in pair.scores))
         if screen.total - pair.gain - noise > most or len(chosen) == rules.most_exchanges:
             break
-        if len({*names}) == len(names) and not are_composite(names, rig, rules):
+        if len({*names}) == len(names) and not are_composite(names, ground.problem.rig, rules):
             chosen.append(pair)
-    jobs = [job(pair.scores) for pair in chosen]
-    both = [e for e in noted(problem, "two causes at one place", jobs, alone) if e is not None]
-    possible = [e for e in both if not is_excluded(problem, e.hypothesis.instances)]
-    if not possible:
-        return found
-    like = nearest([now, *found, *possible])
-    least = min(e.score(like) for e in (now, *found)) - rules.effect_evidence
-    better = [e for e in possible if e.score(like) < least]
-    return [*sorted(better, key=lambda e: e.score(like)), *found]
+    adding = Addition(ground, now, screen)
+    return ground.noted("two causes at one place", [adding.job(pair.scores) for pair in chosen], alone)
 
 
 def _group(score: Score) -> tuple[str, ...]:

@@ -62,24 +62,18 @@ class DecisionRules:
     # Evidence for one cause
 
     effect_evidence: float = 14.0
-    """Reduction of the score from which an effect is there at all.
+    """Price of an effect, as -2 log of its odds before the record.
 
-    Why: prior odds of one in a hundred candidates, and of nine to one for a name: 2 log 100 + 2 log 9 = 13.6. Residuals
-    count for what they are worth, so that no more is asked against their colour. Half of it, beyond the complexity
-    penalty, is asked of a screening score.
+    Why: odds of one in a hundred candidates, and of nine to one for a name: 2 log 100 + 2 log 9 = 13.6. Residuals count
+    for what they are worth, so that no more is asked against their colour. Half of it, beyond the complexity penalty,
+    is asked of a screening score.
     """
 
     parameter_evidence: float = 9.0
-    """Reduction of the score from which a parameter is wrong.
+    """Price of a wrong parameter.
 
-    Why: a likelihood ratio of (3 sigma)^2 for one degree of freedom (Wilks).
-    """
-
-    parameter_preference: float = 0.5
-    """Part of log(m) by which a parameter is preferred to an effect that does as well.
-
-    Why: prior odds of m^(1/4), 10 for 10 000 readings, of what the model has over what it would have to be given: a
-    quarter of Schwarz's penalty, log m, of a further parameter in odds, half of it in cost.
+    Why: a likelihood ratio of (3 sigma)^2 for one degree of freedom (Wilks). It is less than that of an effect, since a
+    model has its parameters, and would have to be given an effect.
     """
 
     indifferent: float = 2.0
@@ -110,21 +104,13 @@ class DecisionRules:
     """
 
     gain_fraction: float = 0.2
-    """Part of the excess cost that a further effect must take.
+    """Part of the gain of the best explanation that a simpler law may lack, where others are looked for beside it, too.
 
-    A nested model is preferred to a richer one, while more is left, if it takes all but this part of what that does: of
-    the remainder, which the richer law would imitate, another cause must take as much.
+    Of a law that leaves more, another shape is not fitted.
 
     Why: laws that only resemble the missing one take smaller and smaller parts, one after the other: of dry friction
     under Gaussian motion a linear, a cubic and a quintic law take 64 %, 29 % and 19 % of what the last one left; the
-    third is refused.
-    """
-
-    late_gain_fraction: float = 0.7
-    """The same once the remainder is small enough to leave unexplained.
-
-    Why: above the 64 % and 60 % that a linear law takes of dry friction and of a cubic spring under Gaussian motion:
-    then only the right law is worth a name.
+    third is no sum of two causes.
     """
 
     unexplained_fraction: float = 0.3
@@ -145,14 +131,7 @@ class DecisionRules:
     """Part of the excess cost of the model as declared that counts as small, however far above noise.
 
     Why: 5 % of the cost is 22 % of the rms: as much as a law leaves whose factor is right and whose shape is a fifth
-    off.
-    """
-
-    far_cost: float = 100.0
-    """Cost per reading above which `trace_fraction` applies after a further effect.
-
-    Why: ten times the noise in rms. Below, an effect that takes 99 % reaches the noise floor, as fits of the right law
-    do; above, no single one is expected to.
+    off. Its steps of integration are then those that it needs.
     """
 
     directed_fraction: float = 0.5
@@ -265,23 +244,10 @@ class DecisionRules:
     by that.
     """
 
-    likelihood_fraction: float = 0.5
-    """Part of the reduction of the cost that must come from the residual, not from parameters closer to their priors.
-
-    Why: below one half, re-fitted parameters explain the record as well: the effect stands for several parameters
-    that are off together, and may make the validation residual somewhat larger.
-    """
-
     composite_laws: int = 3
     """Linear effects, or effects at one place, that together are a composite explanation.
 
     Why: mass, damping and stiffness make any linear system of second order; three laws of one motion nearly any force.
-    """
-
-    validation_tolerance: float = 1.05
-    """Factor by which such an effect, or a parameter, may increase the cost of the validation record.
-
-    Why: the error of what was fitted before shows there, too; 5 % of the cost is 2.5 % of the rms.
     """
 
     worse_fraction: float = 1e-3
@@ -303,7 +269,15 @@ class DecisionRules:
     white noise like any other.
     """
 
-    # When a record is searched again
+    # When a record is read in another way
+
+    much_less: float = 0.5
+    """Part of the error on unseen data that another reading of the record, or a richer law in the place of a simpler
+    one, leaves at most, beyond noise.
+
+    Why: readings are few, and none is likelier than another but for what it explains; a richer law imitates what else
+    is missing. A factor of two is neither chance nor imitation.
+    """
 
     phase_loss: float = 0.5
     """Relative residual of a sensor from which the simulated motion has lost phase with the record.

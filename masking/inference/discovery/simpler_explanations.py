@@ -2,39 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.one_more_cause import in_steps
 from masking.inference.discovery.verdict import Key
 from masking.model.effects import Effect
 
-Ready = Callable[[EffectInstance, Candidate], EffectInstance]
 
+def simpler_explanations(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations without each cause, or with a simpler one in its place, where its values begin better than it ended.
 
-def simpler(
-    best: Explanation, every: Sequence[Candidate], ready: Ready
-) -> Iterator[tuple[tuple[Key, ...], tuple[EffectInstance, ...]]]:
-    """Simpler explanations: without each cause, or with a simpler one in its place.
-
-    A law beside an element, together with others that take the element's own force away, is that law instead of it. An
-    instance of a candidate is made `ready` as it is fitted.
+    A law beside an element, together with others that take the element's own force away, is that law instead of it.
     """
-    for i in reversed(range(len(best.names))):
-        yield best.without(i)
-    for i, ((effect, at), instance) in enumerate(zip(best.names, best.hypothesis.instances, strict=True)):
-        first = {one.effect: one for one in reversed(every) if one.at == at and one.effect != effect}
-        names, others = best.without(i)
+    known, problem = now.hypothesis, ground.problem
+    jobs = []
+    for names, instances in _simpler(ground, now):
+        ended = min((one.cost for one in table if {*one.names} == {*names}), default=np.inf)
+        begun = fitting.cost(problem, instances, known.theta, known.start) if np.isfinite(ended) else 0.0
+        if names and begun < ended:
+            jobs.append(ground.refit(names, instances, now))
+    return ground.noted("a simpler one", jobs, now.cost)
+
+
+def _simpler(ground: Ground, now: Explanation) -> Iterator[tuple[tuple[Key, ...], tuple[EffectInstance, ...]]]:
+    for i in reversed(range(len(now.names))):
+        yield now.without(i)
+    for i, ((effect, at), instance) in enumerate(zip(now.names, now.hypothesis.instances, strict=True)):
+        first = {one.effect: one for one in reversed(ground.every) if one.at == at and one.effect != effect}
+        names, others = now.without(i)
         apart = [pair for pair in zip(names, others, strict=True) if pair[0][1] != at]
         for name, candidate in sorted(first.items()):
-            one = ready(begun(candidate.instances[0], instance), candidate)
+            one = in_steps(ground.problem, begun(candidate.instances[0], instance), candidate)
             if name in instance.entry.nested and candidate.key not in names:
-                yield (candidate.key, *names), (one, *others)
+                yield (*names, candidate.key), (*others, one)
             elif _is_instead(candidate.entry, instance.entry) and len(apart) < len(names):
-                yield (candidate.key, *(key for key, _ in apart)), (one, *(other for _, other in apart))
+                yield (*(key for key, _ in apart), candidate.key), (*(other for _, other in apart), one)
 
 
 def _is_instead(effect: Effect, beside: Effect) -> bool:

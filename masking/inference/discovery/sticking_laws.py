@@ -12,7 +12,7 @@ are fitted to the end.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -25,9 +25,9 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, fitted
 from masking.inference.discovery.fitting import Begun, Hypothesis
+from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.verdict import Key
-from masking.inference.discovery.views_of_record import Ground
 
 # Levels of a law that has two, in parts of that of dry friction, which lies between them.
 LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
@@ -42,59 +42,48 @@ FITTED = 6  # starts of a law, those of least cost; from the others few fits end
 
 MOVE = "a law that sticks or folds, from the declared parameters"
 
-Noted = Callable[[EstimationProblem, str, Sequence[tuple[int, Job]]], list[Explanation]]
 
-
-def fits(
-    problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
-) -> list[Explanation]:
-    """Fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much.
-
-    `now` is the model without a law; fits are noted with the numbers of their candidates.
-    """
-    if not _leaves_much(problem, now, found):
+def sticking_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Fits of frictions that stick and of laws that fold the range of a sensor, where other fits leave much."""
+    if now.names or not _leaves_much(ground, now, table):
         return []
-    problem = problem.apart(PART)
-    begun, sticking = ground.declared or ground.base.hypothesis, [one for one in ground.every if one.sticks]
-    bounds = [(id(one), _job(problem, one, one.instances, begun)) for one in sticking if not one.factors]
+    begun, sticking = now.hypothesis, [one for one in ground.every if one.sticks]
+    ground = replace(ground, problem=ground.problem.apart(PART))
+    bounds = [_job(ground.problem, one, one.instances, begun) for one in sticking if not one.factors]
     simple = [one for one in sticking if one.factors and not one.entry.nested]
-    scores = ground.screen(problem, begun, ()).scores(simple)
+    scores = ground.screen(begun).scores(simple)
     first = {score.candidate.at: score for score in reversed(scores)}.values()
-    jobs = [(id(score.candidate), _job(problem, score.candidate, [score.instance], begun)) for score in first]
-    folding = [one for one in ground.every if any(excluded_laws.folds(problem, at) for at in one.instances)]
-    jobs += [(id(one), _job(problem, one, one.instances, begun)) for one in folding]
-    made = noted(problem, MOVE, [*jobs, *bounds])
+    jobs = [_job(ground.problem, score.candidate, [score.instance], begun) for score in first]
+    folding = [one for one in ground.every if any(excluded_laws.folds(ground.problem, at) for at in one.instances)]
+    jobs += [_job(ground.problem, one, one.instances, begun) for one in folding]
+    rival = min(one.cost for one in table)
+    made = ground.noted(MOVE, [*jobs, *bounds], rival)
     best = min(made, key=lambda one: one.cost, default=now)
-    least = min(WORSE * min(one.cost for one in (now, *found)), (1.0 - SHOWN) * now.cost)
-    if not made or best.cost > least or not _leaves_much(problem, now, made):
+    least = min(WORSE * rival, (1.0 - SHOWN) * now.cost)
+    if not made or best.cost > least or not _leaves_much(ground, now, made):
         return made
     (effect, at), level = best.names[-1], best.hypothesis.instances[-1].estimated[0]
     others = [one for one in sticking if one.factors and one.at == at and one.effect != effect]
-    jobs = [(id(one), _job(problem, one, [*_starts(one, level)], best.hypothesis)) for one in others]
-    return made + noted(problem, "another law that sticks", jobs)
+    jobs = [_job(ground.problem, one, [*_starts(one, level)], best.hypothesis) for one in others]
+    return made + ground.noted("another law that sticks", jobs, rival)
 
 
-def _leaves_much(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> bool:
-    size = problem.record.readings.size
+def _leaves_much(ground: Ground, now: Explanation, found: Sequence[Explanation]) -> bool:
     least = min(one.cost for one in (now, *found))
-    left, excess = (verdict.excess_cost(cost, size) for cost in (least, now.cost))
-    return left > MUCH * excess and not verdict.reaches_noise(least, size, problem.rules)
+    left, excess = (verdict.excess_cost(cost, ground.size) for cost in (least, now.cost))
+    return left > MUCH * excess and not ground.is_noise(least)
 
 
-def nearest(
-    problem: EstimationProblem, now: Explanation, found: Sequence[Explanation], ground: Ground, noted: Noted
-) -> list[Explanation]:
-    """Fits of the laws that come nearest in a few rounds from each of their starts; arguments as of `fits`.
+def nearest_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Fits of the laws that come nearest in a few rounds from each of their starts, where other fits leave much.
 
     To first order along the motion of a model that lacks it, a law may look best with a shape that is far from its own.
     """
-    if not _leaves_much(problem, now, found):
+    if now.names or not _leaves_much(ground, now, table):
         return []
-    begun, problem = ground.declared or ground.base.hypothesis, problem.apart(PART)
-    others = [
-        one for one in ground.every if one.factors and not one.sticks and (one.has_shape or ground.declared is not None)
-    ]
-    scores = {id(score.candidate): score.gain for score in ground.screen(problem, begun, ()).scores(others)}
+    begun, problem = now.hypothesis, ground.problem.apart(PART)
+    others = [one for one in ground.every if one.factors and not one.sticks and one.has_shape]
+    scores = {id(score.candidate): score.gain for score in ground.screened(now)[1]}
     likeliest = sorted(others, key=lambda one: -scores.get(id(one), 0.0))
     starts = [(candidate, one) for candidate in likeliest for one in candidate.instances]
 
@@ -104,17 +93,13 @@ def nearest(
             raise IntegrationError("the simulated motion is no longer finite")
         return made
 
-    def fit(key: Key, known: Hypothesis, rival: float) -> Explanation:
-        made = fitting.fit(problem, known.instances, theta=known.theta, start=known.start, rival=rival)
-        return Explanation("effects", (key,), made)
-
     made = fitted([partial(begin, one) for _, one in starts], np.inf, problem.work)
     ended = ((candidate, one) for (candidate, _), one in zip(starts, made, strict=True) if one is not None)
-    best = dict[Key, tuple[Candidate, Hypothesis]]()
+    best = dict[Key, Hypothesis]()
     for candidate, one in sorted(ended, key=lambda pair: pair[1].cost):
-        best.setdefault(candidate.key, (candidate, one))
-    jobs = [(id(candidate), partial(fit, candidate.key, one)) for candidate, one in [*best.values()][:NEAREST]]
-    return noted(problem, "nearest of all laws and starts", jobs)
+        best.setdefault(candidate.key, one)
+    jobs = [ground.refit((key,), one.instances, replace(now, hypothesis=one)) for key, one in [*best.items()][:NEAREST]]
+    return ground.noted("nearest of all laws and starts", jobs, min(one.cost for one in table))
 
 
 def _starts(candidate: Candidate, level: float) -> Iterator[EffectInstance]:

@@ -27,7 +27,6 @@ ROUNDS = 12  # of the fit of an initial state
 DEVIATIONS = 3.0  # of its prior, from which a parameter is far off
 GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
 LIKE = 1.2  # times the factor between units, up to which a gain is like it: a law may be mistaken for the rest
-NO_WORSE, MUCH_LESS = 1.05, 0.5  # times the error on unseen data as declared, in another unit that is taken
 
 
 def doubted(problem: EstimationProblem) -> UnitDoubt | None:

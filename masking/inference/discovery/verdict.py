@@ -1,16 +1,15 @@
 """Verdict: what fitted hypotheses say of a record. Pure functions of plain data; nothing is fitted or simulated here.
 
-A search adds one cause after the other. `is_too_little` and `simplest_first` decide in each step, `steps_needed` how
-many steps the validation record supports, and `decide` what is said of the last one.
+`probabilities` weighs explanations by their evidence, `decide` says what is said of the likeliest.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; see `rules` for each threshold.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -40,25 +39,6 @@ class Cause(NamedTuple):
     on: str
 
 
-class Fitted(Protocol):
-    """A fitted hypothesis: its kind, its causes in the order in which they were found, and its cost."""
-
-    @property
-    def kind(self) -> Kind:
-        """Kind of its causes."""
-
-    @property
-    def names(self) -> tuple[Key, ...]:
-        """Name and the place of each cause."""
-
-    @property
-    def cost(self) -> float:
-        """-2 log posterior density, up to a constant."""
-
-
-AnyFitted = TypeVar("AnyFitted", bound=Fitted)
-
-
 @dataclass(frozen=True)
 class Scored:
     """A fitted and scored hypothesis as plain data."""
@@ -66,11 +46,6 @@ class Scored:
     kind: Kind  # 'none': the model with its parameters adjusted; 'parameter': one that is off; or 'effects'
     names: tuple[Key, ...] = ()  # (parameter, '') or (effect, place) of each cause, as they were found
     cost: float = 0.0  # -2 log posterior density up to a constant: squared residuals over noise variances, and priors
-    score: float = 0.0  # -2 log evidence, up to a constant
-    misfit: float = 0.0  # of the cost, the part of the residuals, with the noise of the validation record
-    # squared residuals over noise variances in the validation record; infinite if the simulation does not stay finite
-    # there
-    validation_cost: float = 0.0
     # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
     # parameter), and its standard deviation; and the same of all parameters of an effect together
     estimates: tuple[tuple[float, float], ...] = ()
@@ -180,124 +155,19 @@ def _are_alike(one: Law, other: Law) -> bool:
     return one.seat == other.seat and (frictions > 1 or (one.follows == other.follows and not is_apart))
 
 
-def is_redundant(
-    richer: Fitted, others: Iterable[Fitted], nested: set[Key], now: float, rules: DecisionRules, *, scale: float
-) -> bool:
-    """Whether a nested model does all that a richer one does, which then is that nested model.
-
-    `nested` are the last causes that are nested in that of the richer model, `now` is the cost without the last cause,
-    `scale` what of a cost is worth as much as one squared deviation of noise.
-    """
-    margin = max(rules.indifferent * scale, rules.redundant_fraction * (now - richer.cost))
-    return any(other.names[-1] in nested and other.cost < richer.cost + margin for other in others)
-
-
-def simplest_first(
-    ranked: Sequence[AnyFitted],
-    now: float,
-    nested: Mapping[str, Collection[str]],
-    readings: int,
-    rules: DecisionRules,
-    *,
-    numerical: float = 0.0,
-) -> list[AnyFitted]:
-    """Ranked explanations with a nested model of the best first if it takes nearly as much of the cost.
-
-    The remainder may have another cause, which the richer law would imitate; all laws that contain the nested one at
-    its place are left out. If the best reaches the noise floor, or leaves hardly anything of what the nested one does,
-    it stays the best, but for differences that are numerical.
+def decide(
+    chosen: Scored, sure: float, unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
+) -> Verdict:
+    """Verdict on an explanation.
 
     Args:
-        ranked: explanations with one more cause, the best first.
-        now: cost without it.
-        nested: the effects that are nested in each.
+        chosen: the explanation.
+        sure: least probability of one of its causes.
+        unexplained: part of the excess cost that it leaves.
         readings: of the record.
         rules: the thresholds.
-        numerical: difference of costs that errors of integration make.
+        composite: whether its effects imitate one that the dictionary lacks.
     """
-    best = ranked[0]
-    if best.kind != "effects":
-        return [*ranked]
-    effect, at = best.names[-1]
-    simpler = [one for one in ranked if one.names[-1] in {(name, at) for name in nested.get(effect, ())}]
-    if reaches_noise(best.cost, readings, rules):
-        chosen = next((one for one in simpler if one.cost - best.cost < numerical), None)
-    else:
-        least = (1.0 - rules.gain_fraction) * (now - best.cost)
-        chosen = next((one for one in simpler if now - one.cost > least), None)
-        if chosen:
-            part = excess_cost(best.cost, readings) / max(excess_cost(chosen.cost, readings), 1.0)
-            chosen = None if part < rules.trace_fraction else chosen
-    if chosen is None:
-        return [*ranked]
-    richer = {(name, at) for name, inside in nested.items() if chosen.names[-1][0] in inside}
-    return [chosen, *(one for one in ranked if one is not chosen and one.names[-1] not in richer)]
-
-
-def is_too_little(base: float, now: Fitted, then: Fitted, readings: int, rules: DecisionRules) -> bool:
-    """Whether one more cause takes too little of the excess cost, as one that only resembles the missing effect.
-
-    `base` is the cost of the model with its parameters adjusted; `now` and `then` are without and with the cause.
-    """
-    if then.kind == "parameter":
-        return False
-    start, before, after = (excess_cost(cost, readings) for cost in (base, now.cost, then.cost))
-    is_first = now.kind == "none"
-    if reaches_noise(then.cost, readings, rules):
-        return not is_first and after > (1.0 - rules.gain_fraction) * before and is_excess(now.cost, readings, rules)
-    trace = rules.trace_fraction * start if after > rules.far_cost * readings else 0.0
-    is_late = not is_first and _is_explained(start, before, trace, readings, rules)
-    return after > (1.0 - (rules.late_gain_fraction if is_late else rules.gain_fraction)) * before
-
-
-def _is_explained(start: float, before: float, trace: float, readings: int, rules: DecisionRules) -> bool:
-    """Whether the excess before a further cause is small, both of that at the start and by itself."""
-    small = max((rules.small_residual - 1.0) * readings, trace)
-    return before <= min(rules.unexplained_fraction * start, small)
-
-
-def steps_needed(base: Scored, steps: Iterable[Scored], last: float, readings: int, rules: DecisionRules) -> int:
-    """How many steps of a search are needed, and supported by the validation record.
-
-    A step is also supported if its error is in the causes that were fitted before, too: a parameter that is off, or
-    what several parameters could only have together.
-
-    Args:
-        base: the model with its parameters adjusted.
-        steps: the best explanation of each step; read only as far as needed.
-        last: cost of the last step; that of the base if there is none.
-        readings: of the estimation record.
-        rules: the thresholds.
-    """
-    chosen, count, start = base, 0, excess_cost(base.cost, readings)
-    trace = 0.0 if reaches_noise(last, readings, rules) else rules.trace_fraction * start
-    for best in steps:
-        if not best.names:  # parsimony prefers none of the causes
-            break
-        before, after = excess_cost(chosen.cost, readings), excess_cost(best.cost, readings)
-        is_late = chosen.kind != "none" and _is_explained(start, before, trace, readings, rules)
-        is_enough = after <= (1.0 - rules.late_gain_fraction) * before or reaches_noise(best.cost, readings, rules)
-        of_prior = chosen.misfit - best.misfit < rules.likelihood_fraction * (chosen.cost - best.cost)
-        is_tolerated = best.is_like_parameter(-1, rules) or of_prior
-        is_tolerated = is_tolerated and best.validation_cost < rules.validation_tolerance * chosen.validation_cost
-        if not (best.validation_cost < chosen.validation_cost or is_tolerated) or (is_late and not is_enough):
-            break
-        chosen, count = best, count + 1
-    return count
-
-
-def is_demoted(rivals: Sequence[Scored], readings: int, rules: DecisionRules) -> bool:
-    """Whether parsimony has put a far likelier explanation behind the first, and nothing came of the remainder."""
-    if rivals[0].kind != "effects" or reaches_noise(rivals[0].cost, readings, rules):
-        return False
-    return bool(probabilities([one.score for one in rivals])[0] < 1.0 - rules.named_probability)
-
-
-def decide(
-    rivals: Sequence[Scored], unexplained: float, readings: int, rules: DecisionRules, *, composite: bool = False
-) -> Verdict:
-    """Verdict on the explanations of the last step, the chosen one first, and the part of the excess that it leaves."""
-    chosen = rivals[0]
     is_complete = reaches_noise(chosen.cost, readings, rules)
     if chosen.kind == "none":
         return "none" if is_complete else "unknown"
@@ -307,21 +177,18 @@ def decide(
         return "unknown"
     if all(chosen.is_like_parameter(i, rules) for i in range(len(chosen.names))):
         return "parameter"
-    is_sure = probabilities([one.score for one in rivals])[0] >= rules.named_probability
-    return "named" if is_sure else "ambiguous"
+    return "named" if sure >= rules.named_probability else "ambiguous"
 
 
-def revised(verdict: Verdict, *, demoted: bool, rounded: bool, at_noise: bool) -> Verdict:
+def revised(verdict: Verdict, *, rounded: bool, at_noise: bool) -> Verdict:
     """Verdict in the light of what is known beside the hypotheses.
 
-    No name is given where a likelier explanation was put behind. Rounding is named where nothing else is found and it
-    makes much of the residual. If nothing is missing in the estimation record, an effect that shows in the validation
-    record alone, whose residual is not at the noise floor, is unknown.
+    Rounding is named where nothing else is found and it makes much of the residual. If nothing is missing in the
+    estimation record, an effect that shows in the validation record alone, whose residual is not at the noise floor, is
+    unknown.
     """
     if rounded:
         verdict = "named"
-    if demoted and verdict not in {"none", "parameter"}:
-        return "unknown"
     return "unknown" if verdict == "none" and not at_noise else verdict
 
 

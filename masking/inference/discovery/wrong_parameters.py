@@ -4,51 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery import fitting
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.problem import EstimationProblem
 
 MOVED = 3.0  # deviations of its prior from which a parameter is one of those that are off
 
 
-def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explanation]) -> list[Explanation]:
+def wrong_parameters(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with one parameter of the model free: those that take most by it, to first order."""
+    if now.names:
+        return []
+    rules, gains = ground.rules, scores(ground.problem, now.hypothesis)
+    wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
+    return ground.noted("a parameter off", [partial(_freed, ground.problem, now, [i]) for i in wrong], now.cost)
+
+
+def several_parameters(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
     """Fewest parameters that leave no more than noise once they are free.
 
     They are sought where one cause leaves more, or needs other parameters far from what is declared.
     """
-    size, rules = problem.record.readings.size, problem.rules
+    likeliest = min(table, key=lambda one: one.cost)
+    if now.names or (ground.is_noise(likeliest.cost) and not _far(ground.problem, likeliest)):
+        return []
 
     def made(indices: Sequence[int]) -> Explanation | None:
-        if not indices:  # the fit within the priors ended elsewhere
-            return None
-        names = tuple((problem.rig.names[i], "") for i in indices)
-        free = Explanation("parameter", names, now.hypothesis).with_prior(problem)
-        try:
-            found = Explanation("parameter", names, fitting.fit(free, rival=float(size)))
-        except IntegrationError:
-            return None
-        problem.trace.tried.append(found.tried(problem.trace.reading, "several parameters off"))
-        return found if verdict.reaches_noise(found.cost, size, rules) else None
+        jobs = [partial(_freed, ground.problem, now, indices)] if indices else []
+        found = ground.noted("several parameters off", jobs, float(ground.size))
+        return next((one for one in found if ground.is_noise(one.cost)), None)
 
-    def far(one: Explanation) -> list[int]:
-        """Parameters that moved far and are not free, the farthest first."""
-        off = np.abs(one.hypothesis.theta - problem.prior.mean) / problem.prior.deviation
-        names = [(name, "") for name in problem.rig.names]
-        return [int(i) for i in np.argsort(-off[: len(names)]) if off[i] > MOVED and names[i] not in one.names]
-
-    likeliest = min((now, *found), key=lambda one: one.cost)
-    if verdict.reaches_noise(likeliest.cost, size, rules) and not far(likeliest):
-        return []
-    best = made(range(len(problem.rig.names)))
+    best = made(range(len(ground.problem.rig.names)))
     if best is None:
         return []
-    left = far(replace(best, names=()))
+    left = _far(ground.problem, replace(best, names=()))
     best = made(left)
     for i in reversed(left):  # those that moved least may have stood for the others
         fewer = made([one for one in left if one != i])
@@ -56,6 +52,22 @@ def several(problem: EstimationProblem, now: Explanation, found: Sequence[Explan
             left.remove(i)
             best = fewer
     return [] if best is None else [best]
+
+
+def _freed(problem: EstimationProblem, now: Explanation, indices: Sequence[int], rival: float) -> Explanation:
+    names = tuple((problem.rig.names[i], "") for i in indices)
+    free = Explanation("parameter", names, now.hypothesis).with_prior(problem)
+    if len(names) > 1:  # from the declared values: those of the fit may stand for each other
+        return Explanation("parameter", names, fitting.fit(free, rival=rival))
+    known = now.hypothesis
+    return Explanation("parameter", names, fitting.fit(free, theta=known.theta, start=known.start, rival=rival))
+
+
+def _far(problem: EstimationProblem, one: Explanation) -> list[int]:
+    """Parameters that moved far and are not free, the farthest first."""
+    off = np.abs(one.hypothesis.theta - problem.prior.mean) / problem.prior.deviation
+    names = [(name, "") for name in problem.rig.names]
+    return [int(i) for i in np.argsort(-off[: len(names)]) if off[i] > MOVED and names[i] not in one.names]
 
 
 def scores(problem: EstimationProblem, known: Hypothesis) -> Array:

@@ -424,6 +424,7 @@ ELEMENTS: tuple[Effect, ...] = (
         source="Den Hartog (1985), Mechanical Vibrations, section 2.8",
         family="periodic force",
         trials=(Trial(starts.tones, ("nu",), ("a", "b")),),
+        positive="duration*nu - 2",
         is_sum=True,
     ),
     _spring(

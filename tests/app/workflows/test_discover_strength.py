@@ -13,6 +13,7 @@ from scipy import integrate, signal
 
 import masking
 from masking.inference.discovery import wrong_parameters
+from masking.inference.discovery.ground import Ground
 from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019
@@ -202,7 +203,8 @@ def test_no_parameter_is_named_where_a_fit_ended_elsewhere_and_none_is_far_off(t
     assert found.verdict == "none"
     base = found.search.base
     elsewhere = replace(base, hypothesis=replace(base.hypothesis, pull=1e9))
-    assert wrong_parameters.several(found.problem, elsewhere, []) == []
+    ground = Ground(found.problem, base, found.search.motion, [])
+    assert wrong_parameters.several_parameters(ground, elsewhere, [elsewhere]) == []
 
 
 @pytest.mark.parametrize(

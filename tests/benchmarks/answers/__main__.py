@@ -1,6 +1,7 @@
 """`python -m tests.benchmarks.answers [SUITE ...] --out FILE`: answers on every suite as JSON lines, and their table.
 
-What is in the file is not run again. `--against` says which answers differ from those of another state.
+What is in the file is not run again. `--against` says which answers differ from those of another state, `--without`
+leaves out a move of the search: what it changes is what the move is good for.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from masking.errors import MaskingError
+from masking.inference.discovery import search
 from tests.benchmarks.answers import scoring
 from tests.benchmarks.answers.scoring import Line
 from tests.benchmarks.answers.suites import SUITES, Problem
@@ -59,7 +61,9 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, metavar="S", help="begin no problem after so many seconds")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the answers, one JSON a line")
     parser.add_argument("--against", type=Path, metavar="FILE", help="answers of another state")
+    parser.add_argument("--without", choices=[move.__name__ for move in search.MOVES], help="move that is left out")
     chosen = parser.parse_args()
+    search.MOVES = tuple(move for move in search.MOVES if move.__name__ != chosen.without)
     try:
         suites = [suite(text) for text in chosen.suites or SUITES]
     except (KeyError, TypeError, ValueError):

@@ -54,6 +54,7 @@ class Line:
         share: part of its gap that what is written closes.
         over_noise: largest error of a sensor over its noise, with what is written.
         is_adjusted_worse: whether adjusted parameters alone leave more than declared ones, over all sensors.
+        move: what suggested the explanation.
         interval: shooting interval in s; None for the whole record.
         seconds: processor time.
         error: message of what was refused, or the end of a traceback.
@@ -81,6 +82,7 @@ class Line:
     share: float | None = None
     over_noise: float | None = None
     is_adjusted_worse: bool = False
+    move: str = ""
     interval: float | None = None
     seconds: float = 0.0
     error: str = ""
@@ -149,6 +151,7 @@ def answered(line: Line, found: Discovery, judgement: Judgement) -> Line:
         share=share(declared[worst], written[worst], floor[worst]),
         over_noise=max(written[name] / max(floor[name], 1e-300) for name in floor),
         is_adjusted_worse=exceeds(errors.adjusted, declared, floor),
+        move=found.explanation.move,
         interval=found.shooting_interval,
     )
 

@@ -14,15 +14,15 @@ from masking.inference.discovery.augmented_model import AugmentedModel, EffectIn
 from masking.inference.discovery.candidates import candidates
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, occam
+from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.places import opened, places
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import steps_of
 from masking.inference.discovery.screening import Screen
-from masking.inference.discovery.search import Search
 from masking.inference.discovery.signal_ranges import spans
+from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import smooth
-from masking.inference.discovery.views_of_record import Ground, View
 from masking.inference.estimation.identification_data import Data
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import beyond_ordinary
@@ -415,6 +415,8 @@ def test_a_simpler_law_takes_the_place_of_one_that_is_no_better(problem):
     two = two.at_step(record.rig.mobilities["spring1"], record.dt / record.substeps)
     names = ("asymmetric_friction", "spring1"), ("stop", "spring2")
     richer = Explanation("effects", names, fitting.fit(record, (two, hidden[1])))
-    found = Search(record)._reduced(richer, Ground(base, [View(base.hypothesis, motion)], every))
+    ground = Ground(record, base, motion, every)
+    found = ground.ranked([richer, *simpler_explanations(ground, richer, [base, richer])])[0]
     assert {*found.names} == {("dry_friction", "spring1"), ("stop", "spring2")}
-    assert found.hypothesis.added[0] == pytest.approx(0.05, rel=0.01)
+    values = dict(zip(found.names, found.hypothesis.instances, strict=True))
+    assert values["dry_friction", "spring1"].estimated[0] == pytest.approx(0.05, rel=0.01)

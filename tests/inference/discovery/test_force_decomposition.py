@@ -333,14 +333,14 @@ def discoveries(rig):
         first = Explanation("none", (), base)
         chosen = Explanation("effects", ((instance.effect, instance.at),), known)
         motion = smooth(problem, base.theta, base.start)
-        found = SearchResult(first, ((chosen,),), motion)
+        found = SearchResult(first, (chosen, first), motion, problem)
         parameters = {n: (instance.values[i], 0.0) for n, i in zip(instance.names, instance.free, strict=True)}
         named = (Named(instance.effect, instance.at, parameters, 1.0),)
         each = dict.fromkeys(rig.twin.sensors, 0.1)
         gap = SimulationError((each, each), (each, each), each, each, each)
         return Discovery(
             verdict="named", twin=rig.twin, problem=problem, explanation=chosen, search=found, effects=named,
-            simulation_error=gap, unexplained_fraction=0.0, rivals=(chosen,), validation=problem,
+            simulation_error=gap, unexplained_fraction=0.0, rivals=(chosen,), weights=(1.0,), validation=problem,
             before=base, after=known, adjusted=base,
         )  # fmt: skip
 

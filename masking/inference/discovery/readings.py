@@ -1,0 +1,135 @@
+"""Readings: how a record is taken, and in which other ways it may be, where an answer leaves a doubt.
+
+A reading is searched by itself. Each of the others is tried where an answer calls for it: unseen data alone show
+something, the motion loses phase, a channel is of another size, or forces may follow the motion of other places. It
+takes the place of the one before only if its answer explains more of unseen data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from threadpoolctl import threadpool_limits
+
+from masking.compile.numerics.arrays import Array
+from masking.errors import IntegrationError
+from masking.inference.discovery import shooting_intervals, units_after_search, verdict
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.discovery_result import Discovery
+from masking.inference.discovery.discovery_settings import DiscoverySettings
+from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.prior import prior_of
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.reading_noise import noise_of
+from masking.inference.discovery.screening import Screen
+from masking.inference.discovery.smoothing import centred
+from masking.inference.discovery.trace import Trace
+from masking.inference.discovery.work_budget import Work
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.unit_check import UnitDoubt
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A record to explain and another one to validate by, with the model that is fitted to them."""
+
+    problem: EstimationProblem  # the record, in its shooting intervals and in the steps that the model alone needs
+    unseen: Data
+    noise: Array  # standard deviation of that of each unseen reading (sensors,)
+    settings: DiscoverySettings
+    doubt: UnitDoubt | None = None  # unit of a channel that is another than declared
+    exchanged: bool = False  # whether the record to validate by is explained
+
+    @classmethod
+    def of(cls, rig: AugmentedModel, train: Data, unseen: Data, settings: DiscoverySettings) -> Reading:
+        """Reading of two records as they are declared, or in the unit that their sizes tell."""
+        twin, rules = rig.twin, settings.rules
+        prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
+        work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
+        with threadpool_limits(1):
+            noise = noise_of(twin, train)
+            whole = EstimationProblem(rig, train, prior, noise, most, rules=rules, work=work, trace=Trace())
+            whole = centred(whole)
+            declared = cls(whole, unseen, noise_of(twin, unseen), settings)
+            doubt = units_after_search.doubted(whole)
+            return declared.in_intervals(settings.shooting_interval) if doubt is None else declared.in_unit(doubt)
+
+    def in_intervals(self, seconds: float | None) -> Reading:
+        """Same in shooting intervals of some length, or of that which suits the model."""
+        whole = replace(self.problem, interval=0).apart()
+        part = replace(whole, interval=shooting_intervals.interval(whole, seconds))
+        return replace(self, problem=replace(part, substeps=shooting_intervals.substeps(part)))
+
+    def in_unit(self, doubt: UnitDoubt) -> Reading:
+        """Same with the channels in another unit, or with another sign."""
+        whole = replace(self.problem, interval=0).under(f"another unit or sign of {' and '.join(doubt.names)}")
+        unseen = doubt.of(whole.rig.twin, self.unseen)
+        made = replace(self, problem=units_after_search.converted(doubt, whole), unseen=unseen, doubt=doubt)
+        return replace(made, noise=noise_of(whole.rig.twin, unseen)).in_intervals(self.settings.shooting_interval)
+
+
+def exchanged_records(reading: Reading, found: Discovery) -> Iterator[Reading]:
+    """The other record explained, where that alone shows something."""
+    if found.is_hidden:
+        problem = reading.problem
+        other = Reading.of(problem.rig, reading.unseen, problem.record, reading.settings)
+        trace = problem.trace.under("the records exchanged")
+        yield replace(other, problem=replace(other.problem, trace=trace), exchanged=True)
+
+
+def shorter_intervals(reading: Reading, found: Discovery) -> Iterator[Reading]:
+    """Shooting intervals of a few oscillations, where a simulation of the whole record does not follow its motion."""
+    base, size, rules = found.search.base, found.problem.record.readings.size, found.problem.rules
+    is_near = found.verdict != "unknown" or verdict.leaves_little(found.search.best.cost, base.cost, size, rules)
+    is_lost = max(found.problem.errors(base.hypothesis.squares).values()) > rules.phase_loss
+    if is_lost and not is_near and reading.settings.shooting_interval is None and not reading.problem.interval:
+        for seconds in shooting_intervals.shorter(reading.problem):
+            part = reading.in_intervals(seconds)
+            yield replace(part, problem=part.problem.under(f"in shooting intervals of {seconds:.2g} s"))
+
+
+def another_unit(reading: Reading, found: Discovery) -> Iterator[Reading]:
+    """Another unit or sign of a channel, where a gain or a parameter is far off or nothing is found."""
+    if reading.doubt is None and (found.verdict == "unknown" or found.is_far_off):
+        with threadpool_limits(1):
+            doubt = units_after_search.suspected(replace(reading.problem, interval=0), found.explanation.hypothesis)
+        if doubt is not None:
+            yield reading.in_unit(doubt)
+
+
+def directed_places(reading: Reading, found: Discovery) -> Iterator[Reading]:
+    """Places whose forces follow something else than the motion they act on, where more than noise is left.
+
+    They are more than all other places together. So the model without causes is screened with them first: they are
+    searched if a cause there scores most, or one of two between coordinates half of that.
+    """
+    rig = replace(found.problem.rig, directed=True)
+    every = len(rig.places) == len(found.problem.rig.places)
+    if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
+        return
+    problem = replace(found.problem.under("directed places"), rig=rig, substeps=reading.problem.substeps)
+    base, part = found.search.base.hypothesis, {"coordinate": problem.rules.directed_fraction}
+    wanted = {place.name: part.get(place.directed, 1.0) for place in rig.places if place.directed}
+    try:
+        with threadpool_limits(1):
+            ground = Ground.beside(problem, found.search.base)
+            scores = Screen(problem, base, ground.motion).scores(ground.every)
+    except IntegrationError:
+        return
+    most = max((score.gain for score in scores if score.candidate.at not in wanted), default=0.0)
+    if any(score.gain > wanted.get(score.candidate.at, float("inf")) * most for score in scores):
+        yield replace(reading, problem=problem)
+
+
+OTHERS = (exchanged_records, shorter_intervals, another_unit, directed_places)
+
+
+def explains_more(again: Discovery, found: Discovery) -> bool:
+    """Whether an answer explains more of unseen data than another one, or the same in a likelier way."""
+    rules = found.problem.rules
+    after, before = (one.simulation_error.over_noise for one in (again, found))
+    if again.is_far_off or not after <= rules.noise_floor * before:
+        return False
+    is_known = again.verdict != "unknown" and (found.verdict == "unknown" or found.is_far_off)
+    return is_known or after < rules.much_less * before
