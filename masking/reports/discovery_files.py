@@ -43,7 +43,7 @@ class Origin:
     def source(self, found: Discovery) -> str:
         """Line on how a file was made."""
         records = "; ".join(f"{what} {path} (SHA-256 {digest[:16]})" for what, (path, digest) in self.records.items())
-        sure = f", probability {found.effects[-1].probability:.4g}" if found.effects else ""
+        sure = f", probability {found.least_sure.probability:.4g}" if found.effects else ""
         version = importlib.metadata.version("masking")
         return f"masking discover {version}, {datetime.now(UTC):%Y-%m-%d}: {records}; verdict {found.verdict}{sure}"
 

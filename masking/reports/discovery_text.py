@@ -63,7 +63,7 @@ def _verdict(found: Discovery) -> list[str]:
             after = error_change
         return [first, lost, near, after(found), unnamed_law(found), *next_experiment_text.further(found)]
     if is_open(found):
-        before = [cause_with_values(found, one) for one in found.effects[:-1]]
+        before = [cause_with_values(found, one) for one in found.effects if one is not found.least_sure]
         known = [f"{listed(before, '; ')} {plural(len(before), 'is', 'are')} missing"] if before else []
         first = capital(", and ".join([*known, alternatives(possible_causes(found))]))
         decides = capital(deciding_experiment(found))
@@ -157,12 +157,12 @@ def hold_remark(found: Discovery) -> str:
 
 
 def probability_sentence(found: Discovery) -> str:
-    """Probabilities of the last name, its alternatives and none of these; '' where nothing has a name."""
+    """Probabilities of the least sure name, its alternatives and none of these; '' where nothing has a name."""
     if found.verdict == "unknown" and found.none_of_these:
         return f"The probability that no name is right is {percent(found.none_of_these)}"
     if found.verdict not in {"named", "ambiguous"} or not found.explanation.hypothesis.instances:
         return ""
-    said = probabilities(found, found.effects[len(found.explanation.hypothesis.instances) - 1])
+    said = probabilities(found, found.least_sure)
     said["none of these"] = found.none_of_these
     return f"Probabilities: {listed([f'{name} {percent(part)}' for name, part in said.items()])}"
 
@@ -193,8 +193,8 @@ def is_open(found: Discovery) -> bool:
 
 
 def possible_causes(found: Discovery) -> list[str]:
-    """Names that the last cause may have; a delay of the only actuator is that of all of them."""
-    return [*probabilities(found, found.effects[-1])]
+    """Names that the least sure cause may have; a delay of the only actuator is that of all of them."""
+    return [*probabilities(found, found.least_sure)]
 
 
 def probabilities(found: Discovery, cause: Named) -> dict[str, float]:

@@ -32,8 +32,9 @@ def found(verdict, *causes, probability=0.99, unit=None, law=None):
         validation=({"a": 13.0, "b": 1.0}, {"a": (25 + 36) ** 0.5, "b": 1.5}), validation_noise_floor=floor,
         adjusted={"a": 12.0, "b": 1.0},
     )  # fmt: skip
+    effects = [SimpleNamespace(name=name, on=on, probability=probability) for name, on in causes]
     return SimpleNamespace(
-        verdict=verdict, effects=[SimpleNamespace(name=name, on=on, probability=probability) for name, on in causes],
+        verdict=verdict, effects=effects, least_sure=effects[-1] if effects else None,
         simulation_error=errors, unit=unit, law=law, none_of_these=0.01, shooting_interval=None,
         twin=SimpleNamespace(dictionary=EFFECTS), explanation=SimpleNamespace(move="one more cause"),
     )  # fmt: skip

@@ -23,12 +23,6 @@ def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRul
     return verdict.is_composite(laws, rules)
 
 
-def is_of_one_family(causes: Sequence[Key], rig: AugmentedModel) -> bool:
-    """Whether the forces among the causes are of one family, such as frictions: then the family is known."""
-    known = rig.twin.dictionary
-    return len({known[name].family for name, _ in causes if name in known and known[name].where == "element"}) == 1
-
-
 def share_a_place(causes: Sequence[Key], rig: AugmentedModel) -> bool:
     """Whether two forces of an explanation act at one place, which may stand for a single law."""
     known = rig.twin.dictionary

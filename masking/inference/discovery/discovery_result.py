@@ -152,6 +152,11 @@ class Discovery(Explained):
         return fragments.card(f"Discovery in {self.twin.declaration.name}", f"verdict: {self.verdict}", *parts)
 
     @property
+    def least_sure(self) -> Named:
+        """Cause of least probability, the last of several; there are causes."""
+        return min(reversed(self.effects), key=lambda cause: cause.probability)
+
+    @property
     def validation_record(self) -> Data:
         """Validation record."""
         return self.validation.record

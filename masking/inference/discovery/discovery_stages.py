@@ -251,21 +251,21 @@ def _causes(
             if key not in rival.names and own:
                 others[own[-1]] = others.get(own[-1], 0.0) + weight
         sure = sum(weight for rival, weight in zip(rivals, weights, strict=True) if key in rival.names)
-        same = [one for one in _equal_to(key, ranked, rig) if one not in chosen.names and one not in others]
-        others |= dict.fromkeys(same, sure / (1 + len(same)))
+        same = [one for one in _equal_to(key, ranked) if one not in chosen.names]
+        sure = (sure + sum(others.get(one, 0.0) for one in same)) / (1 + len(same))
+        others |= dict.fromkeys(same, sure)
         instead = tuple(Alternative(*other, weight) for other, weight in others.items() if weight > LISTED)
-        causes.append(Named(*key, values, sure / (1 + len(same)), instead))
+        causes.append(Named(*key, values, sure, instead))
     return tuple(causes)
 
 
-def _equal_to(key: Key, ranked: Sequence[Explanation], rig: AugmentedModel) -> list[Key]:
-    """Causes in whose place one does as much, with as many parameters, in an explanation that is otherwise the same."""
+def _equal_to(key: Key, ranked: Sequence[Explanation]) -> list[Key]:
+    """Causes that do as much in the place of one, in an explanation that is otherwise the same."""
     found = list[Key]()
     for one, other in itertools.product(ranked, repeat=2):
         new, old = {*other.names} - {*one.names}, {*one.names} - {*other.names}
         if old == {key} and len(new) == 1 and one.kind == other.kind:
             both = one.hypothesis, other.hypothesis
-            is_same = abs(both[0].cost - both[1].cost) < both[0].rules.indifferent * both[0].scale
-            if is_same and len(both[0].added) == len(both[1].added):
+            if abs(both[0].cost - both[1].cost) < both[0].rules.indifferent * both[0].scale:
                 found += [one for one in new if one not in found]
     return found

@@ -26,10 +26,9 @@ from masking.compile.numerics.arrays import Array
 BANDS = 3  # in an octave: as wide as a resonance with a tenth of critical damping
 COLOURED = 0.7  # of the samples that a residual was worth where a fit began, and back: those of its end count
 EXACT = 1e300  # independent samples of a likelihood without discrepancy
-CHANCE = 3.0  # standard deviations of the density of white noise, below which it is that
 
 
-def independent(residuals: Array, readings: Array, sigma: Array) -> Array:
+def independent(residuals: Array, readings: Array, sigma: Array, chance: float) -> Array:
     """Number n of independent samples that residuals are worth, of each sensor (sensors,).
 
         n = m P/s, at most m
@@ -41,6 +40,7 @@ def independent(residuals: Array, readings: Array, sigma: Array) -> Array:
         residuals: measured less simulated (m, sensors).
         readings: measured (m, sensors).
         sigma: standard deviation of the noise of each sensor (sensors,).
+        chance: standard deviations of the density of white noise, below which it is that.
     """
     count = len(residuals)
     band = np.concatenate([[0], 1 + np.floor(BANDS * np.log2(np.arange(1, count)))]).astype(int)
@@ -55,7 +55,7 @@ def independent(residuals: Array, readings: Array, sigma: Array) -> Array:
             continue
         part, many = read / power, np.maximum(lines, 1)
         density = float(left / many @ part) / size**2
-        if density > 1.0 + CHANCE * np.sqrt(2.0 * (part**2 / many).sum()):
+        if density > 1.0 + chance * np.sqrt(2.0 * (part**2 / many).sum()):
             found[i] = min(found[i], square / (size**2 * density))
     return np.asarray(np.maximum(found, 1.0))
 

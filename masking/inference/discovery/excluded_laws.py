@@ -13,17 +13,24 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.smoothing import Motion
 from masking.model.declaration.expression import Expression
 
+UNKNOWN = 1e300  # travel of a place whose motion is not given
 OUTLIERS = 10  # readings that exclude nothing: a motion that passes a limit stays there longer
 REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is that over these values of what is sensed
 
 
-def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
-    """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called."""
+def is_excluded(problem: EstimationProblem, instances: Sequence[EffectInstance], motion: Motion | None = None) -> bool:
+    """Whether readings are beyond the range of the only law of their sensor, or a law is not what it is called.
+
+    What depends on how far a place moves is looked at where the smoothed motion is given.
+    """
     sensors = [one.at for one in instances if one.where == "sensor"]
     alone = [one for one in instances if one.where == "sensor" and sensors.count(one.at) == 1 and not one.entry.states]
-    return any(_is_beyond(problem, one) for one in alone) or any(_belies_its_name(problem, one) for one in instances)
+    return any(_is_beyond(problem, one) for one in alone) or any(
+        _belies_its_name(problem, one, motion) for one in instances
+    )
 
 
 def is_beyond_instruments(problem: EstimationProblem, instances: Sequence[EffectInstance]) -> bool:
@@ -54,7 +61,9 @@ def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
     return int(((readings > law.max() + margin) | (readings < law.min() - margin)).sum()) > OUTLIERS
 
 
-def _belies_its_name(problem: EstimationProblem, instance: EffectInstance) -> bool:
+def _belies_its_name(problem: EstimationProblem, instance: EffectInstance, motion: Motion | None) -> bool:
     text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
-    known["duration"] = len(problem.record) * problem.dt
+    known |= {"duration": len(problem.record) * problem.dt, "travel": UNKNOWN}
+    if motion is not None and instance.where == "element":
+        known["travel"] = float(np.ptp(motion.displacement[:, problem.rig.index(instance)]))
     return bool(text) and not Expression(text).evaluate(known) > 0.0

@@ -36,7 +36,6 @@ IDLE = 50.0  # times what has converged: several steps that take less together a
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
 COLOURS = 4  # fits of one colour at most
-REPEATED = 12  # rounds of a fit that begins where one in larger steps of integration ended
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 
@@ -257,7 +256,7 @@ def together(
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem; errors as `fit`."""
     begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
-    return fit(problem, begun, theta=known.theta, start=known.start, rounds=REPEATED, rival=rival)
+    return fit(problem, begun, theta=known.theta, start=known.start, rounds=continuation.ROUNDS, rival=rival)
 
 
 def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:

@@ -169,8 +169,7 @@ def fit(
         starts = [start for one in further for start in _further(found, one, known)]
     else:
         theta, search = found.explanation.hypothesis.theta, found.search
-        places = [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
-        starts = _at(_Ground(found.problem, search.base.hypothesis, search.motion, places), theta, known)
+        starts = _at(_Ground(found.problem, search.base.hypothesis, search.motion, _places(found)), theta, known)
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.
@@ -218,9 +217,24 @@ def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectIns
     return made[best()]
 
 
-def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance]) -> list[_Start]:
-    """Forms of a law at each place where one may sit, fitted to first order."""
-    rig, screen = ground.problem.rig, Screen(ground.problem, ground.base, ground.motion, known)
+def explainable(found: Explained) -> float:
+    """Part of the cost that a law without a name beside the names could take, to first order; 0 without a screen."""
+    named = found.explanation.hypothesis
+    ground = _Ground(found.problem, named, found.search.motion, _places(found))
+    try:
+        starts = _at(ground, named.theta, named.instances, taken=True)
+    except IntegrationError:
+        return 0.0
+    return max((one.screen.total - one.cost for one in starts), default=0.0)
+
+
+def _places(found: Explained) -> list[str]:
+    return [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
+
+
+def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance], *, taken: bool = False) -> list[_Start]:
+    """Forms of a law at each place where one may sit, fitted to first order; arguments as of `Screen`."""
+    rig, screen = ground.problem.rig, Screen(ground.problem, ground.base, ground.motion, known, taken=taken)
     room = MOST_COLUMNS - len(rig.start) - len(fitting.estimated(known)) - 2 * len(rig.twin.state_names)
     starts = list[_Start]()
     for at, place in enumerate(rig.places):

@@ -122,6 +122,10 @@ class Ground:
         """Whether a cost is that of noise."""
         return verdict.reaches_noise(cost, self.size, self.rules)
 
+    def is_near(self, cost: float) -> bool:
+        """Whether a cost is hardly any of what the model without causes leaves, or is that of noise."""
+        return self.is_noise(cost) or verdict.leaves_little(cost, self.base.cost, self.size, self.rules)
+
     def is_composite(self, explanation: Explanation) -> bool:
         """Whether its effects imitate one that the dictionary lacks."""
         return are_composite(explanation.names, self.problem.rig, self.rules)
@@ -129,7 +133,7 @@ class Ground:
     def refusal(self, explanation: Explanation) -> str:
         """Why an explanation is not possible; '' where it is."""
         instances = explanation.hypothesis.instances
-        if is_excluded(self.problem, instances):
+        if is_excluded(self.problem, instances, self.motion):
             return "readings contradict it"
         if not self.is_noise(explanation.cost) and is_beyond_instruments(self.problem, instances):
             return "larger than errors of instruments are"

@@ -20,7 +20,7 @@ from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
-from masking.inference.discovery.composites import are_composite, is_of_one_family
+from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, in_both, nearest
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -78,8 +78,10 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
             simulated(one)
 
     def is_idle(richer: Explanation) -> bool:
+        rules = problem.rules  # causes that imitate another law are worth a name only where they leave far less
+        most = rules.much_less**2 if are_composite(richer.names, problem.rig, rules) else 1.0 - rules.gain_fraction
         simpler = (one for one in near if {*one.names} < {*richer.names} or one.is_inside(richer, nested))
-        return any(_does_nearly_as_much(one, richer) for one in simpler)
+        return any(_does_nearly_as_much(one, richer, most) for one in simpler)
 
     idle = [*filter(is_idle, near)]
     for one in idle:
@@ -88,10 +90,10 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
     return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (found.base,)
 
 
-def _does_nearly_as_much(simple: Explanation, richer: Explanation) -> bool:
+def _does_nearly_as_much(simple: Explanation, richer: Explanation, most: float) -> bool:
     """Whether a special case of an explanation leaves hardly more of unseen data, if what it leaves is no chance.
 
-    A richer law in the place of a simpler one imitates what else is missing: it must leave much less.
+    The richer one is to leave at most a part of its excess cost.
     """
     if simple.unseen is None or richer.unseen is None:
         return False
@@ -99,8 +101,7 @@ def _does_nearly_as_much(simple: Explanation, richer: Explanation) -> bool:
     left, more = (float(one.misfits.sum()) for one in (simple.unseen, richer.unseen))
     if not verdict.is_excess(max(left, more), size, rules):
         return False
-    part = rules.much_less**2 if len(simple.names) == len(richer.names) else 1.0 - rules.gain_fraction
-    return verdict.excess_cost(more, size) > part * verdict.excess_cost(left, size)
+    return verdict.excess_cost(more, size) > most * verdict.excess_cost(left, size)
 
 
 def _doubt(explanation: Explanation, problem: EstimationProblem) -> str:
@@ -108,8 +109,6 @@ def _doubt(explanation: Explanation, problem: EstimationProblem) -> str:
     rules, names = problem.rules, explanation.names
     if len(names) < 2 or verdict.reaches_noise(explanation.cost, explanation.hypothesis.residuals.size, rules):
         return ""
-    if are_composite(names, problem.rig, rules) and is_of_one_family(names, problem.rig):
-        return "together its causes imitate another law of their family"
     is_significant = explanation.kind != "effects" or explanation.last_strength >= rules.significant_deviations
     return "" if is_significant else "its last cause does not differ from nothing"
 

@@ -29,9 +29,7 @@ from masking.model.effects import DELAY, GAINS_AND_ZEROS
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative
 OFFSET = 0.02  # that of its zero, in parts of its rms
 LATE = 1.0  # that of the time by which all actuators are late, in samples
-MOST = 3.0  # standard deviations: what is larger is a cause
 FEW = 2  # imperfections that are left to be causes
-TRIED = 3  # explanations of the first round that are fitted with all imperfections
 
 
 def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> SearchResult:
@@ -78,7 +76,7 @@ def _trial(search: Search) -> _Trial:
         return trial
     wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
     most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
-    jobs = [partial(_beside, wider, one) for one in laws[:TRIED]]
+    jobs = [partial(_beside, wider, one) for one in laws[: rules.fewest_fits]]
     for made in noted(wider, "with all instrument errors", jobs, most):
         if made is not None:
             left = verdict.excess_cost(made.cost, size)
@@ -132,7 +130,7 @@ def with_imperfections(problem: EstimationProblem) -> EstimationProblem:
     """Problem in which imperfections are adjusted, too, with a count of work of its own."""
     pairs = [*_imperfections(problem)]
     instances, sizes = tuple(one for one, _ in pairs), np.array([size for _, size in pairs])
-    most = MOST * sizes
+    most = problem.rules.excluded_spreads * sizes
     least = [0.0 if one.effect == DELAY.name else -size for one, size in zip(instances, most, strict=True)]
     wider = problem.prior.extended(len(problem.prior.mean), np.zeros(len(sizes)), sizes, least, most)
     apart = problem.apart().under("small errors of instruments adjusted")

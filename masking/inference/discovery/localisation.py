@@ -23,8 +23,6 @@ from masking.inference.discovery.latent_force import Explained
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.estimation.whiteness import Whiteness
 
-BEYOND = 1.05  # of the noise's variance, from which a residual is looked at
-
 
 @dataclass(frozen=True)
 class LocatedForce:
@@ -146,7 +144,7 @@ def _latent_forces(
     simulated = (found.record.readings - error).T
     for name, reading, residual, sigma in zip(found.twin.sensors, simulated, error.T, found.problem.sigma, strict=True):
         power = float((residual**2).mean())
-        is_seen = power > BEYOND * sigma**2
+        is_seen = power > found.problem.rules.noise_floor * sigma**2
         sensors[name] = min(followed(reading, residual, repeats) / (power - float(sigma) ** 2), 1.0) if is_seen else 0.0
     shares = (float(energy / whole) if whole else 0.0 for energy in energies)
     return LatentForces(dict(zip(rig.degrees, shares, strict=True)), tuple(places), actuators, sensors)

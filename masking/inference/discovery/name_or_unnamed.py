@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
+from masking.inference.discovery.free_law import explainable
 from masking.inference.discovery.ground import Tell
 from masking.inference.discovery.unnamed_law import UnnamedLaw, evidence, law_of
 
@@ -27,11 +29,16 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         return _without_names(found, substeps)
     is_refused, rules = found.verdict == "unknown", found.problem.rules
     left, size, errs = _left(found), found.record.readings.size, found.simulation_error.over_noise
-    is_open = is_refused or (verdict.none_matters(left) and not found.closed)
+    with threadpool_limits(1):
+        taken = explainable(found)
+    part = taken / max(verdict.excess_cost(found.search.base.cost, size), 1.0)
+    is_open = is_refused or (verdict.none_matters(min(left, float(np.sqrt(part)))) and not found.closed)
     are_two = share_a_place(found.explanation.names, found.problem.rig)
     leaves_more = max(found.explanation.cost / size, errs**2) > 1.0 + rules.screen_resolution
+    # Where the rest does not follow the motion of a place, no law does better than the names.
+    follows = taken > (1.0 - rules.much_less) * verdict.excess_cost(found.explanation.cost, size)
     law = None
-    if is_open or are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found):
+    if is_open or (follows and (are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found))):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
     matched, better, unexplained = _in_intervals_of(law, found), -np.inf, left if is_refused else 0.0
@@ -40,7 +47,7 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
         better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
         unexplained = law.unexplained(found) if is_open else 0.0
     none = verdict.none_of_these(unexplained, better, shared=are_two)
-    if law is None and leaves_more and found.problem.work.is_cut:  # no rival was tried
+    if law is None and leaves_more and follows and found.problem.work.is_cut:  # no rival was tried
         none = max(none, verdict.LIKELIER)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
     is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)

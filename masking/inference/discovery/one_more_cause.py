@@ -25,7 +25,6 @@ from masking.inference.discovery.verdict import Key
 from masking.inference.discovery.wrong_parameters import scores as parameter_scores
 
 LESS = (0.25, 0.06, 0.015)  # parts of an effect to begin a fit with
-ENOUGH = 0.5  # of the gain in a screen: values that take so much off the cost are near enough to begin from
 
 
 def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
@@ -132,7 +131,7 @@ class Addition:
         made, now = [ready(self.problem, score) for score in scores], self.now.hypothesis
         at = self.screen.around([score.instance for score in scores])
         least = self._cost(made, at)
-        if now.cost - least < ENOUGH * max(score.gain for score in scores):
+        if now.cost - least < self.problem.rules.much_less * max(score.gain for score in scores):
             others = ((now.theta, now.start), (self.problem.prior.mean, now.start))
             costs = [self._cost(made, other) for other in others]
             at = others[int(np.argmin(costs))] if min(costs) <= least else at

@@ -25,8 +25,6 @@ from masking.inference.discovery.one_more_cause import Addition
 from masking.inference.discovery.places import both_of
 from masking.inference.discovery.screening import Score, Screen, best_factors
 
-LEFT = 0.5  # of the excess cost that the best single law leaves, which two laws may leave: else one comes after another
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -68,7 +66,7 @@ def pairs_of_causes(ground: Ground, now: Explanation, table: Sequence[Explanatio
     except IntegrationError:
         return []
     noise = float(ground.size // screen.every)
-    left = LEFT * verdict.excess_cost(alone, ground.size)
+    left = rules.much_less * verdict.excess_cost(alone, ground.size)
     most = rules.fit_ratio * left / verdict.excess_cost(now.cost, ground.size) * (screen.total - noise)
     chosen = list[Pair]()
     for pair in pairs(screen, scores):

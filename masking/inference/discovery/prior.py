@@ -63,11 +63,9 @@ def prior_of(twin: Twin, rig: AugmentedModel, tolerance: float, rules: DecisionR
 def train_validation_split(record: Data, held_out: float) -> tuple[Data, Data]:
     """Part of a record that is fitted, and its last part, a fraction of it, held out for validation.
 
-    Of one that comes to rest, so that this part would show nothing, they are those of the motion before.
+    Where that part would be at rest, which validates nothing, they are those of the motion before.
     """
-    for one in (record, record.until_rest()):
-        count = round((1.0 - held_out) * len(one))
-        train, unseen = one.part(0, count), one.part(count, len(one))
-        if unseen.moves:
-            break
-    return train, unseen
+    moving = record.until_rest()
+    whole = record if len(moving) > (1.0 - held_out) * len(record) else moving
+    count = round((1.0 - held_out) * len(whole))
+    return whole.part(0, count), whole.part(count, len(whole))

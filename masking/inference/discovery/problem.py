@@ -76,7 +76,7 @@ class EstimationProblem:
 
     def independent(self, residuals: Array) -> Array:
         """Number of independent samples that residuals (m, sensors) are worth, of each sensor (sensors,)."""
-        return independent(residuals, self.record.readings, self.sigma)
+        return independent(residuals, self.record.readings, self.sigma, self.rules.chance_deviations)
 
     @property
     def noise_floor(self) -> dict[str, float]:

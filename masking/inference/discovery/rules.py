@@ -197,6 +197,12 @@ class DecisionRules:
     above. 60 Hz hold ten harmonics of motions of up to 6 Hz if all modes are slower.
     """
 
+    afar: float = 0.5
+    """Part of the work of a search that laws may take which are fitted from each of their starts.
+
+    Why: limits computing time; where the first fits leave much, these are the next hope.
+    """
+
     sharpened_fraction: float = 0.5
     """Part of the best score from which the shape of a candidate is optimised in the screen.
 
@@ -272,11 +278,12 @@ class DecisionRules:
     # When a record is read in another way
 
     much_less: float = 0.5
-    """Part of the error on unseen data that another reading of the record, or a richer law in the place of a simpler
-    one, leaves at most, beyond noise.
+    """Part of an error that is far less: of that on unseen data, another reading of the record leaves no more.
 
-    Why: readings are few, and none is likelier than another but for what it explains; a richer law imitates what else
-    is missing. A factor of two is neither chance nor imitation.
+    Fits that leave far more than the best are not repeated in finer steps; two causes at one place are tried where they
+    may leave so much of the cost of the best single one, a law without a name where it may take as much of the rest.
+
+    Why: readings are few, and none is likelier than another but for what it explains; a factor of two is no chance.
     """
 
     phase_loss: float = 0.5

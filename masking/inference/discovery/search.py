@@ -11,30 +11,29 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from masking.inference.discovery import fitting, shooting_intervals, verdict
+from masking.inference.discovery import fitting, shooting_intervals
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.freer_shapes import freer_shapes
+from masking.inference.discovery.from_afar import from_afar
 from masking.inference.discovery.ground import Ground, Tell
 from masking.inference.discovery.one_more_cause import one_more_cause
 from masking.inference.discovery.other_causes import other_causes
 from masking.inference.discovery.pairs_of_causes import pairs_of_causes
 from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.richer_laws import richer_laws
 from masking.inference.discovery.screening import Score
 from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import Motion
-from masking.inference.discovery.sticking_laws import nearest_laws, sticking_laws
 from masking.inference.discovery.wrong_parameters import several_parameters, wrong_parameters
 
-FAR = 4.0  # times the cost of the best fit in large steps, from which one is not repeated in small ones: twice its rms
-
 MOVES = (
+    richer_laws,
     freer_shapes,
     other_causes,
     simpler_explanations,
     wrong_parameters,
     one_more_cause,
-    sticking_laws,
-    nearest_laws,
+    from_afar,
     several_parameters,
     pairs_of_causes,
 )
@@ -121,9 +120,7 @@ class Search:
             if best is not now and best.kind == "effects" and len(best.names) <= len(now.names):
                 break
         best = self.best
-        if best.kind == "effects" and verdict.leaves_little(
-            best.cost, self.ground.base.cost, self.ground.size, self.ground.rules
-        ):
+        if best.kind == "effects" and self.ground.is_near(best.cost):
             self._in_finer_steps(best)
 
     def _in_finer_steps(self, best: Explanation) -> bool:
@@ -137,7 +134,8 @@ class Search:
             return False
         ground.tell(f"with {steps} steps between samples", 0.3)
         self.ground = ground.finer(steps)
-        near = [one for one in ground.ranked(self.table) if one.kind == "effects" and one.cost <= FAR * best.cost]
+        most = best.cost / ground.rules.much_less**2
+        near = [one for one in ground.ranked(self.table) if one.kind == "effects" and one.cost <= most]
         jobs = [partial(_repeated, self.ground.problem, one) for one in near[: ground.rules.most_fits]]
         others = [one for one in self.table if one.kind != "effects"]
         self.table = [*others, *self.ground.noted("finer steps", jobs, min(one.cost for one in others))]

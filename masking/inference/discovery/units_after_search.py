@@ -14,7 +14,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting
+from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.verdict import Key
@@ -23,8 +23,6 @@ from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.unit_check import FAR, STEPS, UnitDoubt
 from masking.model.effects import GAINS_AND_ZEROS
 
-ROUNDS = 12  # of the fit of an initial state
-DEVIATIONS = 3.0  # of its prior, from which a parameter is far off
 GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
 LIKE = 1.2  # times the factor between units, up to which a gain is like it: a law may be mistaken for the rest
 
@@ -62,7 +60,7 @@ def far_off(problem: EstimationProblem, found: Hypothesis) -> tuple[tuple[Key, f
     prior, names = problem.prior, problem.rig.names
     pairs = [((one.effect, one.at), 1.0 + one.values[0]) for one in found.instances if one.effect in GAINS]
     for name, value, mean, deviation in zip(names, found.theta, prior.mean, prior.deviation, strict=False):
-        if mean and abs(value - mean) > DEVIATIONS * deviation:
+        if mean and abs(value - mean) > problem.rules.chance_deviations * deviation:
             pairs.append(((name, ""), float(value / mean)))
     return tuple((key, times) for key, times in pairs if not 1.0 / FAR < times < FAR)
 
@@ -91,5 +89,5 @@ def _residuals(problem: EstimationProblem, record: Data) -> Array | None:
         begun = fitting.Begun((), mean, here.first_states(mean))
     except IntegrationError:
         return None
-    made = fitting.solved(here, begun, rounds=ROUNDS, frozen=True)
+    made = fitting.solved(here, begun, rounds=continuation.ROUNDS, frozen=True)
     return None if made is None else made.residuals

@@ -15,8 +15,6 @@ from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.problem import EstimationProblem
 
-MOVED = 3.0  # deviations of its prior from which a parameter is one of those that are off
-
 
 def wrong_parameters(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
     """Explanations with one parameter of the model free: those that take most by it, to first order."""
@@ -67,7 +65,11 @@ def _far(problem: EstimationProblem, one: Explanation) -> list[int]:
     """Parameters that moved far and are not free, the farthest first."""
     off = np.abs(one.hypothesis.theta - problem.prior.mean) / problem.prior.deviation
     names = [(name, "") for name in problem.rig.names]
-    return [int(i) for i in np.argsort(-off[: len(names)]) if off[i] > MOVED and names[i] not in one.names]
+    return [
+        int(i)
+        for i in np.argsort(-off[: len(names)])
+        if off[i] > problem.rules.chance_deviations and names[i] not in one.names
+    ]
 
 
 def scores(problem: EstimationProblem, known: Hypothesis) -> Array:

@@ -25,6 +25,8 @@ from masking.lab.records.time_base import Resampling
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 NOT_LATE = np.zeros(())
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
+_SAME = 1e-9  # of a range: values that differ by less are the same
+_LITTLE = 0.01  # of a range
 _LOUD = 1.1  # times their noise: readings that vary by more hold something else
 _FEW = 1000  # readings: among fewer, motion may look like white noise
 _SURELY = 6.0  # deviations of a correlation by chance: none of a million is as large
@@ -217,10 +219,16 @@ class Data:
         return bool((np.abs(cross) > _SURELY / np.sqrt(len(self)) * size).any())
 
     def until_rest(self) -> Data:
-        """Record up to where it comes to rest; all of it where it moves to its end."""
-        rest = np.median(self.readings[-math.ceil(len(self) / 10) :], axis=0)
-        moves = np.asarray((np.abs(self.readings - rest) > 2.0 * _STILL * self.noise).any(axis=1))
-        moves[1:] |= (np.diff(self.commands, axis=0) != 0.0).any(axis=1)
+        """Record up to where it comes to rest; all of it where it moves to its end.
+
+        At rest, readings stay within noise or a few steps of their converter, and commands within a hundredth of their
+        range, as those of a loop that holds a position.
+        """
+        last = slice(-math.ceil(len(self) / 10), None)
+        far = np.maximum(2.0 * _STILL * self.noise, _STILL * _steps(self.readings))
+        moves = (np.abs(self.readings - np.median(self.readings[last], axis=0)) > far).any(axis=1)
+        held = np.abs(self.commands - np.median(self.commands[last], axis=0))
+        moves = np.asarray(moves | (held > _LITTLE * np.ptp(self.commands, axis=0)).any(axis=1))
         return self.first((np.flatnonzero(moves)[-1] + 1) / self.rate) if moves.any() else self
 
     @property
@@ -332,3 +340,12 @@ def _columns(recording: Recording, prefix: str, twin: Twin, where: str, sources:
         except RecordError as error:
             raise RecordError(f"{where}: {error}") from None
     return np.ascontiguousarray(np.array(found, dtype=float).reshape(len(names), len(recording.t)).T)
+
+
+def _steps(table: Array) -> Array:
+    """Least difference between values of each column (m, c) -> (c,): the step of its converter; 0 of a constant."""
+    gaps = [np.diff(np.unique(column)) for column in table.T]
+    least = [_SAME * float(gap.sum()) for gap in gaps]
+    return np.array(
+        [gap[gap > most].min(initial=np.inf) if len(gap) else 0.0 for gap, most in zip(gaps, least, strict=True)]
+    )

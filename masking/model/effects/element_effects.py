@@ -408,6 +408,7 @@ ELEMENTS: tuple[Effect, ...] = (
         family="periodic force",
         trials=tuple(Trial(starts.pitch(number), ("pitch",), ("a", "b")) for number in range(4)),
         nested=("gravity_force",),
+        positive="travel - 2*pitch",
         is_sum=True,
     ),
     Effect(

@@ -161,8 +161,8 @@ class Effect:
     by_step: Mapping[str, str] = field(default_factory=dict)
     # least values of parameters that a step of integration bears, as such expressions of the parameters, too
     least: Mapping[str, str] = field(default_factory=dict)
-    # an expression of its parameters, and of the duration of a record in s, that is positive: else it is not what its
-    # name says; '' if any are
+    # an expression of its parameters, of the duration of a record in s, and of the travel of its place in it, that is
+    # positive, or else it is not what its name says; '' if any are
     positive: str = ""
 
     @property

@@ -46,7 +46,7 @@ class Line:
         unit: what is said of the unit of a channel.
         law: place of the law without a name, if there is one.
         none: probability of none of the names.
-        probability: of the last cause.
+        probability: of the least sure cause.
         right, right_class, confident_wrong, false: as `Judgement`.
         sensor: the one whose declared error is largest over its noise.
         declared, adjusted, named, found, floor: its errors: as declared, with adjusted parameters, with the names, with
@@ -140,7 +140,7 @@ def answered(line: Line, found: Discovery, judgement: Judgement) -> Line:
         unit="" if found.unit is None else f"{listed(found.unit.names)} in {found.unit.unit}",
         law="" if found.law is None else found.law.place,
         none=found.none_of_these,
-        probability=found.effects[-1].probability if found.effects else None,
+        probability=found.least_sure.probability if found.effects else None,
         **asdict(judgement),
         sensor=worst,
         declared=declared[worst],

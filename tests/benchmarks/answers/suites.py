@@ -70,7 +70,7 @@ def judged_measured(truth: measured.Truth, found: Discovery) -> Judgement:
 
 def is_confident(found: Discovery) -> bool:
     """Return whether a name is given with confidence."""
-    said = found.effects[-1].probability if found.effects else 0.0
+    said = found.least_sure.probability if found.effects else 0.0
     return found.verdict in ("named", "parameter") and said >= SURE
 
 

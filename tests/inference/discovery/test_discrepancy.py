@@ -18,12 +18,12 @@ def white(seed):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_white_noise_is_worth_all_its_samples(seed):
-    assert discrepancy.independent(white(seed), READINGS, NOISE)[0] == pytest.approx(COUNT, rel=0.05)
+    assert discrepancy.independent(white(seed), READINGS, NOISE, 3.0)[0] == pytest.approx(COUNT, rel=0.05)
 
 
 @pytest.mark.parametrize("size", [1.0, 3.0, 30.0])
 def test_white_residuals_of_any_size_are_worth_all_their_samples(size):
-    assert discrepancy.independent(size * white(1), READINGS, NOISE)[0] == pytest.approx(COUNT, rel=0.1)
+    assert discrepancy.independent(size * white(1), READINGS, NOISE, 3.0)[0] == pytest.approx(COUNT, rel=0.1)
 
 
 @pytest.mark.parametrize("pole", [0.5, 0.9])
@@ -33,7 +33,7 @@ def test_slow_residuals_are_worth_what_the_mean_of_them_varies(pole):
     Source: Priestley (1981), Spectral Analysis and Time Series, section 5.3.2.
     """
     left = signal.lfilter([1.0], [1.0, -pole], 10.0 * white(2), axis=0)
-    worth = discrepancy.independent(left, READINGS, NOISE)[0]
+    worth = discrepancy.independent(left, READINGS, NOISE, 3.0)[0]
     assert worth == pytest.approx(COUNT * (1.0 - pole) / (1.0 + pole), rel=0.3)
 
 

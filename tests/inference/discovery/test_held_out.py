@@ -106,3 +106,18 @@ def test_of_a_decay_that_comes_to_rest_the_motion_is_split():
     assert sum(len(part) for part in parts) / 100.0 == pytest.approx(np.log(1e3 / 8.0), abs=0.5)
     driven = Data("driven", 100.0, np.sin(t)[:, None], decay[:, None])
     assert [len(part) for part in train_validation_split(driven, 0.3)] == [2800, 1200]
+
+
+def test_a_loop_that_holds_a_position_is_at_rest():
+    """A cart moves to where a loop then holds it for most of the record: readings flicker by a step of the encoder."""
+    rate, step, z, rest = 250.0, 5e-5, np.zeros(2), np.random.default_rng(2)
+    rows = []
+    for k in range(2250):
+        reading = step * np.round(z[0] / step + 0.4 * rest.standard_normal())
+        command = 10.0 * (0.2 * (k > 250) - reading)
+        z = z + np.array([z[1], -20.0 * z[1] + 8.0 * command]) / rate
+        rows.append((command, reading))
+    record = Data("a cart", rate, np.array(rows)[:, :1], np.array(rows)[:, 1:])
+    train, unseen = train_validation_split(record, 0.3)
+    assert len(train) + len(unseen) < 0.6 * len(record)
+    assert np.ptp(unseen.readings) > 20.0 * step

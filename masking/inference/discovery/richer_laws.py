@@ -1,0 +1,48 @@
+"""Richer laws: those in which a law that was found is nested, begun from its values."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from masking.inference.discovery import fitting
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.candidates import Candidate
+from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.one_more_cause import in_steps
+
+# Levels of a law that has two, in parts of that of a law with one, which lies between them.
+LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
+FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place sticks, it slides faster than by its rms
+
+
+def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with a law that sticks in the place of a simpler one, where it begins better than it ended."""
+    known, jobs = now.hypothesis, []
+    if ground.is_noise(now.cost):
+        return []
+    for i, ((effect, at), instance) in enumerate(zip(now.names, known.instances, strict=True)):
+        names, others = now.without(i)
+        for one in ground.every:
+            if one.at == at and one.sticks and one.factors and effect in one.entry.nested and one.key not in names:
+                every = [(*others, in_steps(ground.problem, start, one)) for start in _starts(one, instance)]
+                costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
+                wanted = {*names, one.key}
+                ended = min((other.cost for other in table if {*other.names} == wanted), default=np.inf)
+                if costs and min(costs) < ended:
+                    jobs.append(ground.refit((*names, one.key), every[int(np.argmin(costs))], now))
+    return ground.noted("a richer law from the values of a simpler one", jobs, now.cost)
+
+
+def _starts(candidate: Candidate, simple: EffectInstance) -> Iterator[EffectInstance]:
+    """Instances from which a fit may start, with levels like that of the simpler law."""
+    level = simple.estimated[0]
+    others = [i for i in candidate.free if i not in candidate.factors]
+    for instance, faster in itertools.product(candidate.instances, FASTER if others else FASTER[:1]):
+        moved = instance.with_values(others, [faster * instance.values[i] for i in others])
+        for parts in LEVELS if len(candidate.factors) > 1 else ((1.0,),):
+            levels = (parts[min(i, len(parts) - 1)] * level for i in range(len(candidate.factors)))
+            yield moved.with_values(candidate.factors, levels)
