@@ -1,8 +1,8 @@
 """Search: explanations of a record, each by the move that suggests it, until none is likelier than the best.
 
 A queue holds what has been fitted. The likeliest explanation, and the simpler one that does nearly as much, is given to
-each move in turn: another shape or another law, without a cause, with one more, with two. What is left of each is
-weighed by one evidence, so that moves decide what is looked at and never what is true.
+each move in turn: another shape or another law, without a cause, with one more, with two. One evidence weighs them all:
+moves decide what is looked at and never what is true.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
@@ -144,7 +144,7 @@ class Search:
 
 
 def _signature(one: Explanation) -> object:
-    """What tells explanations apart that are looked at: causes, and what is estimated of each."""
+    """Signature of an explanation that is looked at: its causes, and what is estimated of each."""
     instances = one.hypothesis.instances
     return tuple(sorted((part.effect, part.at, part.free, part.sticks) for part in instances))
 
