@@ -27,7 +27,7 @@ from masking.inference.discovery.discovery_result import (
     SimulationError,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
-from masking.inference.discovery.explanation import Explanation, in_both
+from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis, by_instance
 from masking.inference.discovery.grading import with_grades
 from masking.inference.discovery.ground import Tell, silent
@@ -151,7 +151,7 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         verdict.part_left(search.base.cost, chosen.cost, size, rules),
         verdict.part_left(without, after, given.after.residuals.size, rules),
     )
-    weights = [float(one) for one in verdict.probabilities(in_both(given.rivals))]
+    weights = held_out.weights(given.rivals)
     effects = _causes(known.rig, (chosen, *given.rivals[1:]), weights, search.ranked)
     sure = min((one.probability for one in effects), default=1.0)
     rounded = _rounded(known, chosen.hypothesis)

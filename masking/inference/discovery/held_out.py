@@ -19,7 +19,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery import discrepancy, fitting, verdict
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, in_both, nearest
 from masking.inference.discovery.fitting import Hypothesis
@@ -88,6 +88,21 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
         problem.trace.refuse(one.names, "a simpler one leaves hardly more of unseen data")
     sound = [one for one in near if not any(one is other for other in idle)]
     return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (found.base,)
+
+
+def weights(rivals: Sequence[Explanation]) -> list[float]:
+    """Probabilities of explanations, the likeliest in both records first.
+
+    One that leaves less of unseen data than the first is as likely as that: what only the record says against it may be
+    what both lack.
+    """
+    scores, unseen = in_both(rivals), [one.unseen for one in rivals if one.unseen is not None]
+    if len(unseen) == len(rivals):
+        like = fitting.nearest(unseen).independent
+        left = [discrepancy.misfit(one.misfits, like) for one in unseen]
+        most = left[0] - rivals[0].hypothesis.rules.indifferent
+        scores = [min(score, scores[0]) if other < most else score for score, other in zip(scores, left, strict=True)]
+    return [float(one) for one in verdict.probabilities(scores)]
 
 
 def _does_nearly_as_much(simple: Explanation, richer: Explanation, most: float) -> bool:
