@@ -274,7 +274,7 @@ def deciding_experiment(found: Discovery) -> str:
     coming = found.next_experiment
     if coming is None:
         return NO_EXPERIMENT if found.twin.actuators else NO_INPUTS
-    one, other = (cause_name(found, *rival.names[-1]) for rival in found.rivals[:2])
+    one, other = possible_causes(found)[:2]
     if not coming.separates:
         return f"no excitation that was tried can tell {one} from {other}"
     most = np.abs(found.record.commands).max(axis=0)

@@ -153,7 +153,11 @@ def test_a_delay_of_the_only_actuator_is_told_once():
     last = Named("delay", "", {"samples": (0.01, 1e-3)}, 0.5, (("delay", "force", 0.5),))
     one, two = (
         SimpleNamespace(
-            verdict="ambiguous", effects=(last,), dictionary=EFFECTS, twin=SimpleNamespace(actuators=actuators)
+            verdict="ambiguous",
+            effects=(last,),
+            least_sure=last,
+            dictionary=EFFECTS,
+            twin=SimpleNamespace(actuators=actuators),
         )
         for actuators in (("force",), ("force", "torque"))
     )

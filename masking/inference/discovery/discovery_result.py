@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -75,6 +75,11 @@ class Named(Result):
     def deviates(self) -> float:
         """Standard deviations by which the surest of its parameters differs from 0."""
         return max((abs(value) / std for value, std in self.parameters.values() if std > 0.0), default=0.0)
+
+
+def least_sure(causes: Sequence[Named]) -> Named:
+    """Cause of least probability, the last of several."""
+    return min(reversed(causes), key=lambda cause: cause.probability)
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,7 @@ class Discovery(Explained):
     @property
     def least_sure(self) -> Named:
         """Cause of least probability, the last of several; there are causes."""
-        return min(reversed(self.effects), key=lambda cause: cause.probability)
+        return least_sure(self.effects)
 
     @property
     def validation_record(self) -> Data:

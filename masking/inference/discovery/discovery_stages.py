@@ -25,6 +25,7 @@ from masking.inference.discovery.discovery_result import (
     Estimate,
     Named,
     SimulationError,
+    least_sure,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import Explanation
@@ -173,26 +174,26 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         unexplained_fraction=unexplained, rivals=given.rivals, weights=tuple(weights), validation=validation,
         before=before, after=given.after, adjusted=adjusted, withheld=given.withheld,
         unit=reading.doubt, exchanged=reading.exchanged,
-        next_experiment=_separating(known, given.rivals, say) if answer == "ambiguous" else None,
+        next_experiment=_separating(known, given.rivals, effects, say) if answer == "ambiguous" else None,
     )  # fmt: skip
 
 
-def _separating(problem: EstimationProblem, rivals: Sequence[Explanation], say: Tell) -> NextExperiment | None:
+def _separating(
+    problem: EstimationProblem, rivals: Sequence[Explanation], causes: Sequence[Named], say: Tell
+) -> NextExperiment | None:
+    """Experiment that separates the least sure cause from what may be in its place; None where no rival has that."""
     say("looking for an experiment that separates them", 0.95)
-    first = rivals[0]
-    second = next(one for one in rivals if not {*first.names} <= {*one.names})
+    cause = least_sure(causes)
+    instead = [(one.name, one.on) for one in cause.alternatives]
+    others = [one for one in rivals if not {(cause.name, cause.on)} & {*one.names} and {*instead} & {*one.names}]
+    if not others:
+        return None
+    second = min(others, key=lambda one: min(instead.index(key) for key in one.names if key in instead))
+    pairs = (cause.name, cause.on), instead[0]
+    names = [f"{name} at {on}" if on else name for name, on in pairs]
     with threadpool_limits(1):
         limits = declared_limits(problem.rig.twin)
-        return next_experiment(
-            problem, first.hypothesis, second.hypothesis, (_name(first, second), _name(second, first)), limits
-        )
-
-
-def _name(explanation: Explanation, other: Explanation) -> str:
-    """Cause of an explanation that another one has not."""
-    own = [key for key in explanation.names if key not in other.names] or [*explanation.names[-1:]]
-    name, at = own[-1] if own else ("nothing", "")
-    return f"{name} at {at}" if at else name
+        return next_experiment(problem, rivals[0].hypothesis, second.hypothesis, (names[0], names[1]), limits)
 
 
 def _scored(explanation: Explanation, rig: AugmentedModel) -> Scored:
