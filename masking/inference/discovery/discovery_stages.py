@@ -261,12 +261,13 @@ def _causes(
 
 
 def _equal_to(key: Key, ranked: Sequence[Explanation]) -> list[Key]:
-    """Causes that do as much in the place of one, in an explanation that is otherwise the same."""
+    """Causes that do as much in the place of one, with as many parameters, in an explanation that is the same else."""
     found = list[Key]()
     for one, other in itertools.product(ranked, repeat=2):
         new, old = {*other.names} - {*one.names}, {*one.names} - {*other.names}
         if old == {key} and len(new) == 1 and one.kind == other.kind:
             both = one.hypothesis, other.hypothesis
-            if abs(both[0].cost - both[1].cost) < both[0].rules.indifferent * both[0].scale:
+            is_same = abs(both[0].cost - both[1].cost) < both[0].rules.indifferent * both[0].scale
+            if is_same and len(both[0].added) == len(both[1].added):
                 found += [one for one in new if one not in found]
     return found

@@ -93,14 +93,16 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
 def weights(rivals: Sequence[Explanation]) -> list[float]:
     """Probabilities of explanations, the likeliest in both records first.
 
-    One that leaves less of unseen data than the first is as likely as that: what only the record says against it may be
-    what both lack.
+    Where the first leaves more than noise, one that leaves less of unseen data is as likely: what only the record says
+    against that may be what both lack.
     """
     scores, unseen = in_both(rivals), [one.unseen for one in rivals if one.unseen is not None]
-    if len(unseen) == len(rivals):
+    first = rivals[0].hypothesis
+    is_noise = verdict.reaches_noise(first.cost, first.residuals.size, first.rules)
+    if len(unseen) == len(rivals) and not is_noise:
         like = fitting.nearest(unseen).independent
         left = [discrepancy.misfit(one.misfits, like) for one in unseen]
-        most = left[0] - rivals[0].hypothesis.rules.indifferent
+        most = left[0] - first.rules.indifferent
         scores = [min(score, scores[0]) if other < most else score for score, other in zip(scores, left, strict=True)]
     return [float(one) for one in verdict.probabilities(scores)]
 
