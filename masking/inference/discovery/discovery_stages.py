@@ -7,7 +7,7 @@ and 16; the terms are physical effects with parameters and states of their own.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -36,10 +36,10 @@ from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
 from masking.inference.discovery.prior import train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.reading_noise import steps_of
 from masking.inference.discovery.readings import Reading
 from masking.inference.discovery.verdict import Key, Scored
 from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.lab.records.noise import rounding_steps
 from masking.model.effects import ROUNDING
 
 FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
@@ -83,15 +83,21 @@ def discover(
     reading = Reading.of(rig, train, unseen, settings)
     found = _explained(reading, say)
     for others in readings.OTHERS:
-        for other in others(reading, found):
+        reading, found = _otherwise(others(reading, found), reading, found, say)
+    stated = with_grades(_stated(beside_names(found, reading.problem.substeps, say)))
+    return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
+
+
+def _otherwise(others: Iterator[Reading], reading: Reading, found: Discovery, say: Tell) -> tuple[Reading, Discovery]:
+    """First of other readings whose answer explains more, with that; as it was where none does or can be searched."""
+    with suppress(MaskingError):  # a record that cannot be read so
+        for other in others:
             say(f"once more, {other.problem.trace.reading}", 0.0)
             with suppress(MaskingError):
                 again = _explained(other, say)
                 if readings.explains_more(again, found):
-                    reading, found = other, again
-                    break
-    stated = with_grades(_stated(beside_names(found, reading.problem.substeps, say)))
-    return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
+                    return other, again
+    return reading, found
 
 
 def _stated(found: Discovery) -> Discovery:
@@ -216,7 +222,7 @@ def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[N
     known = {effect.at for effect in twin.effects if effect.kind == ROUNDING.name and effect.enabled}
     left = hypothesis.squares / len(problem.record)
     found = []
-    for i, (name, step) in enumerate(zip(twin.sensors, steps_of(problem.record), strict=True)):
+    for i, (name, step) in enumerate(zip(twin.sensors, rounding_steps(problem.record.readings), strict=True)):
         variance = step**2 / 12.0
         if name not in known and variance > least * problem.sigma[i] ** 2:
             cause = Named(ROUNDING.name, name, {ROUNDING.quantum: Estimate(float(step), 0.0)}, 1.0)

@@ -5,7 +5,7 @@ Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -70,13 +70,14 @@ class Explanation:
         names, instances = self.names, self.hypothesis.instances
         return (*names[:i], *names[i + 1 :]), (*instances[:i], *instances[i + 1 :])
 
-    def is_inside(self, richer: Explanation, nested: Mapping[str, Collection[str]]) -> bool:
+    def is_inside(self, richer: Explanation) -> bool:
         """Whether it is a special case of another one: that without a cause, or with one that is nested in it."""
         new, old = {*self.names} - {*richer.names}, {*richer.names} - {*self.names}
         if len(old) != 1 or self.kind == "parameter" or richer.kind != "effects":
             return False
-        ((effect, at),) = old
-        return new <= {(name, at) for name in nested.get(effect, ())}
+        (key,) = old
+        law = richer.hypothesis.instances[richer.names.index(key)].entry
+        return new <= {(name, key[1]) for name in law.nested}
 
     def score(self, like: Hypothesis) -> float:
         """-2 log evidence, with the residual as coloured as that of another hypothesis, see `Hypothesis.misfit`.
@@ -118,6 +119,11 @@ def in_both(explanations: Sequence[Explanation]) -> list[float]:
     other = fitting.nearest(later).independent
     misfits = (discrepancy.misfit(unseen.misfits, other) for unseen in later)
     return [one.score(like) + unseen for one, unseen in zip(explanations, misfits, strict=True)]
+
+
+def ended(table: Sequence[Explanation], names: Iterable[Key]) -> float:
+    """Least cost with which fits of causes ended; infinite where there is none."""
+    return min((one.cost for one in table if {*one.names} == {*names}), default=np.inf)
 
 
 Job = Callable[[float], Explanation]  # a fit, given the cost of a rival

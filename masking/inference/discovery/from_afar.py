@@ -15,7 +15,6 @@ from functools import partial
 
 import numpy as np
 
-from masking.errors import IntegrationError
 from masking.inference.discovery import continuation, excluded_laws, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.explanation import Explanation, fitted
@@ -30,10 +29,11 @@ from masking.inference.discovery.verdict import Key
 def from_afar(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
     """Explanations with the laws that come nearest from any of their starts; beside the model without causes alone."""
     least = min(one.cost for one in table)
-    if now.names or ground.is_near(least):
+    seen = None if now.names or ground.is_near(least) else ground.screened(now)
+    if seen is None:
         return []
     problem = ground.problem.apart(ground.rules.afar)
-    starts = [(score, one) for score in ground.screened(now)[1] for one in _starts(ground, score)]
+    starts = [(score, one) for score in seen[1] for one in _starts(ground, score)]
     made = fitted([partial(_begun, problem, now.hypothesis, one) for _, one in starts], np.inf, problem.work)
     ended = ((score, one) for (score, _), one in zip(starts, made, strict=True) if one is not None)
     best = dict[Key, Hypothesis]()
@@ -55,9 +55,6 @@ def _starts(ground: Ground, score: Score) -> Sequence[EffectInstance]:
     return candidate.instances if folds or is_shaped else ()
 
 
-def _begun(problem: EstimationProblem, known: Hypothesis, instance: EffectInstance, rival: float) -> Hypothesis:
-    """Fit in a few rounds from the parameters and initial states of the model alone."""
-    made = fitting.solved(problem, Begun((instance,), known.theta, known.start), rounds=continuation.ROUNDS)
-    if made is None:
-        raise IntegrationError("the simulated motion is no longer finite")
-    return made
+def _begun(problem: EstimationProblem, known: Hypothesis, one: EffectInstance, rival: float) -> Hypothesis | None:
+    """Fit in a few rounds from the parameters and initial states of the model alone, whatever its rival."""
+    return fitting.solved(problem, Begun((one,), known.theta, known.start), rounds=continuation.ROUNDS)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
+from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate, candidates
@@ -22,6 +23,7 @@ from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Key
 
 Tell = Callable[[str, float], None]  # called with what is done, and the fraction done
+Seen = tuple[Screen, list[Score]]  # a screen, and the scores of candidates in it
 
 
 def silent(text: str, part: float) -> None:
@@ -38,7 +40,7 @@ class Ground:
     every: Sequence[Candidate]
     tell: Tell = silent
     kept: Kept = field(default_factory=Kept)  # what candidates do along the motion
-    last: list[tuple[Explanation, Screen, list[Score]]] = field(default_factory=list)  # what was screened last
+    last: list[tuple[Explanation, Seen | None]] = field(default_factory=list)  # what was screened last
 
     @classmethod
     def of(cls, problem: EstimationProblem, tell: Tell) -> Ground:
@@ -80,16 +82,24 @@ class Ground:
         """Screen of a fit, with what effects explain taken out; these are in the fit already where they are `taken`."""
         return Screen(self.problem, looked_at, self.motion, found, taken=taken, kept=self.kept)
 
-    def screened(self, now: Explanation) -> tuple[Screen, list[Score]]:
-        """Screen of the model, or of what is found where that leaves less, and the scores of candidates in it."""
-        if self.last and self.last[0][0] is now:
-            return self.last[0][1:]
+    def screened(self, now: Explanation) -> Seen | None:
+        """Screen of the model, or of an explanation where that leaves less, and the scores of candidates in it.
+
+        It is None where the motion cannot be screened.
+        """
+        if not (self.last and self.last[0][0] is now):
+            try:
+                self.last[:] = [(now, self._screened(now))]
+            except IntegrationError:
+                self.last[:] = [(now, None)]
+        return self.last[0][1]
+
+    def _screened(self, now: Explanation) -> Seen:
         instances, most = now.hypothesis.instances, self.rules.small_residual * self.size
         screen = self.screen(self.base.hypothesis, instances)
         if instances and now.cost < max(most, screen.total):
             screen = self.screen(now.hypothesis, instances, taken=True)
-        self.last[:] = [(now, screen, screen.scores(self.every))]
-        return self.last[0][1:]
+        return screen, screen.scores(self.every)
 
     def worth(self, screen: Screen, left: float) -> float:
         """Largest cost in a screen of a candidate that is worth a fit, where the best leaves `left`."""
@@ -162,7 +172,7 @@ class Ground:
 
     def _does_as_much(self, simple: Explanation, richer: Explanation, like: Hypothesis) -> bool:
         """Whether an explanation does all that one with a richer law or one more does, beyond numerical errors."""
-        if not simple.names or not simple.is_inside(richer, self.nested):
+        if not simple.names or not simple.is_inside(richer):
             return False
         margin = max(self.rules.redundant_fraction * (self.base.cost - richer.cost), self.numerical(richer))
         if len(simple.names) == len(richer.names):

@@ -72,15 +72,18 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
             others.append(one)
         elif simulated(one):
             most = min(most, one.score(like) + problem.rules.validation_margin)
-    nested = {name: effect.nested for name, effect in problem.rig.twin.dictionary.items()}
+
+    def is_part(simple: Explanation, richer: Explanation) -> bool:
+        return {*simple.names} < {*richer.names} or simple.is_inside(richer)
+
     for one in others:
-        if any({*one.names} < {*richer.names} or one.is_inside(richer, nested) for richer in near):
+        if any(is_part(one, richer) for richer in near):
             simulated(one)
 
     def is_idle(richer: Explanation) -> bool:
         rules = problem.rules  # causes that imitate another law are worth a name only where they leave far less
         most = rules.much_less**2 if are_composite(richer.names, problem.rig, rules) else 1.0 - rules.gain_fraction
-        simpler = (one for one in near if {*one.names} < {*richer.names} or one.is_inside(richer, nested))
+        simpler = (one for one in near if is_part(one, richer))
         return any(_does_nearly_as_much(one, richer, most) for one in simpler)
 
     idle = [*filter(is_idle, near)]

@@ -32,12 +32,9 @@ LATE = 1.0  # that of the time by which all actuators are late, in samples
 FEW = 2  # imperfections that are left to be causes
 
 
-def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> SearchResult:
-    """Search for causes, where many imperfections hide them with these adjusted.
-
-    Arguments are those of `Search.begun`.
-    """
-    search = Search.begun(problem, tell, substeps)
+def searched(problem: EstimationProblem, tell: Tell) -> SearchResult:
+    """Search for causes, where many imperfections hide them with these adjusted."""
+    search = Search.begun(problem, tell)
     if problem.rig.imperfections:
         return search.run()
     search.first_round()
@@ -48,7 +45,7 @@ def searched(problem: EstimationProblem, tell: Tell, substeps: int = 0) -> Searc
         if is_settled or not trial.is_likely:
             return found
     tell("small errors of sensors and actuators are adjusted", 0.0)
-    again = Search.begun(with_imperfections(problem), tell, substeps).run()
+    again = Search.begun(with_imperfections(problem), tell).run()
     if found is None:  # the first search ended early
         if _is_complete(again):
             return again

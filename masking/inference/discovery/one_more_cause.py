@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
@@ -36,11 +35,10 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
     """
     if len(now.names) >= ground.rules.most_effects or (now.names and ground.is_composite(now)):
         return []  # one more law would leave it composite
-    try:
-        screen, scores = ground.screened(now)
-    except IntegrationError:  # what is found so far is the answer
+    seen = ground.screened(now)
+    if seen is None:
         return []
-    adding, move = Addition(ground, now, screen), "one more cause"
+    (screen, scores), adding, move = seen, Addition(ground, now, seen[0]), "one more cause"
     of_parameters = () if now.names else parameter_scores(ground.problem, now.hypothesis)
     best = max([*of_parameters, *(score.gain for score in scores)], default=0.0)
     chosen = _Chosen.of(ground, now, scores, screen, screen.total - best)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import IntegrationError
 from masking.inference.discovery import verdict
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation
@@ -61,10 +60,10 @@ def pairs_of_causes(ground: Ground, now: Explanation, table: Sequence[Explanatio
     alone = min(one.cost for one in table)
     if ground.is_noise(alone) or len(now.names) + 2 > rules.most_effects:
         return []
-    try:
-        screen, scores = ground.screened(now)
-    except IntegrationError:
+    seen = ground.screened(now)
+    if seen is None:
         return []
+    screen, scores = seen
     noise = float(ground.size // screen.every)
     left = rules.much_less * verdict.excess_cost(alone, ground.size)
     most = rules.fit_ratio * left / verdict.excess_cost(now.cost, ground.size) * (screen.total - noise)

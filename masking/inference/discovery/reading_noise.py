@@ -1,4 +1,4 @@
-"""Noise of each reading of a record, and steps to which readings are rounded.
+"""Noise of each reading of a record, as discovery weighs it.
 
 Source: Rousseeuw and Croux (1993), J. Am. Stat. Assoc. 88(424), 1273-1283, for the median of magnitudes.
 """
@@ -12,10 +12,8 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import RecordError
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import FEWEST, third_differences, white_noise
+from masking.lab.records.noise import EXACT, FEWEST, rounding_steps, third_differences, white_noise
 
-EXACT = 1e-12  # of the largest reading: a smaller difference is rounding of double precision
-NEAR, MOST = 0.1, 0.95  # of a step, and of the gaps between values: as near to its multiples, and as many of them
 FEWER = 0.8  # of the mean noise: a median below is less than by chance, and some readings jump
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
@@ -40,7 +38,7 @@ def noise_of(twin: Twin, record: Data) -> Array:
             raise RecordError(
                 f"{record.name}: {name} reads 0 throughout; look at its cable, or leave it out of the plant"
             )
-    return np.asarray(np.maximum.reduce([found, 1e-6 * size, steps_of(record) / np.sqrt(12.0)]))
+    return np.asarray(np.maximum.reduce([found, 1e-6 * size, rounding_steps(record.readings) / np.sqrt(12.0)]))
 
 
 def _smooth(table: Array) -> Array:
@@ -55,20 +53,3 @@ def _measured(column: Array) -> Array:
     kinks = np.flatnonzero(np.abs(np.diff(column, n=2)) > EXACT * np.abs(column).max()) + 1
     every = round(len(column) / max(len(kinks), 1))
     return column if every < 2 or len(kinks) < FEWEST else column[kinks[0] :: every]
-
-
-def steps_of(record: Data) -> Array:
-    """Step to which readings of each sensor are rounded (sensors,); 0 where they are not.
-
-    It is what lies between neighbouring values, or a part of it.
-    """
-    return np.array([_step(column) for column in record.readings.T])
-
-
-def _step(column: Array) -> float:
-    gaps = np.diff(np.unique(column))
-    gaps = gaps[gaps > EXACT * np.abs(column).max()]  # values that differ by rounding of numbers are the same
-    if not len(gaps):
-        return 0.0
-    step = float(np.median(gaps[gaps <= 1.5 * gaps.min()]))
-    return step if (np.abs(gaps / step - np.round(gaps / step)) < NEAR).mean() > MOST else 0.0

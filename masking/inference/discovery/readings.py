@@ -22,7 +22,6 @@ from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of
-from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.smoothing import centred
 from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.work_budget import Work
@@ -109,14 +108,14 @@ def directed_places(reading: Reading, found: Discovery) -> Iterator[Reading]:
     if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
         return
     problem = replace(found.problem.under("directed places"), rig=rig, substeps=reading.problem.substeps)
-    base, part = found.search.base.hypothesis, {"coordinate": problem.rules.directed_fraction}
+    part = {"coordinate": problem.rules.directed_fraction}
     wanted = {place.name: part.get(place.directed, 1.0) for place in rig.places if place.directed}
     try:
         with threadpool_limits(1):
-            ground = Ground.beside(problem, found.search.base)
-            scores = Screen(problem, base, ground.motion).scores(ground.every)
+            seen = Ground.beside(problem, found.search.base).screened(found.search.base)
     except IntegrationError:
         return
+    scores = [] if seen is None else seen[1]
     most = max((score.gain for score in scores if score.candidate.at not in wanted), default=0.0)
     if any(score.gain > wanted.get(score.candidate.at, float("inf")) * most for score in scores):
         yield replace(reading, problem=problem)

@@ -10,7 +10,7 @@ import numpy as np
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.explanation import Explanation, ended
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.one_more_cause import in_steps
 
@@ -30,9 +30,7 @@ def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) 
             if one.at == at and one.sticks and one.factors and effect in one.entry.nested and one.key not in names:
                 every = [(*others, in_steps(ground.problem, start, one)) for start in _starts(one, instance)]
                 costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
-                wanted = {*names, one.key}
-                ended = min((other.cost for other in table if {*other.names} == wanted), default=np.inf)
-                if costs and min(costs) < ended:
+                if costs and min(costs) < ended(table, (*names, one.key)):
                     jobs.append(ground.refit((*names, one.key), every[int(np.argmin(costs))], now))
     return ground.noted("a richer law from the values of a simpler one", jobs, now.cost)
 

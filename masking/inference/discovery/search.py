@@ -67,10 +67,10 @@ class Search:
     resolved: Explanation | None = None  # whose law the steps of integration resolve
 
     @classmethod
-    def begun(cls, problem: EstimationProblem, tell: Tell, substeps: int = 0) -> Search:
-        """Search in a record; models with effects are integrated in as many steps as they need where none are given."""
+    def begun(cls, problem: EstimationProblem, tell: Tell) -> Search:
+        """Search in a record, in the integration steps of the model alone; laws have as many as they need."""
         ground = Ground.of(problem, tell)
-        return cls(ground.finer(substeps or problem.substeps), problem.substeps, [ground.base])
+        return cls(ground, problem.substeps, [ground.base])
 
     @property
     def best(self) -> Explanation:
@@ -81,7 +81,8 @@ class Search:
         """Look at what goes beside the model without causes."""
         if not self.looked_at:
             self._look_beside(self.ground.base)
-            self.tried = tuple(self.ground.screened(self.ground.base)[1])
+            seen = self.ground.screened(self.ground.base)
+            self.tried = () if seen is None else tuple(seen[1])
 
     def run(self) -> SearchResult:
         """Go on until nothing is likelier, nothing is left, or the work is done."""
@@ -105,7 +106,7 @@ class Search:
         if ground.problem.work.ends():
             return None
         least = ground.base.cost - (1.0 - rules.gain_fraction) * (ground.base.cost - best.cost)
-        inside = [one for one in ranked if one.cost < least and one.is_inside(best, ground.nested)]
+        inside = [one for one in ranked if one.cost < least and one.is_inside(best)]
         return next((one for one in (best, *inside[:1]) if self._is_open(one)), None)
 
     def _is_open(self, one: Explanation) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import IntegrationError, RecordError
+from masking.errors import RecordError
 from masking.inference.discovery import fitting
 from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.fitting import Hypothesis
@@ -108,19 +108,3 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
     most, allowed = rules.most_refinement * least, rules.law_error * left
     enough = refined(simulated, problem.substeps, most, allowed, ahead=4)
     return enough if enough == problem.substeps else refined(residuals, problem.substeps, most, allowed, ahead=4)
-
-
-def corrected(rough: EstimationProblem, known: Hypothesis) -> tuple[EstimationProblem, Hypothesis] | None:
-    """Problem in larger steps in which a hypothesis leaves what it does in its own, and it in these steps.
-
-    What larger steps change of its motion is added to the readings, so that laws beside it are fitted in few steps.
-    None if the motion is not finite in them.
-    Source: Stetter (1978), Numer. Math. 29, 425-443: defect correction.
-    """
-    instances = tuple(rough.rig.at_step(one, rough.dt / rough.substeps) for one in known.instances)
-    try:
-        found = rough.equations(known.theta, known.start, instances, fitting.estimated(instances))
-    except IntegrationError:
-        return None
-    record = replace(rough.record, readings=found.simulated + known.residuals)
-    return replace(rough, record=record), replace(known, instances=instances)

@@ -8,7 +8,7 @@ import numpy as np
 
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.explanation import Explanation, ended
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.one_more_cause import in_steps
 from masking.inference.discovery.verdict import Key
@@ -20,12 +20,10 @@ def simpler_explanations(ground: Ground, now: Explanation, table: Sequence[Expla
 
     A law beside an element, together with others that take the element's own force away, is that law instead of it.
     """
-    known, problem = now.hypothesis, ground.problem
-    jobs = []
+    known, jobs = now.hypothesis, []
     for names, instances in _simpler(ground, now):
-        ended = min((one.cost for one in table if {*one.names} == {*names}), default=np.inf)
-        begun = fitting.cost(problem, instances, known.theta, known.start) if np.isfinite(ended) else 0.0
-        if names and begun < ended:
+        least = ended(table, names)
+        if names and (least == np.inf or fitting.cost(ground.problem, instances, known.theta, known.start) < least):
             jobs.append(ground.refit(names, instances, now))
     return ground.noted("a simpler one", jobs, now.cost)
 

@@ -37,10 +37,6 @@ class Work:
         """Work of another search of the answer, which may do a part of what this one may."""
         return Work(part * self.most, self.whole)
 
-    def share(self, part: float) -> Work:
-        """Work of some of the fits of this search, which may do a part of what it may."""
-        return Work(part * self.most, self)
-
     def kept(self, part: float) -> Work:
         """Budget reserved for the final stage, a part of that of one search, whatever the searches have done."""
         return Work(part * self.most)

@@ -17,7 +17,7 @@ from masking.control.rig.twin import Twin
 from masking.errors import ColumnError, ModelError, RecordError, nearest
 from masking.lab.records import clock, column_units, readers, soundness, time_base
 from masking.lab.records.input_hold import Hold, InputHold, Names, TextForm
-from masking.lab.records.noise import white_noise
+from masking.lab.records.noise import rounding_steps, white_noise
 from masking.lab.records.recording import Recording
 from masking.lab.records.soundness import Signals
 from masking.lab.records.time_base import Resampling
@@ -25,7 +25,6 @@ from masking.lab.records.time_base import Resampling
 _RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 NOT_LATE = np.zeros(())
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
-_SAME = 1e-9  # of a range: values that differ by less are the same
 _LITTLE = 0.01  # of a range
 _LOUD = 1.1  # times their noise: readings that vary by more hold something else
 _FEW = 1000  # readings: among fewer, motion may look like white noise
@@ -225,7 +224,7 @@ class Data:
         range, as those of a loop that holds a position.
         """
         last = slice(-math.ceil(len(self) / 10), None)
-        far = np.maximum(2.0 * _STILL * self.noise, _STILL * _steps(self.readings))
+        far = np.maximum(2.0 * _STILL * self.noise, _STILL * rounding_steps(self.readings))
         moves = (np.abs(self.readings - np.median(self.readings[last], axis=0)) > far).any(axis=1)
         held = np.abs(self.commands - np.median(self.commands[last], axis=0))
         moves = np.asarray(moves | (held > _LITTLE * np.ptp(self.commands, axis=0)).any(axis=1))
@@ -340,12 +339,3 @@ def _columns(recording: Recording, prefix: str, twin: Twin, where: str, sources:
         except RecordError as error:
             raise RecordError(f"{where}: {error}") from None
     return np.ascontiguousarray(np.array(found, dtype=float).reshape(len(names), len(recording.t)).T)
-
-
-def _steps(table: Array) -> Array:
-    """Least difference between values of each column (m, c) -> (c,): the step of its converter; 0 of a constant."""
-    gaps = [np.diff(np.unique(column)) for column in table.T]
-    least = [_SAME * float(gap.sum()) for gap in gaps]
-    return np.array(
-        [gap[gap > most].min(initial=np.inf) if len(gap) else 0.0 for gap, most in zip(gaps, least, strict=True)]
-    )

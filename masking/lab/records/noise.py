@@ -6,6 +6,8 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 
+EXACT = 1e-12  # of the largest reading: a smaller difference is rounding of double precision
+NEAR, MOST = 0.1, 0.95  # of a step, and of the gaps between values: as near to its multiples, and as many of them
 FEWEST = 256  # readings; fewer are too few for bands
 # Bands that a spectrum is cut into, and lines in each, at least as far as there are lines.
 FEWEST_BANDS, MOST_BANDS, LINES = 4, 32, 64
@@ -84,3 +86,20 @@ def _periodogram(readings: Array) -> Array:
     part = readings[:count]
     spectrum = np.fft.rfft((window[:, None] * (part - part.mean(axis=0))).T)[:, 1:]
     return np.asarray(np.abs(spectrum) ** 2 / count)
+
+
+def rounding_steps(readings: Array) -> Array:
+    """Step to which each column of readings (m, c) is rounded (c,); 0 where it is not.
+
+    It is what lies between neighbouring values, or a part of it.
+    """
+    return np.array([_rounding_step(column) for column in readings.T])
+
+
+def _rounding_step(column: Array) -> float:
+    gaps = np.diff(np.unique(column))
+    gaps = gaps[gaps > EXACT * np.abs(column).max()]  # values that differ by rounding of numbers are the same
+    if not len(gaps):
+        return 0.0
+    step = float(np.median(gaps[gaps <= 1.5 * gaps.min()]))
+    return step if (np.abs(gaps / step - np.round(gaps / step)) < NEAR).mean() > MOST else 0.0

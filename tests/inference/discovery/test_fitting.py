@@ -18,12 +18,12 @@ from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.places import opened, places
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.reading_noise import steps_of
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import smooth
 from masking.inference.estimation.identification_data import Data
+from masking.lab.records.noise import rounding_steps
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.checks import beyond_ordinary
 from masking.model.declaration.dimensions import is_plain
@@ -265,20 +265,6 @@ def test_shooting_intervals_are_no_shorter_than_what_an_initial_state_may_take(p
         assert shooting_intervals.interval(short, None) == pytest.approx(samples, abs=0.1 * fewest)
 
 
-def test_a_record_corrected_for_large_steps_leaves_what_small_ones_do(problem):
-    """Beside friction that sticks, the factor of another law is the same in large steps with the corrected record."""
-    friction = INSTANCES["dry friction"].at_step(problem.rig.mobilities["spring1"], problem.dt / 16)
-    fine, spring = replace(problem, substeps=16), EffectInstance("linear_spring", "spring1", (0.5,), (0,))
-    told = noisy(replace(problem, substeps=8), (friction, spring))
-    known = fitting.fit(replace(fine, record=told.record), (friction,))
-    rough, there = shooting_intervals.corrected(replace(told, substeps=2), known)
-    found = rough.equations(there.theta, there.start, there.instances, there.added)
-    np.testing.assert_allclose(rough.record.readings - found.simulated, known.residuals, atol=1e-12)
-    beside = fitting.fit(rough, (*there.instances, spring), theta=there.theta, start=there.start)
-    exact = fitting.fit(replace(fine, record=told.record), (friction, spring))
-    assert beside.added[1] == pytest.approx(exact.added[1], abs=0.1 * exact.deviations[-1])
-
-
 def test_a_lag_is_judged_by_a_record_that_begins_in_motion(problem):
     lag = INSTANCES["a lag of a sensor"]
     whole = noisy(problem, (lag,))
@@ -319,7 +305,7 @@ def test_readings_on_a_lattice_are_rounded():
     rng = np.random.default_rng(0)
     free = rng.standard_normal((5000, 2))
     readings = np.column_stack([0.02 * np.round(free[:, 0] / 0.02), free[:, 1]])
-    assert steps_of(Data("a record", RATE, free, readings)) == pytest.approx([0.02, 0.0])
+    assert rounding_steps(readings) == pytest.approx([0.02, 0.0])
 
 
 @pytest.mark.parametrize("rest", [1, 7, 500])

@@ -153,8 +153,8 @@ def test_composites(laws, said):
 
 
 def test_a_verdict_is_revised_by_what_is_known_beside():
-    def revised(told, rounded=False, at_noise=True):
-        return verdict.revised(told, rounded=rounded, at_noise=at_noise)
+    def revised(before, rounded=False, at_noise=True):
+        return verdict.revised(before, rounded=rounded, at_noise=at_noise)
 
     for told in ("none", "parameter", "named", "ambiguous", "unknown"):
         assert revised(told) == told

@@ -100,11 +100,10 @@ def test_work_is_counted_in_steps():
 def test_searches_of_one_answer_share_what_it_may_do():
     first = Work.allowed(1000, 4)
     second, kept = first.another(), first.kept(0.5)
-    part = second.share(0.1)
-    part.add(int(0.2 * part.most), 1)
-    assert not part.is_done
-    part.add(int(first.most), 1)  # counts in the search that it is a part of, and in the answer
-    assert part.is_done
+    second.add(int(0.2 * second.most), 1)
+    assert not second.is_done
+    second.add(int(first.most), 1)  # counts in the answer, too
+    assert second.is_done
     assert second.ends()
     assert not first.ends()
     first.add(int(0.6 * first.most), 1)

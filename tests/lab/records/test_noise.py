@@ -5,9 +5,9 @@ import pytest
 from scipy import signal
 
 from masking.app.workflows import discovery_inputs
-from masking.inference.discovery.reading_noise import noise_of, steps_of
+from masking.inference.discovery.reading_noise import noise_of
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import bandwidth, white_noise
+from masking.lab.records.noise import bandwidth, rounding_steps, white_noise
 
 COUNT = 20_000
 
@@ -137,7 +137,7 @@ def test_a_rate_that_jumps_now_and_then_has_the_noise_of_its_other_readings(tmp_
     ],
 )
 def test_rounding_is_seen_whatever_the_offset_and_the_number_of_values(readings, step):
-    found = steps_of(Data("rounded", 1000.0, np.empty((len(readings), 0)), readings[:, None]))
+    found = rounding_steps(readings[:, None])
     assert found == pytest.approx(step, rel=1e-3)
 
 
