@@ -1,8 +1,8 @@
 """Search: explanations of a record, each by the move that suggests it, until none is likelier than the best.
 
 A queue holds what has been fitted. The likeliest explanation, and the one with a cause less that does nearly as much,
-is given to each move in turn: another shape or another law, without a cause, with one more, with two. One evidence weighs them all:
-moves decide what is looked at and never what is true.
+is given to each move in turn: another shape or another law, without a cause, with one more, with two. One evidence
+weighs them all: moves decide what is looked at and never what is true.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
