@@ -78,7 +78,9 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
     check_folder(target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite)
     numbers, table = _with_ring(found)
     if not len(table):
-        raise RecordError(f"{folder}: the run ended before its first tick; remove {stream.MANIFEST} and {stream.ROWS}")
+        unread = f"no tick of the run is readable ({'; '.join(found.damages)})"
+        why = unread if found.damages else "the run ended before its first tick"
+        raise RecordError(f"{folder}: {why}; remove {stream.MANIFEST} and {stream.ROWS}")
     names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
     column = dict(zip(names, table.T, strict=True))
     missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)

@@ -18,7 +18,7 @@ from masking.errors import PlantLostError, RecordError
 from masking.lab.plants import operating_system
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.records import child_process, recorder, stream
+from masking.lab.records import child_process, recorder, stream, stream_reader
 from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import histogram
 from masking.lab.runs import hardware, loop_rows
@@ -136,12 +136,23 @@ def test_where_the_files_have_changed_the_ticks_are_recovered(experiment, tmp_pa
     assert len(Recording.load(tmp_path / "out" / "ticks")) == found.rows
 
 
+def damaged(folder, pages):
+    """Write the stream of a folder again, in a number of pages, and change a byte in its middle."""
+    found = stream_reader.read(folder)
+    (folder / stream.ROWS).unlink()
+    writer, first = stream.StreamWriter(folder), 0
+    for table in np.array_split(found.table, pages):
+        writer.append(first, table)
+        first += len(table)
+    writer.close()
+    data = bytearray((folder / stream.ROWS).read_bytes())
+    data[len(data) // 2] ^= 1
+    (folder / stream.ROWS).write_bytes(data)
+
+
 def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
     hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
-    rows = tmp_path / stream.ROWS
-    data = bytearray(rows.read_bytes())
-    data[-4000] ^= 1
-    rows.write_bytes(data)
+    damaged(tmp_path, 5)
     assert cli.main(["recover", str(tmp_path), "--json"]) == 1
     answer = json.loads(capsys.readouterr().out)
     assert "were changed (page" in answer["damages"][0]
@@ -150,6 +161,15 @@ def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
     assert cli.main(["recover", str(tmp_path)]) == 2
     assert "holds an earlier result" in capsys.readouterr().err
     assert cli.main(["recover", str(tmp_path), "--overwrite"]) == 1
+
+
+def test_a_stream_without_a_sound_page_says_so(experiment, tmp_path, capsys):
+    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
+    damaged(tmp_path, 1)
+    assert cli.main(["recover", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "no tick of the run is readable (" in said
+    assert "were changed (page" in said
 
 
 def test_a_folder_that_holds_a_stream_is_not_run_into(experiment, tmp_path, capsys):
