@@ -1,8 +1,8 @@
 """Search: explanations of a record, each by the move that suggests it, until none is likelier than the best.
 
-A queue holds what has been fitted. The likeliest explanation, and the one with a cause less that does nearly as much,
-is given to each move in turn: another shape or another law, without a cause, with one more, with two. One evidence
-weighs them all: moves decide what is looked at and never what is true.
+A queue holds what has been fitted. The likeliest explanation, and the simpler one that does nearly as much, is given to
+each move in turn: another shape or another law, without a cause, with one more, with two. One evidence weighs them all:
+moves decide what is looked at and never what is true.
 Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit, Schwarz (1978), Ann. Stat. 6, 461.
 """
 
@@ -115,12 +115,12 @@ class Search:
     def _look_beside(self, now: Explanation) -> None:
         """Add what the moves make of an explanation; they end where one makes it likelier with no more causes."""
         self.looked_at.add(_signature(now))
+        before = best = self.best
         for move in MOVES:
             self.table += move(self.ground, now, self.table)
             best = self.best
-            if best is not now and best.kind == "effects" and len(best.names) <= len(now.names):
+            if best is not before and best.kind == "effects" and len(best.names) <= len(now.names):
                 break
-        best = self.best
         if best.kind == "effects" and self.ground.is_near(best.cost):
             self._in_finer_steps(best)
 
