@@ -28,7 +28,7 @@ from masking.inference.discovery.discovery_result import (
     least_sure,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.explanation import Explanation, Unseen, ended
 from masking.inference.discovery.fitting import Hypothesis, by_instance
 from masking.inference.discovery.grading import with_grades
 from masking.inference.discovery.ground import Tell, silent
@@ -139,25 +139,28 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         known = search.problem
         validation = replace(known, record=reading.unseen, sigma=reading.noise)
         declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-        before, adjusted = (fitting.validated(validation, one) for one in (declared.hypothesis, search.base.hypothesis))
-        left, declared_left = (float(one.misfits.sum()) for one in (adjusted, before))
+        before, base = fitting.validated(validation, declared.hypothesis), held_out.simulated(search.base, validation)
+        without = base.unseen or Unseen(before, before)
+        left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
         if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):
-            adjusted = before  # parameters that are worse on unseen data are not kept
+            without = Unseen(before, before)  # parameters that are worse on unseen data are not kept
         say("comparing explanations on data that were not used", 0.95)
-        rivals = held_out.likeliest(search, validation)
-        given = held_out.no_worse((rivals, (search.base,), (declared,)), known, validation, before)
+        rivals = held_out.likeliest(search, base, validation)
+        given = held_out.no_worse((rivals, (base,), (declared,)), known, validation, before)
     chosen, rules, size = given.explanation, problem.rules, problem.record.readings.size
-    adjusted = given.after if given.rivals[0].hypothesis is search.base.hypothesis else adjusted
+    after = given.unseen.alone
+    without = given.unseen if given.rivals[0] is base else without
     errors = SimulationError(
         Errors(known.errors(declared.hypothesis.squares), known.errors(chosen.hypothesis.squares)),
-        Errors(validation.errors(before.squares), validation.errors(given.after.squares)),
-        known.noise_floor, validation.noise_floor, validation.errors(adjusted.squares), given.alone,
+        Errors(validation.errors(before.squares), validation.errors(after.squares)),
+        known.noise_floor, validation.noise_floor, validation.errors(without.alone.squares), given.alone,
     )  # fmt: skip
-    without, after = (float(one.misfits.sum()) for one in (adjusted, given.after))
-    unexplained = max(
-        verdict.part_left(search.base.cost, chosen.cost, size, rules),
-        verdict.part_left(without, after, given.after.residuals.size, rules),
+    # By the estimates, or within their uncertainty: either shows what the causes explain.
+    unseen = (
+        verdict.part_left(float(one.misfits.sum()), float(other.misfits.sum()), after.residuals.size, rules)
+        for one, other in zip(without, given.unseen, strict=True)
     )
+    unexplained = max(verdict.part_left(search.base.cost, chosen.cost, size, rules), min(unseen))
     weights = held_out.weights(given.rivals)
     effects = _causes(known.rig, (chosen, *given.rivals[1:]), weights, search.ranked)
     sure = min((one.probability for one in effects), default=1.0)
@@ -178,7 +181,7 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=search,
         effects=(*effects, *(cause for cause, _ in rounded)), simulation_error=errors,
         unexplained_fraction=unexplained, rivals=given.rivals, weights=tuple(weights), validation=validation,
-        before=before, after=given.after, adjusted=adjusted, withheld=given.withheld,
+        before=before, after=after, adjusted=without.alone, withheld=given.withheld,
         unit=reading.doubt, exchanged=reading.exchanged,
         next_experiment=_separating(known, given.rivals, effects, say) if answer == "ambiguous" else None,
     )  # fmt: skip
@@ -267,13 +270,16 @@ def _causes(
 
 
 def _equal_to(key: Key, ranked: Sequence[Explanation]) -> list[Key]:
-    """Causes that do as much in the place of one, with as many parameters, in an explanation that is the same else."""
+    """Causes that do as much in the place of one, with as many parameters, in an explanation that is the same else.
+
+    It is one in which they do something.
+    """
     found = list[Key]()
     for one, other in itertools.product(ranked, repeat=2):
         new, old = {*other.names} - {*one.names}, {*one.names} - {*other.names}
         if old == {key} and len(new) == 1 and one.kind == other.kind:
-            both = one.hypothesis, other.hypothesis
-            is_same = abs(both[0].cost - both[1].cost) < both[0].rules.indifferent * both[0].scale
-            if is_same and len(both[0].added) == len(both[1].added):
+            least, margin = max(one.cost, other.cost), one.hypothesis.rules.indifferent * one.hypothesis.scale
+            is_same = abs(one.cost - other.cost) < margin < ended(ranked, {*one.names} - {key}) - least
+            if is_same and len(one.hypothesis.added) == len(other.hypothesis.added):
                 found += [one for one in new if one not in found]
     return found

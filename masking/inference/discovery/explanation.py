@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, discrepancy, fitting
+from masking.inference.discovery import compiled_laws, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -27,6 +27,13 @@ AT_ONCE, FEWEST = 4, 2  # fits between which it is asked whether the work ends, 
 ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
 
 
+class Unseen(NamedTuple):
+    """A hypothesis along unseen data."""
+
+    alone: Hypothesis  # by what was estimated before
+    within: Hypothesis  # with the parameters of the rig within the uncertainty that their record leaves
+
+
 @dataclass(frozen=True)
 class Explanation:
     """A hypothesis with what it is called and how it scores."""
@@ -36,7 +43,7 @@ class Explanation:
     hypothesis: Hypothesis  # fitted
     unique: float = 1.0  # unique fraction, the least part of an effect that parameters could not have
     move: str = "parameters within their priors"  # what suggested it
-    unseen: Hypothesis | None = None  # the hypothesis on a validation record, where it has been simulated there
+    unseen: Unseen | None = None  # the hypothesis on a validation record, where it has been simulated there
 
     @property
     def cost(self) -> float:
@@ -110,15 +117,20 @@ def nearest(explanations: Iterable[Explanation]) -> Hypothesis:
 def in_both(explanations: Sequence[Explanation]) -> list[float]:
     """-2 log evidence of explanations in their record and in unseen data, where all have been simulated there.
 
-    That is the score, and the likelihood of unseen data with what was estimated before them.
+    That is the score, and the likelihood of unseen data by what was estimated before them, as uncertain as that is.
     Source: Dawid (1984), J. R. Stat. Soc. A 147(2), 278-292, for the likelihood of what comes by what came before.
     """
-    like, later = nearest(explanations), [one.unseen for one in explanations if one.unseen is not None]
+    like, later = nearest(explanations), on_unseen(explanations)
+    return [one.score(like) + unseen for one, unseen in zip(explanations, later, strict=True)]
+
+
+def on_unseen(explanations: Sequence[Explanation]) -> list[float]:
+    """-2 log likelihood of unseen data, see `in_both`; 0 where not all explanations have been simulated there."""
+    later = [one.unseen.within for one in explanations if one.unseen is not None]
     if len(later) < len(explanations):
-        return [one.score(like) for one in explanations]
-    other = fitting.nearest(later).independent
-    misfits = (discrepancy.misfit(unseen.misfits, other) for unseen in later)
-    return [one.score(like) + unseen for one, unseen in zip(explanations, misfits, strict=True)]
+        return [0.0] * len(explanations)
+    like = fitting.nearest(later)
+    return [one.misfit(like) for one in later]
 
 
 def ended(table: Sequence[Explanation], names: Iterable[Key]) -> float:

@@ -69,6 +69,11 @@ class Hypothesis:
         return 1.0 / float(discrepancy.weights(self.misfits, self.independent).min())
 
     @property
+    def as_given(self) -> Hypothesis:
+        """Hypothesis whose parameters are given: their prior is no part of its likelihood."""
+        return replace(self, pull=0.0)
+
+    @property
     def creeping(self) -> Hypothesis:
         """Hypothesis with smooth laws in the place of those that stick."""
         return replace(self, instances=tuple(instance.creeping for instance in self.instances))
@@ -280,6 +285,20 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float =
         if found.cost < STUCK * record.readings.size:
             break
     return found
+
+
+def predicted(problem: EstimationProblem, known: Hypothesis, alone: Hypothesis) -> Hypothesis:
+    """Hypothesis on unseen data, with the parameters of the rig as uncertain as its own record leaves them.
+
+    The effects are as they were found. `alone` is what `validated` gives: the parameters go from there.
+    Source: Gelman et al. (2013), Bayesian Data Analysis, section 6.3, for predictions as uncertain as parameters are.
+    """
+    prior, size = problem.prior, known.deviations[: len(known.theta)]
+    deviation = np.where(size > 0.0, np.minimum(size, prior.deviation), prior.deviation)
+    wider = replace(problem, prior=replace(prior, mean=known.theta, deviation=deviation))
+    fixed = tuple(replace(one, free=()) for one in known.instances)
+    made, stays = solved(wider, Begun(fixed, known.theta, alone.start), rounds=continuation.ROUNDS), alone.as_given
+    return made if made is not None and made.misfit(made) < stays.misfit(made) else stays
 
 
 def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:

@@ -19,9 +19,9 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import discrepancy, fitting, verdict
+from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.explanation import Explanation, in_both, nearest
+from masking.inference.discovery.explanation import Explanation, Unseen, in_both, nearest, on_unseen
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
@@ -43,26 +43,28 @@ class Given:
 
     rivals: tuple[Explanation, ...]  # the explanations that it was chosen from, itself first
     explanation: Explanation  # the prior holds what the record hardly determines
-    after: Hypothesis  # the explanation on the validation record
+    unseen: Unseen  # the explanation on the validation record
     withheld: Withheld | None = None  # what was worse on that, and came before
     # relative error of each sensor there of a fit to the estimation record alone, where it is fitted to both
     alone: dict[str, float] | None = None
 
 
-def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Explanation, ...]:
+def likeliest(found: SearchResult, base: Explanation, validation: EstimationProblem) -> tuple[Explanation, ...]:
     """Explanations that are nearly as good as the best and those that lack causes of these, the likeliest in both.
 
-    None has a cause in doubt, and each cause makes a part of the error on unseen data.
+    The best is one whose causes imitate no other law; those that do are given only where they leave far less. None has
+    a cause in doubt, and each cause makes a part of the error on unseen data. `base` is the model without causes,
+    simulated along these.
     """
     problem, like, near = found.problem, nearest(found.ranked), list[Explanation]()
 
-    def simulated(one: Explanation) -> bool:
+    def is_simulated(one: Explanation) -> bool:
         doubt = _doubt(one, problem)
         if doubt:
             problem.trace.refuse(one.names, doubt)
             return False
         with suppress(IntegrationError):  # one whose motion ends in the other record is no answer
-            near.append(replace(one, unseen=fitting.validated(validation, one.hypothesis)))
+            near.append(base if one is found.base else simulated(one, validation))
             return True
         return False
 
@@ -70,27 +72,45 @@ def likeliest(found: SearchResult, validation: EstimationProblem) -> tuple[Expla
     for one in found.ranked:
         if one.score(like) > most or len(near) >= problem.rules.most_fits:
             others.append(one)
-        elif simulated(one):
+        elif is_simulated(one) and not _imitates(one, problem):
             most = min(most, one.score(like) + problem.rules.validation_margin)
 
-    def is_part(simple: Explanation, richer: Explanation) -> bool:
-        return {*simple.names} < {*richer.names} or simple.is_inside(richer)
-
     for one in others:
-        if any(is_part(one, richer) for richer in near):
-            simulated(one)
+        if any(_is_part(one, richer) for richer in near):
+            is_simulated(one)
 
     def is_idle(richer: Explanation) -> bool:
-        rules = problem.rules  # causes that imitate another law are worth a name only where they leave far less
-        most = rules.much_less**2 if are_composite(richer.names, problem.rig, rules) else 1.0 - rules.gain_fraction
-        simpler = (one for one in near if is_part(one, richer))
+        rules, imitates = problem.rules, _imitates(richer, problem)
+        most = rules.much_less**2 if imitates else 1.0 - rules.gain_fraction
+        simpler = (one for one in near if _is_part(one, richer) or (imitates and _is_plainer(one, richer, problem)))
         return any(_does_nearly_as_much(one, richer, most) for one in simpler)
 
     idle = [*filter(is_idle, near)]
     for one in idle:
         problem.trace.refuse(one.names, "a simpler one leaves hardly more of unseen data")
     sound = [one for one in near if not any(one is other for other in idle)]
-    return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (found.base,)
+    return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (base,)
+
+
+def _imitates(one: Explanation, problem: EstimationProblem) -> bool:
+    """Whether causes imitate another law, and are worth a name only where they leave far less than others."""
+    return are_composite(one.names, problem.rig, problem.rules)
+
+
+def _is_part(simple: Explanation, richer: Explanation) -> bool:
+    return {*simple.names} < {*richer.names} or simple.is_inside(richer)
+
+
+def _is_plainer(one: Explanation, richer: Explanation, problem: EstimationProblem) -> bool:
+    return 0 < len(one.names) < len(richer.names) and not _imitates(one, problem)
+
+
+def simulated(one: Explanation, validation: EstimationProblem) -> Explanation:
+    """Explanation along unseen data; errors as `fitting.fit`."""
+    alone = fitting.validated(validation, one.hypothesis)
+    is_noise = verdict.reaches_noise(float(alone.misfits.sum()), alone.residuals.size, validation.rules)
+    within = alone.as_given if is_noise else fitting.predicted(validation, one.hypothesis, alone)
+    return replace(one, unseen=Unseen(alone, within))
 
 
 def weights(rivals: Sequence[Explanation]) -> list[float]:
@@ -99,12 +119,8 @@ def weights(rivals: Sequence[Explanation]) -> list[float]:
     Where the first leaves more than noise, one that leaves less of unseen data is as likely: what only the record says
     against that may be what both lack.
     """
-    scores, unseen = in_both(rivals), [one.unseen for one in rivals if one.unseen is not None]
-    first = rivals[0].hypothesis
-    is_noise = verdict.reaches_noise(first.cost, first.residuals.size, first.rules)
-    if len(unseen) == len(rivals) and not is_noise:
-        like = fitting.nearest(unseen).independent
-        left = [discrepancy.misfit(one.misfits, like) for one in unseen]
+    scores, left, first = in_both(rivals), on_unseen(rivals), rivals[0].hypothesis
+    if not verdict.reaches_noise(first.cost, first.residuals.size, first.rules):
         most = left[0] - first.rules.indifferent
         scores = [min(score, scores[0]) if other < most else score for score, other in zip(scores, left, strict=True)]
     return [float(one) for one in verdict.probabilities(scores)]
@@ -117,8 +133,8 @@ def _does_nearly_as_much(simple: Explanation, richer: Explanation, most: float) 
     """
     if simple.unseen is None or richer.unseen is None:
         return False
-    size, rules = richer.unseen.residuals.size, simple.hypothesis.rules
-    left, more = (float(one.misfits.sum()) for one in (simple.unseen, richer.unseen))
+    size, rules = richer.unseen.within.residuals.size, simple.hypothesis.rules
+    left, more = (float(one.within.misfits.sum()) for one in (simple.unseen, richer.unseen))
     if not verdict.is_excess(max(left, more), size, rules):
         return False
     return verdict.excess_cost(more, size) > most * verdict.excess_cost(left, size)
@@ -138,29 +154,27 @@ def no_worse(
 ) -> Given:
     """First explanation that is no worse on unseen data than the model as declared.
 
-    Tried are rivals, the model with adjusted parameters, and the model as declared, which is no worse than itself and
-    `before` on the validation record.
+    Tried are rivals, the model with adjusted parameters, both simulated along unseen data as far as their motion is
+    finite there, and the model as declared, which is no worse than itself and `before` on the validation record.
     """
     withheld, declared = None, float(before.squares @ unseen.weights)
     for rivals in tried[:-1]:
-        chosen, alone = rivals[0], None
+        chosen, later, alone = rivals[0], rivals[0].unseen, None
         causes = tuple(Cause(*key) for key in chosen.names)
-        try:
-            after = chosen.unseen or fitting.validated(unseen, chosen.hypothesis)
-        except IntegrationError:
+        if later is None:
             withheld = withheld or Withheld(causes, None)
             continue
         made = None
         with suppress(IntegrationError):
-            made = _pooled(chosen, after, problem, unseen)
+            made = _pooled(chosen, later.alone, problem, unseen)
         if made is not None:
-            alone = unseen.errors(after.squares)
-            chosen, after = made
-        cost = float(after.squares @ unseen.weights)
-        if not verdict.is_worse(cost, declared, after.residuals.size, problem.rules):
-            return Given(rivals, chosen, after, withheld, alone)
-        withheld = withheld or Withheld(causes, unseen.errors(after.squares))
-    return Given(tried[-1], tried[-1][0], before, withheld)
+            alone = unseen.errors(later.alone.squares)
+            chosen, later = made[0], Unseen(made[1], made[1])
+        cost, size = float(later.alone.squares @ unseen.weights), later.alone.residuals.size
+        if not verdict.is_worse(cost, declared, size, problem.rules):
+            return Given(rivals, chosen, later, withheld, alone)
+        withheld = withheld or Withheld(causes, unseen.errors(later.alone.squares))
+    return Given(tried[-1], tried[-1][0], Unseen(before, before), withheld)
 
 
 def _pooled(

@@ -13,7 +13,6 @@ from functools import partial
 
 from masking.inference.discovery import fitting, shooting_intervals
 from masking.inference.discovery.explanation import Explanation
-from masking.inference.discovery.freer_shapes import freer_shapes
 from masking.inference.discovery.from_afar import from_afar
 from masking.inference.discovery.ground import Ground, Tell
 from masking.inference.discovery.one_more_cause import one_more_cause
@@ -28,7 +27,6 @@ from masking.inference.discovery.wrong_parameters import several_parameters, wro
 
 MOVES = (
     richer_laws,
-    freer_shapes,
     other_causes,
     simpler_explanations,
     wrong_parameters,
@@ -139,7 +137,8 @@ class Search:
         near = [one for one in ground.ranked(self.table) if one.kind == "effects" and one.cost <= most]
         jobs = [partial(_repeated, self.ground.problem, one) for one in near[: ground.rules.most_fits]]
         others = [one for one in self.table if one.kind != "effects"]
-        self.table = [*others, *self.ground.noted("finer steps", jobs, min(one.cost for one in others))]
+        far = [one for one in self.table if one.kind == "effects" and one.cost > most]  # steps change them by less
+        self.table = [*others, *far, *self.ground.noted("finer steps", jobs, min(one.cost for one in others))]
         self.resolved = None
         return True
 

@@ -28,6 +28,23 @@ def test_worse_is_more_than_chance_and_more_than_a_thousandth():
     assert is_worse(np.inf, 1.0, 10_000, RULES)
 
 
+def test_unseen_data_are_predicted_within_the_uncertainty_of_the_parameters(models):
+    """A frequency that two seconds give to a hundredth loses the phase of thirty; the true law stays possible there."""
+    rig = models["pendulum"]
+    known = fitting.fit(problem(rig, "pendulum", seconds=2.0, off=0.02, noise=5e-3, driven=False))
+    other = problem(rig, "pendulum", seconds=30.0, off=0.02, noise=5e-3, driven=False, seed=1)
+    size = other.record.readings.size
+    alone = fitting.validated(other, known)
+    within = fitting.predicted(other, known, alone)
+    assert alone.misfits.sum() > 2.0 * size
+    assert within.misfits.sum() < (1.0 + 5.0 * np.sqrt(2.0 / size)) * size
+    assert within.pull < 4.0 * len(known.theta)
+    off = (within.theta - known.theta) / known.deviations[: len(known.theta)]
+    assert within.pull == pytest.approx(float(off @ off), rel=1e-6)
+    sure = replace(known, covariance=1e-12 * known.covariance)
+    assert fitting.predicted(other, sure, alone).misfits.sum() > 0.9 * alone.misfits.sum()
+
+
 def test_what_is_worse_on_unseen_data_is_not_given(models, tmp_path):
     """Of a drag that is there in the first part alone, what a fit makes of it is worse than nothing afterwards."""
     t = np.arange(1500) / 25.0
