@@ -8,3 +8,4 @@ COLUMNS = LAW, KIND, PLACE, FIRST, STATE = range(5)
 ELEMENT, ACTUATOR, SENSOR, INERTIA = range(4)
 # Columns of what a law writes, a row for its value and one for the rate of its state: this and its derivatives.
 VALUE, BY_DISPLACEMENT, BY_RATE, BY_STATE, BY_PARAMETER = range(5)
+NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives

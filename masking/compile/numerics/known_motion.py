@@ -12,12 +12,11 @@ import math
 
 from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, requires
-from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, VALUE
+from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, NEARLY_ZERO, VALUE
 from masking.compile.numerics.kernel_arguments import Blocks, Course, KnownMotion, Pieces, Sources
 from masking.compile.numerics.motion_sensitivities import take
 from masking.compile.numerics.runge_kutta import copy
 
-NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
 
 

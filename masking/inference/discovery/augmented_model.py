@@ -10,36 +10,27 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import jacobian
-from masking.compile.numerics.arrays import Array, IntVector
+from masking.compile.numerics.arrays import Array, IntMatrix, IntVector
 from masking.compile.numerics.effect_table import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
 from masking.compile.numerics.kernel_arguments import Course, Pieces
 from masking.compile.numerics.rig_sizes import PortSizes, whole_lanes
 from masking.control.rig.twin import LoweredTwin, Twin
 from masking.inference.discovery import compiled_laws as laws
-from masking.inference.discovery.places import Place, degrees, identifier, opened, taken
-from masking.inference.discovery.ports import Instances, followed, port, rates
+from masking.inference.discovery.places import Place, degrees, followed, identifier, opened, port, rates, taken
 from masking.inference.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
+from masking.lazy_imports import augmented_motion, kalman_kernels, known_motion
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
 from masking.model.declaration.expression import Expression
-from masking.model.effects import EFFECTS, FORCE, OFFSET, Effect
+from masking.model.effects import FORCE, OFFSET, Effect
 
-if TYPE_CHECKING:
-    from masking.compile.numerics import augmented_motion, kalman_kernels, known_motion
-else:
-    augmented_motion = lazy.load("masking.compile.numerics.augmented_motion", suppress_warning=True)
-    kalman_kernels = lazy.load("masking.compile.numerics.kalman_kernels", suppress_warning=True)
-    known_motion = lazy.load("masking.compile.numerics.known_motion", suppress_warning=True)
-
-NEARLY_ZERO = 1e-200  # the first state of an effect: powers of it have derivatives
 MOST_STATES = 6  # of effects together
 OWN_STATES = 2  # of effects together, up to which the columns of derivatives have code of their own size
 MOST_COLUMNS = 96  # features that are spread at once
@@ -61,19 +52,18 @@ class EffectInstance:
     known: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.effect != laws.DELAY:
-            left = list(self.entry.parameters.values())[len(self.values) :]
-            object.__setattr__(self, "values", (*self.values, *(parameter.value or 0.0 for parameter in left)))
+        left = list(self.entry.parameters.values())[len(self.values) :]
+        object.__setattr__(self, "values", (*self.values, *(parameter.value or 0.0 for parameter in left)))
 
     @property
     def entry(self) -> Effect:
         """Effect's entry in the dictionary."""
-        return self.known or EFFECTS[self.effect]
+        return self.known or laws.USUAL[self.effect]
 
     @property
     def where(self) -> str:
-        """Where the effect sits; a delay sits in the actuators."""
-        return "actuator" if self.effect == laws.DELAY else self.entry.where
+        """Kind of place in which the effect sits."""
+        return self.entry.where
 
     @property
     def estimated(self) -> tuple[float, ...]:
@@ -115,15 +105,13 @@ class EffectInstance:
     @property
     def begins(self) -> tuple[float, ...]:
         """How far from 0 its state may begin; 0 where it begins there, and nothing where it has none."""
-        if self.effect == laws.DELAY:
-            return ()
         values = dict(zip(self.entry.parameters, self.values, strict=True))
         return tuple(Expression(state.size or "0").evaluate(values) for state in self.entry.states.values())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
-        every = (laws.DEAD_TIME,) if self.effect == laws.DELAY else tuple(self.entry.parameters)
+        every = list(self.entry.parameters)
         return tuple(every[i] for i in self.free)
 
 
@@ -141,6 +129,25 @@ class Equations:
     squares: Array
     simulated: Array
     residuals: Array
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Tables of effect instances, as kernels read them."""
+
+    table: IntMatrix  # a row for each instance, those of sensors last (i, 5); columns as `numerics.effect_table` says
+    estimated: IntMatrix  # the column of each parameter in the normal equations, or -1 (i, parameters)
+    values: Array  # all parameters, one after the other
+    support: Array  # displacements, then rates, between which each acts, as `laws.support` has them (i, 4)
+    acting: IntVector  # places, then actuators, where an effect acts, by their numbers
+    late: Array  # delay of each actuator, s (actuators,)
+    late_columns: IntVector  # column of this delay, or -1 (actuators,)
+    states: int  # how many states the effects have
+
+    def known(self) -> Instances:
+        """Same with all parameters known: none has a column."""
+        estimated, late_columns = np.full_like(self.estimated, -1), np.full_like(self.late_columns, -1)
+        return replace(self, estimated=estimated, late_columns=late_columns)
 
 
 @dataclass(frozen=True)

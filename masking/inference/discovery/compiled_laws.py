@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import module_store
@@ -22,18 +20,14 @@ from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.effect_table import BY_DISPLACEMENT, BY_PARAMETER, BY_RATE, BY_STATE, VALUE
+from masking.lazy_imports import sympy as sp
 from masking.model import effects
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS, MOST_STATES
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Effect
 
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = lazy.load("sympy")
-
-WIDTH = 4 + MOST_PARAMETERS  # of a row: value, by displacement, by rate, by state, by each parameter
-FIRST_PARAMETER = 4
+WIDTH = BY_PARAMETER + MOST_PARAMETERS  # of a row
 LAW = "_law"
 SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
@@ -105,10 +99,17 @@ def support(effect: str, values: Sequence[float]) -> tuple[float, float, float, 
     return *EVERYWHERE, *EVERYWHERE
 
 
-DELAY = effects.DELAY.name  # has no expression: the commands are read earlier
 # What an effect takes from an element in whose place it stands: the whole displacement and the whole rate.
 ALL_TAKEN = {f"all_{x}": Effect(f"all_{x}", "", x, {}) for x in ("d", "d_rate")}
 DEAD_TIME = "tau"  # what is estimated of a delay, in s; a plant file has whole samples
+_LATE = replace(  # has no expression: the commands are read earlier
+    effects.DELAY,
+    parameters={DEAD_TIME: effects.EffectParameter("s", "dead time", bounds=(0.0, None))},
+    where="actuator",
+    grows_with=DEAD_TIME,
+)
+DELAY = _LATE.name
+USUAL: Mapping[str, Effect] = {**effects.EFFECTS, DELAY: _LATE}  # laws of the package, as they are fitted
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
@@ -157,11 +158,11 @@ def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[
         return graph.lower(Expression(expression, path=name).to_sympy(symbols), by_symbol)
 
     rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
-    wanted = {subject: 1, "d_rate": 2, **dict.fromkeys(effect.states, 3)}
+    wanted = {subject: BY_DISPLACEMENT, "d_rate": BY_RATE, **dict.fromkeys(effect.states, BY_STATE)}
     fixed = {*effect.parameters} - {*_FACTOR} if name in BASES else set[str]()  # knots are not estimated
-    wanted |= {p: FIRST_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
+    wanted |= {p: BY_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
     columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])
-    results = [(f"rows[{i}, 0]", node) for i, node in enumerate(rows)]
+    results = [(f"rows[{i}, {VALUE}]", node) for i, node in enumerate(rows)]
     results += [
         (f"rows[{i}, {column}]", node)
         for i, row in enumerate(columns)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy import fft
@@ -25,7 +26,7 @@ from masking.compile.numerics.arrays import Array
 
 BANDS = 3  # in an octave: as wide as a resonance with a tenth of critical damping
 COLOURED = 0.7  # of the samples that a residual was worth where a fit began, and back: those of its end count
-EXACT = 1e300  # independent samples of a likelihood without discrepancy
+EXACT = np.array(1e300)  # independent samples of a likelihood without discrepancy, of any record and sensor
 
 
 def independent(residuals: Array, readings: Array, sigma: Array, chance: float) -> Array:
@@ -76,19 +77,16 @@ def misfit(squares: Array, samples: Array) -> float:
     return float((np.minimum(squares, samples) + samples * np.log(beyond)).sum())
 
 
-def _none() -> Array:
-    return np.empty(0)
-
-
 @dataclass
 class Likelihood:
     """Likelihood as a fit goes on: weights follow the residual of the least cost, its colour is that of the first."""
 
-    is_exact: bool = False  # whether there is no discrepancy
-    samples: Array = field(default_factory=_none)  # independent samples of each record and sensor (records, sensors)
-    weights: Array = field(default_factory=_none)  # of squared residuals, over those by noise (records, sensors)
+    # independent samples of each record and sensor (records, sensors); those of the first residual if not given
+    samples: Array = field(default_factory=partial(np.empty, 0))
+    # of squared residuals, over those by noise (records, sensors)
+    weights: Array = field(default_factory=partial(np.empty, 0))
     least: float = np.inf  # cost so far
-    first: Array = field(default_factory=_none)  # squares over noise variances with which it began
+    first: Array = field(default_factory=partial(np.empty, 0))  # squares over noise variances with which it began
 
     def of(self, noise: Array) -> Array:
         """Weights of squared residuals, of those by noise (records, sensors)."""
@@ -107,7 +105,7 @@ class Likelihood:
         if not self.first.size:
             self.first = squares
         if not self.samples.size:
-            self.samples = np.full(squares.shape, EXACT) if self.is_exact else worth()
+            self.samples = worth()
         cost, times = misfit(squares, self.samples) + pull, 1.0
         if cost < self.least:
             before, self.least = self.weights if self.weights.size else np.ones_like(squares), cost

@@ -16,7 +16,6 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 from masking.model.declaration.expression import Expression
 
-UNKNOWN = 1e300  # travel of a place whose motion is not given
 OUTLIERS = 10  # readings that exclude nothing: a motion that passes a limit stays there longer
 REACH, POINTS = 10.0, 4001  # times the largest reading: the range of a law is that over these values of what is sensed
 
@@ -63,7 +62,7 @@ def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
 
 def _belies_its_name(problem: EstimationProblem, instance: EffectInstance, motion: Motion | None) -> bool:
     text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
-    known |= {"duration": len(problem.record) * problem.dt, "travel": UNKNOWN}
+    known |= {"duration": len(problem.record) * problem.dt, "travel": np.inf}  # where no motion is given, any
     if motion is not None and instance.where == "element":
         known["travel"] = float(np.ptp(motion.displacement[:, problem.rig.index(instance)]))
     return bool(text) and not Expression(text).evaluate(known) > 0.0

@@ -20,7 +20,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, Damping, Linearised, Minimum, Patience, System, minimise
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, continuation, discrepancy, excluded_laws
+from masking.inference.discovery import continuation, discrepancy, excluded_laws
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.discrepancy import Likelihood
 from masking.inference.discovery.problem import EstimationProblem
@@ -35,17 +35,32 @@ CONVERGED = 0.01  # of a difference of scores that separates nothing: what a fit
 IDLE = 50.0  # times what has converged: several steps that take less together are those of a law with corners
 STEADY = 1e-6  # part of the information on the best known initial state that others resist a step with
 BEHIND = 10.0  # times the cost of a rival, from which a fit with few rounds does not come near it
-COLOURS = 4  # fits of one colour at most
 DAMPING = Damping(1e-6, least=1e-13, most=1e8)
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """The rig with effects, fitted."""
+class Begun:
+    """Values that a fit begins from."""
 
-    instances: tuple[EffectInstance, ...]  # the effects with fitted values
+    instances: tuple[EffectInstance, ...]  # the effects with their values
     theta: Array  # parameters of the rig (k,)
     start: Array  # initial states of the shooting intervals (w, states)
+
+    @property
+    def added(self) -> Array:
+        """Free parameters of the effects (f,)."""
+        return estimated(self.instances)
+
+    @property
+    def cost(self) -> float:
+        """Cost as far as it is known: that of values which are not fitted may be 0."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Hypothesis(Begun):
+    """The rig with effects, fitted."""
+
     pull: float  # squares of parameters over the variance of their prior
     squares: Array  # of each sensor (sensors,)
     misfits: Array  # squared residuals over the variance of the noise, of each record and sensor (records, sensors)
@@ -77,11 +92,6 @@ class Hypothesis:
     def creeping(self) -> Hypothesis:
         """Hypothesis with smooth laws in the place of those that stick."""
         return replace(self, instances=tuple(instance.creeping for instance in self.instances))
-
-    @property
-    def added(self) -> Array:
-        """Free parameters of the effects (f,)."""
-        return estimated(self.instances)
 
     @property
     def deviations(self) -> Array:
@@ -139,14 +149,14 @@ def fit(
     shortest = cache(partial(_in_shortest, problem, begun))
 
     def is_behind() -> bool:
-        return shortest(frozen)[1] > BEHIND * rival
+        return shortest(frozen).cost > BEHIND * rival
 
     ended = partial(solved, problem, rounds=rounds, rival=rival, penalty=penalty, is_behind=is_behind)
     found, is_fresh = ended(begun, frozen=frozen), start is None and not frozen
     if is_fresh:  # the initial states that suit the parameters to begin from best count
         first = ended(begun, frozen=True)
         if first is not None and _better(first, found) is first:
-            found = _better(ended(Begun.at(first)), first)
+            found = _better(ended(first), first)
     known = frozen and start is not None  # near the states that are given
     for fixed in (False, True) if is_fresh else () if known else (frozen,):
         if found is None or _is_doubtful(problem, found, fresh=is_fresh and not fixed):
@@ -164,20 +174,6 @@ def _is_doubtful(problem: EstimationProblem, found: Hypothesis, *, fresh: bool) 
     return (fresh and continuation.rings(problem)) or continuation.loses_phase(problem, found.residuals)
 
 
-@dataclass(frozen=True)
-class Begun:
-    """Values that a fit begins from: effects, parameters of the rig (k,) and initial states (w, states)."""
-
-    instances: tuple[EffectInstance, ...]
-    theta: Array
-    start: Array
-
-    @classmethod
-    def at(cls, known: Hypothesis) -> Begun:
-        """Values of a hypothesis."""
-        return cls(known.instances, known.theta, known.start)
-
-
 def solved(
     problem: EstimationProblem,
     begun: Begun,
@@ -193,9 +189,10 @@ def solved(
     Args as in `fit`, but for:
         is_behind: whether no fit comes near the rival; asked once, where this one is far from it after many rounds.
     """
-    whole = _LeastSquares(problem, begun.instances, begun.start.copy(), frozen=frozen, penalty=penalty)
     try:
-        return whole.solve(begun.theta.copy(), rounds, rival, is_behind)
+        return _LeastSquares(
+            problem, begun.instances, begun.start, frozen=frozen, penalty=penalty, rival=rival, is_behind=is_behind
+        ).solve(begun.theta, rounds)
     except IntegrationError:
         return None
 
@@ -207,55 +204,53 @@ def _better(one: Hypothesis | None, other: Hypothesis | None) -> Hypothesis | No
     return other if other.misfit(like) < one.misfit(like) else one
 
 
-def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> tuple[Begun, float]:
-    """Fit to the first of a record in the shortest intervals, and what it costs; 0 if there are none."""
+def _in_shortest(problem: EstimationProblem, begun: Begun, frozen: bool) -> Begun:
+    """Fit to the first of a record in the shortest intervals; where it begins if there are none."""
     stage = next(continuation.stages(problem), problem)
-    return (begun, 0.0) if stage is problem else _in_part(next(continuation.parts(stage)), begun, frozen=frozen)
+    return begun if stage is problem else _in_part(next(continuation.parts(stage)), begun, frozen=frozen)
 
 
-def _in_part(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
-    """Fit to a part of a record in short intervals, whose initial states are guessed, and what it costs."""
-    samples = max(4, min(20, part.interval_samples // continuation.LINE))
-    return _at_stage(part, replace(begun, start=part.first_states(begun.theta, samples)), frozen=frozen)
+def _in_part(part: EstimationProblem, begun: Begun, *, frozen: bool) -> Begun:
+    """Fit to a part of a record in short intervals, whose initial states are guessed."""
+    samples = max(4, min(FIRST_READINGS, part.interval_samples // continuation.LINE))
+    start = part.first_states(begun.theta, samples)
+    return _at_stage(part, Begun(begun.instances, begun.theta, start), frozen=frozen)
 
 
-def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> tuple[Begun, float]:
-    """Fit in short intervals and what it costs; where it begins, and 0, if the motion is not finite there."""
-    found = solved(part, begun, rounds=continuation.ROUNDS, frozen=frozen)
-    return (begun, 0.0) if found is None else (Begun.at(found), found.cost)
+def _at_stage(part: EstimationProblem, begun: Begun, *, frozen: bool) -> Begun:
+    """Fit in short intervals; where it begins if the motion is not finite there."""
+    return solved(part, begun, rounds=continuation.ROUNDS, frozen=frozen) or begun
 
 
-def _continued(problem: EstimationProblem, first: tuple[Begun, float], *, frozen: bool, most: float) -> Begun | None:
+def _continued(problem: EstimationProblem, begun: Begun, *, frozen: bool, most: float) -> Begun | None:
     """Where a fit in growing shooting intervals ends; None if the intervals cannot be shorter, or it costs too much.
 
     It goes on from the fit to the first of the record in the shortest intervals. The least cost grows with the
     intervals, so that it ends at the first of them in which it costs more than `most`.
     """
-    stages, (begun, least) = [*continuation.stages(problem), problem], first
-    if len(stages) == 1 or least > most:
+    stages = [*continuation.stages(problem), problem]
+    if len(stages) == 1 or begun.cost > most:
         return None
     others = itertools.islice(continuation.parts(stages[0]), 1, None)  # the parameters are those of the first
-    every = np.concatenate([begun.start, *(_in_part(part, begun, frozen=True)[0].start for part in others)])
+    every = np.concatenate([begun.start, *(_in_part(part, begun, frozen=True).start for part in others)])
     for before, stage in itertools.pairwise(stages):
         every = continuation.grown(every, before, stage)
         if stage is not problem:
             part = next(continuation.parts(stage))
-            begun, least = _at_stage(part, replace(begun, start=every[: part.intervals]), frozen=frozen)
-            if least > most:
+            begun = _at_stage(part, Begun(begun.instances, begun.theta, every[: part.intervals]), frozen=frozen)
+            if begun.cost > most:
                 return None
             every[: part.intervals] = begun.start
-    return replace(begun, start=every)
+    return Begun(begun.instances, begun.theta, every)
 
 
-def together(
-    problem: EstimationProblem, other: EstimationProblem, known: Hypothesis, rival: float = np.inf
-) -> Hypothesis:
+def together(problem: EstimationProblem, other: EstimationProblem, known: Hypothesis) -> Hypothesis:
     """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
 
     The initial states that are found are those of both records, the residuals those of its own; the rest as in `fit`.
     """
     start = np.concatenate([known.start, validated(other, known).start])
-    return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta, MOST_ROUNDS, rival)
+    return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta)
 
 
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
@@ -305,9 +300,16 @@ def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta:
     """Cost of a hypothesis that is not fitted; infinite if its motion is not finite."""
     whole = _LeastSquares(problem, tuple(instances), start, frozen=True)
     try:
-        return whole.linearised(whole.unknowns(theta), Likelihood(is_exact=True)).cost
+        return whole.linearised(whole.unknowns(theta), Likelihood(discrepancy.EXACT)).cost
     except IntegrationError:
         return np.inf
+
+
+def foreseen(problem: EstimationProblem, begun: Begun) -> float:
+    """Cost where a fit would end if derivatives were everywhere as where it begins; errors as `fit`."""
+    whole = _LeastSquares(problem, begun.instances, begun.start)
+    at = whole.linearised(whole.unknowns(begun.theta), Likelihood(discrepancy.EXACT))
+    return at.cost - at.equations.step(DAMPING.least)[1]
 
 
 @dataclass(frozen=True)
@@ -323,6 +325,9 @@ class _LeastSquares:
     others: tuple[EstimationProblem, ...] = ()  # other records
     frozen: bool = False  # whether only initial states are estimated
     penalty: Array | None = None  # on the free parameters of the effects (f, f); None for none
+    # cost of another hypothesis, and whether no fit comes near it; as in `solved`
+    rival: float = np.inf
+    is_behind: Callable[[], bool] | None = None
 
     @property
     def records(self) -> tuple[EstimationProblem, ...]:
@@ -339,7 +344,7 @@ class _LeastSquares:
         rig, step = self.problem.rig, self.problem.dt / self.problem.substeps
         found = list[float]()
         for one in self.instances:
-            texts = {} if one.effect == compiled_laws.DELAY or one.sticks else one.entry.least
+            texts = {} if one.sticks else one.entry.least
             known = {"step": step, "mobility": rig.mobilities[one.at]} if texts else {}
             known |= zip(one.entry.parameters, one.values, strict=True) if texts else {}
             found += [Expression(texts[n]).evaluate(known) if n in texts else -np.inf for n in one.names]
@@ -390,19 +395,18 @@ class _LeastSquares:
         start[:, self.free] = moving.reshape(len(start), -1)
         return theta, added, inner, start
 
-    def solve(self, theta: Array, rounds: int, rival: float, is_behind: Callable[[], bool] | None = None) -> Hypothesis:
-        """Fitted hypothesis, from values of the rig's parameters (k,); the others as in `solved`.
+    def solve(self, theta: Array, rounds: int = MOST_ROUNDS) -> Hypothesis:
+        """Fitted hypothesis, from values of the rig's parameters (k,).
 
         It is fitted again from where it ends while its residual is worth more or fewer samples there.
         """
-        x, likelihood = self.unknowns(theta), Likelihood(is_exact=self.frozen)
-        for _ in range(COLOURS):
-            made = self._solved(x, likelihood, rounds, rival, is_behind)
+        x, likelihood = self.unknowns(theta), Likelihood(discrepancy.EXACT) if self.frozen else Likelihood()
+        is_settled = False
+        while not is_settled:
+            made = self._solved(x, likelihood, rounds)
             x, rounds, found, shared = made.x, rounds - made.rounds, made.at.extra, self.edges[1]
-            ended = found.independent
-            is_settled = likelihood.is_of(ended)
-            if is_settled or self.frozen or rounds < 1 or made.at.cost > likelihood.level(BEHIND * rival):
-                break
+            ended, is_behind = found.independent, made.at.cost > likelihood.level(BEHIND * self.rival)
+            is_settled = self.frozen or rounds < 1 or is_behind or likelihood.is_of(ended)
             likelihood = Likelihood(samples=ended, weights=discrepancy.weights(found.misfits, ended))
         theta, added, _, start = self.parts(x)
         parts = zip(self.instances, by_instance(self.instances, added), strict=True)
@@ -413,22 +417,22 @@ class _LeastSquares:
             self.problem.rules,
         )  # fmt: skip
 
-    def _solved(
-        self, x: Array, likelihood: Likelihood, rounds: int, rival: float, is_behind: Callable[[], bool] | None
-    ) -> Minimum[_Found]:
+    def _solved(self, x: Array, likelihood: Likelihood, rounds: int) -> Minimum[_Found]:
         """Where the method ends, from values of the unknowns (n,)."""
         rules, slow, costs, enough = self.problem.rules, 0, list[float](), CONVERGED * self.problem.rules.indifferent
 
         def wanted(now: float) -> float:
-            return rules.hopeless_fraction * max(now - likelihood.level(rival), 0.0)
+            return rules.hopeless_fraction * max(now - likelihood.level(self.rival), 0.0)
 
         def is_hopeless(now: float, tried: float) -> bool:
             nonlocal slow
             costs.append(now)
             slow = slow + 1 if now - tried < wanted(now) else 0
             is_idle = len(costs) > rules.hopeless_steps and costs[-1 - rules.hopeless_steps] - now < IDLE * enough
-            is_far = len(costs) == continuation.ROUNDS and now > likelihood.level(BEHIND * rival)
-            return slow == rules.hopeless_steps or is_idle or (is_far and is_behind is not None and is_behind())
+            is_far = len(costs) == continuation.ROUNDS and now > likelihood.level(BEHIND * self.rival)
+            return (
+                slow == rules.hopeless_steps or is_idle or (is_far and self.is_behind is not None and self.is_behind())
+            )
 
         prior, effects = self.problem.prior, bounds(self.instances)
         low = np.concatenate([prior.low, np.maximum(effects.low, self.steepest)])
@@ -506,9 +510,6 @@ def _joined(parts: Sequence[Equations], shared: int, inner: int) -> Equations:
 
 def bounds(instances: Sequence[EffectInstance]) -> Box:
     """Bounds of the free parameters of effects (f,); what is positive may at most double in a step."""
-    pairs: list[tuple[float | None, float | None]] = []
-    for instance in instances:
-        every = [] if instance.effect == compiled_laws.DELAY else [p.bounds for p in instance.entry.parameters.values()]
-        pairs += [(0.0, None)] if instance.effect == compiled_laws.DELAY else [every[i] for i in instance.free]
+    pairs = [one.entry.parameters[name].bounds for one in instances for name in one.names]
     low = np.array([-np.inf if a is None else a for a, _ in pairs])
     return Box(low, np.array([np.inf if b is None else b for _, b in pairs]), growing=True)

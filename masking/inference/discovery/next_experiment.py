@@ -1,12 +1,15 @@
 """Next experiment: the excitation that separates two explanations best, found by simulation.
 
 The rig with the one explanation is simulated under excitations within its limits; the other is fitted to what its
-sensors would read. The residual, in standard deviations of the noise, is how well the excitation separates them.
+sensors would read. The residual, in standard deviations of the noise, is how well the excitation separates them. What
+a fit would leave follows to first order from the derivatives of one simulation: the excitations that promise most are
+fitted, until none promises more than the best has, or as much simulation is done as the searches took.
 Source: Hunter and Reiner (1965), Technometrics 7(3), 307-323: designs for discriminating between two rival models.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,23 +20,21 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting
+from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.fitting import Begun, Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES
-from masking.inference.discovery.smoothing import modes
 from masking.inference.estimation.identification_data import Data
 from masking.lab import signals
 from masking.lab.records.input_hold import Hold
 
-# Times and frequencies of a rig whose slowest mode is between 0.5 and 5 Hz; they go with its decade.
-SECONDS = 30.0
-BANDS = ((0.05, 0.5), (0.5, 3.0), (3.0, 12.0))  # Hz
-PERIOD = 10.0  # s
-USUAL = 1.6  # Hz
-FACTORS = (1.0, 3.0)  # of the record's own size, as far as limits allow
+FACTORS = (3.0, 1.0)  # of the record's own size, as far as limits allow
+PERIODS, BANDS = 3, 3  # of a multisine in an experiment; of one kind, over all frequencies together
+FASTEST = 0.1  # highest frequency, of the rate of samples
 STEPS = "row of growing steps"
+
+Excitation = tuple[str, dict[str, Any], Array]  # what it is, its settings, and commands (m, actuators)
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,26 @@ def next_experiment(
     rates = _rates(problem.rig)
     if rates is None or not problem.rig.twin.actuators:
         return None
+    problem = replace(problem, work=problem.work.again())
     size = np.abs(problem.record.commands).max(axis=0)
-    most = np.maximum(FACTORS[-1] * size, 1e-12) if limits is None else limits
+    most = np.maximum(FACTORS[0] * size, 1e-12) if limits is None else limits
+    peaks = np.unique([np.minimum(factor * size, most) for factor in FACTORS], axis=0)[::-1]
 
-    def tried(name: str, settings: dict[str, Any], commands: Array) -> NextExperiment:
-        both = ((first, second), (second, first))
-        separation = min(_left(problem, commands, truth, other) for truth, other in both)
-        return NextExperiment(name, settings, separation, names, commands, problem.rules.separation)
+    def separation(commands: Array, *, fitted: bool) -> float:
+        ways = (first, second), (second, first)
+        return min(_left(problem, commands, truth, other, fitted=fitted) for truth, other in ways)
 
-    return max((tried(*one) for one in _possible(problem, size, most, rates)), key=lambda one: one.separation)
+    promised, best = list[tuple[float, Excitation]](), None
+    for one in _excitations(problem, peaks, rates):
+        if not promised or not problem.work.is_over:
+            promised.append((separation(one[2], fitted=False), one))
+    for foreseen, (name, settings, commands) in sorted(promised, key=lambda pair: -pair[0]):
+        if best is not None and (foreseen <= best.separation or problem.work.is_over):
+            break
+        parted = separation(commands, fitted=True)
+        if best is None or parted > best.separation:
+            best = NextExperiment(name, settings, parted, names, commands, problem.rules.separation)
+    return best
 
 
 def declared_limits(twin: Twin) -> Array | None:
@@ -99,29 +111,25 @@ def declared_limits(twin: Twin) -> Array | None:
     return np.array([declared[n].max * twin.size(declared[n].unit) / twin.size(ports[n].unit) for n in twin.actuators])
 
 
-def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis) -> float:
-    """Cost of one explanation on readings that the other one simulates."""
+def _left(problem: EstimationProblem, commands: Array, truth: Hypothesis, other: Hypothesis, *, fitted: bool) -> float:
+    """Cost of one explanation beyond that of another on readings that this simulates; 0 if the motion is not finite.
+
+    It is that of a fit, or of what derivatives foresee of it.
+    """
     hold: Hold = "first-order" if problem.rig.twin.measured_actuators else "zero-order"
-    nothing = np.zeros((len(commands), len(problem.sigma)))
+    nothing, start = np.zeros((len(commands), len(problem.sigma))), problem.rig.rest[None]
     record = Data("simulated", problem.record.rate, commands, nothing, hold=hold)
-    state = problem.rig.rest[None]
     free = replace(problem, record=record, interval=0)
     try:
-        made = free.equations(truth.theta, state, truth.instances, truth.added)
+        made = free.equations(truth.theta, start, truth.instances, truth.added, frozen=True)
         pretended = replace(free, record=replace(record, readings=made.simulated))
-        return fitting.fit(pretended, other.instances, theta=other.theta, start=state, rounds=12).cost
+        if not fitted:
+            return fitting.foreseen(pretended, Begun(other.instances, other.theta, start)) - truth.pull
+        rounds = continuation.ROUNDS
+        found = fitting.fit(pretended, other.instances, theta=other.theta, start=start, rounds=rounds)
     except IntegrationError:
         return 0.0
-
-
-def _pace(problem: EstimationProblem) -> float:
-    """Decade of the slowest mode of the rig over that of usual rigs; 1 of a rig that has no states."""
-    if not problem.rig.twin.state_names:
-        return 1.0
-    every = modes(problem.rig, problem.prior.mean)
-    speeds = np.abs(every[every.imag != 0.0] if (every.imag != 0.0).any() else every)
-    slowest = float(np.min(speeds[speeds > 0.0], initial=np.inf))
-    return float(10.0 ** np.round(np.log10(slowest / (2.0 * np.pi * USUAL)))) if np.isfinite(slowest) else 1.0
+    return found.cost - truth.pull
 
 
 def _rates(rig: AugmentedModel) -> dict[int, int] | None:
@@ -135,42 +143,35 @@ def _rates(rig: AugmentedModel) -> dict[int, int] | None:
     return found if {names[name] for name in twin.measured_actuators} <= {*found, *found.values()} else None
 
 
-def _possible(
-    problem: EstimationProblem, size: Array, most: Array, rates: Mapping[int, int]
-) -> Iterator[tuple[str, dict[str, Any], Array]]:
-    """Excitations in which each rate is that of its displacement; a step would have none."""
-    for name, settings, commands in _excitations(problem, size, most):
-        if rates and name == STEPS:
-            continue
-        made, stated = commands.copy(), dict(settings)
-        for rate, x in rates.items():
-            made[:, rate] = np.gradient(commands[:, x]) * problem.record.rate
-        if rates:
-            peaks = zip(problem.rig.twin.actuators, np.abs(made).max(axis=0), strict=True)
-            stated["peak"] = {actuator: float(f"{peak:.3g}") for actuator, peak in peaks}
-        yield name, stated, made
+def _excitations(problem: EstimationProblem, peaks: Array, rates: Mapping[int, int]) -> Iterator[Excitation]:
+    """Excitations with each row of peaks, in which each rate is that of its displacement; a step would have none."""
+    actuators, t = problem.rig.twin.actuators, np.arange(len(problem.record)) / problem.record.rate
+    for row in peaks:
+        for name, ends, waves in _waves(t, len(actuators)):
+            commands, stated = waves * row, row.copy()
+            for rate, x in rates.items():
+                commands[:, rate] = np.gradient(commands[:, x]) * problem.record.rate
+                stated[rate] = np.abs(commands[:, rate]).max()
+            if not (rates and name == STEPS):
+                peak = {actuator: float(f"{value:.3g}") for actuator, value in zip(actuators, stated, strict=True)}
+                yield name, {"peak": peak, **ends, "seconds": len(t) / problem.record.rate}, commands
 
 
-def _excitations(problem: EstimationProblem, size: Array, most: Array) -> Iterator[tuple[str, dict[str, Any], Array]]:
-    rate, actuators, pace = problem.record.rate, problem.rig.twin.actuators, _pace(problem)
-    seconds, period = SECONDS / pace, PERIOD / pace
-    t = np.arange(round(seconds * rate)) / rate
-    for factor in FACTORS:
-        peaks = np.minimum(factor * size, most)
-        peak_of = {name: float(f"{peak:.3g}") for name, peak in zip(actuators, peaks, strict=True)}
-        for low, high in ((pace * low, pace * high) for low, high in BANDS if pace * high < 0.5 * rate):
-            lines = np.arange(max(1, round(low * period)), round(high * period) + 1)
-            columns = []
-            for i in range(len(actuators)):
-                own = lines[i :: len(actuators)] if len(lines) >= len(actuators) else lines
-                phases = signals.schroeder_phases(np.ones(len(own)))
-                wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
-                columns.append(wave / np.abs(wave).max())
-            ends = {"lowest": f"{lines[0] / period:g} Hz", "highest": f"{lines[-1] / period:g} Hz"}
-            yield "multisine", {"peak": peak_of, **ends, "seconds": seconds}, np.array(columns).T * peaks
-        shape = np.interp(t / seconds, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-        shifted = [np.roll(shape, i * len(t) // len(actuators)) for i in range(len(actuators))]
-        yield "ramp", {"peak": peak_of, "seconds": seconds}, np.array(shifted).T * peaks
-        turns = np.outer(t / seconds, 6.0 + 2.0 * np.arange(len(actuators)))
-        steps = np.sign(np.sin(2.0 * np.pi * turns)) * (t / seconds)[:, None]
-        yield STEPS, {"peak": peak_of, "seconds": seconds}, steps * peaks
+def _waves(t: Array, many: int) -> Iterator[Excitation]:
+    """Shapes of excitations of some actuators (m, many) over time, whose peak is 1, and their frequencies."""
+    seconds = len(t) * t[1]
+    period = seconds / PERIODS
+    ends = np.geomspace(1.0, max(FASTEST * period / t[1], 2.0), BANDS + 1).round().astype(int)
+    for low, high in itertools.pairwise(ends):
+        lines, columns = np.arange(low, high + 1), []
+        for i in range(many):
+            own = lines[i::many] if len(lines) >= many else lines
+            phases = signals.schroeder_phases(np.ones(len(own)))
+            wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
+            columns.append(wave / np.abs(wave).max())
+        stated = {"lowest": f"{low / period:.2g} Hz", "highest": f"{high / period:.2g} Hz"}
+        yield "multisine", stated, np.array(columns).T
+    shape = np.interp(t / seconds, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    yield "ramp", {}, np.array([np.roll(shape, i * len(t) // many) for i in range(many)]).T
+    turns = np.outer(t / seconds, 6.0 + 2.0 * np.arange(many))
+    yield STEPS, {}, np.sign(np.sin(2.0 * np.pi * turns)) * (t / seconds)[:, None]

@@ -1,5 +1,7 @@
 """Places: where an effect may sit in a model: its elements, each coordinate, and between each two coordinates.
 
+A port at a place lets effects act on the compiled model there; what these follow are nodes of its graph.
+
 What a force moves by itself is a degree: a coordinate, and without one an internal state or an output that elements act
 on. Each has a place, by whose force the model error there is reported, even where no law can sit in it.
 
@@ -11,15 +13,18 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from masking.compile.codegen.graph import Node
+from masking.compile.codegen.tangent import derivatives
+from masking.control.rig.twin import LoweredTwin
 from masking.errors import DeclarationError, Problem
 from masking.model.declaration import couplings
 from masking.model.declaration.checks import equation_of, no_equation
 from masking.model.declaration.dimensions import displacement_dimension, force_dimensions, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.schema import Element, ModelDeclaration, Parameter
+from masking.model.declaration.schema import EffectUse, Element, ModelDeclaration, Parameter
 from masking.model.declaration.units import Dimension, describe, dimension_of
 from masking.model.effects import Directed, Effect
 
@@ -118,13 +123,11 @@ def _directed(model: ModelDeclaration, forces: Mapping[str, Dimension | None]) -
 
 
 def _inputs_of(model: ModelDeclaration, name: str) -> set[str]:
+    """Inputs that the force on a coordinate, or its equation, holds, by way of definitions too."""
     left = equation_of(model, name)
-    acting = [model.forces[name]] if name in model.forces else [model.equations[left]] if left is not None else []
-    seen, pending = set[str](), set().union(*(expression.names for expression in acting))
-    while pending:
-        seen |= pending
-        pending = set().union(*(model.definitions[n].names for n in pending & {*model.definitions})) - seen
-    return seen & {*model.inputs}
+    acting = model.forces.get(name) or (None if left is None else model.equations[left])
+    names = frozenset[str]() if acting is None else acting.names
+    return {u for u in model.inputs if names & {u, *couplings.definitions_with(model, {u})}}
 
 
 def both_of(place: str) -> tuple[str, ...]:
@@ -164,6 +167,35 @@ def taken(element: str) -> tuple[str, str]:
 def identifier(name: str) -> str:
     """Name of an element for a place, such as `x1_x2` for x1-x2, and `x1_on_x2` for "x1 on x2"."""
     return f"{name}_place" if name.isidentifier() else re.sub("[- ]", "_", name)
+
+
+def followed(lowered: LoweredTwin, places: Sequence[Place]) -> list[Node]:
+    """Displacement of each place as a node; 0 where it has none."""
+    equations, zero = lowered.equations.equations, lowered.graph.number(0.0)
+    every = [place.element.displacement for place in places]
+    return [zero if one is None else lowered.equations.lower(equations.symbolic(one)) for one in every]
+
+
+def rates(lowered: LoweredTwin, places: Sequence[Place], loads: Mapping[str, str]) -> list[Node]:
+    """Rate of each place as a node: as declared, or by the chain rule from coordinates; 0 where unknown."""
+    graph, equations = lowered.graph, lowered.equations.equations
+    moving = len(equations.coordinates)
+    velocities = [graph.symbol(loads[f"y[{moving + i}]"], varying=True) for i in range(moving)]
+    positions = [graph.symbol(loads[f"y[{i}]"], varying=True) for i in range(moving)]
+    found = []
+    for place, row in zip(places, derivatives(graph, followed(lowered, places), positions), strict=True):
+        if place.element.rate is not None:
+            found.append(lowered.equations.lower(equations.symbolic(place.element.rate)))
+        elif place.has_rate:
+            found.append(graph.total([graph.mul(by, v) for by, v in zip(row, velocities, strict=True)]))
+        else:
+            found.append(graph.number(0.0))
+    return found
+
+
+def port(effect: Effect, at: str) -> EffectUse:
+    """Effect at a place, with factors of 0, by which others act there."""
+    return EffectUse(effect=effect.name, at=(at,), parameters=dict.fromkeys(effect.factors, 0.0))
 
 
 def is_of_one(displacement: Expression | None, coordinates: Collection[str]) -> bool:

@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.compile.numerics.effect_table import NEARLY_ZERO
 from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.errors import IntegrationError
-from masking.inference.discovery.augmented_model import NEARLY_ZERO, AugmentedModel, EffectInstance, Equations
+from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance, Equations
 from masking.inference.discovery.discrepancy import independent
 from masking.inference.discovery.prior import Prior
 from masking.inference.discovery.rules import RULES, DecisionRules
@@ -22,7 +23,6 @@ from masking.inference.estimation.identification_data import Data, is_first_orde
 from masking.inference.estimation.initial_states import FIRST_READINGS, guessed_state
 from masking.inference.estimation.sensitivity import symmetric, terms
 from masking.inference.estimation.simulation import relative
-from masking.model.effects import DELAY
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,10 @@ class EstimationProblem:
 
     def spreads(self, instance: EffectInstance) -> list[float]:
         """Standard deviation among instruments of each estimated parameter of an effect; infinite without one."""
-        twin, where = self.rig.twin, instance.where
-        if instance.effect == DELAY.name or where == "element":
+        tables = {"sensor": self.record.readings, "actuator": self.record.commands}
+        if not instance.at or instance.where not in tables:  # a delay of all actuators has none
             return [np.inf] * len(instance.free)
-        names, table = (
-            (twin.sensors, self.record.readings) if where == "sensor" else (twin.actuators, self.record.commands)
-        )
-        largest = float(np.abs(table[:, names.index(instance.at)]).max())
+        largest = float(np.abs(tables[instance.where][:, self.rig.index(instance)]).max())
         return [instance.entry.parameters[name].deviation(largest) for name in instance.names]
 
     def independent(self, residuals: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
 from masking.inference.discovery import fitting
+from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -90,19 +91,17 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
     least are those of the model alone.
     """
 
-    def begun(number: int) -> tuple[EstimationProblem, fitting.Begun]:
+    def begun(number: int) -> tuple[EstimationProblem, list[EffectInstance]]:
         fine = replace(problem, substeps=number)
-        instances = tuple(problem.rig.at_step(one, fine.dt / number) for one in found.instances)
-        return fine, fitting.Begun(instances, found.theta, found.start)
+        return fine, [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
 
     def simulated(number: int) -> Array:
-        fine, one = begun(number)
-        added = fitting.estimated(one.instances)
-        return fine.equations(one.theta, one.start, one.instances, added, frozen=True).simulated
+        fine, instances = begun(number)
+        return fine.equations(found.theta, found.start, instances, fitting.estimated(instances), frozen=True).simulated
 
     def residuals(number: int) -> Array:  # initial states that suit the steps may make up for them
-        fine, one = begun(number)
-        return fitting.fit(fine, one.instances, theta=one.theta, start=one.start, frozen=True).residuals
+        fine, instances = begun(number)
+        return fitting.fit(fine, instances, theta=found.theta, start=found.start, frozen=True).residuals
 
     rules, left = problem.rules, np.maximum(problem.sigma, np.sqrt((found.residuals**2).mean(axis=0)))
     most, allowed = rules.most_refinement * least, rules.law_error * left

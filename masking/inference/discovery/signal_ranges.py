@@ -17,8 +17,7 @@ REPLACED = (1.0, 0.3, 3.0)  # parts of an element's stiffness with which a law i
 SLOWEST, FASTEST = 0.05, 0.4  # tones: in Hz, one period in 20 s; of the sampling rate, as the smoother rolls off
 SAMPLED = 4.0  # samples in which the rms rate takes a place through the shortest pitch; bins of that
 MOST_PITCHES = 1000.0  # within the travel
-LINES = 4  # of a spectrum over displacement, for each pitch more within the travel
-WIDTH = 12  # lines on either side that are one tone: three of the record, just beyond the main lobe of the window
+LINES = 4  # of a spectrum for each that the record or the travel has
 OWN = 0.01  # of the strongest line of a motion: lines that are its own
 
 
@@ -45,7 +44,7 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
 
     In a free decay those are left out at which the motion itself is strong: a force there follows the motion.
     """
-    rules, rate, many = problem.rules, problem.record.rate, 4 * len(motion.forces)
+    rules, rate, many = problem.rules, problem.record.rate, LINES * len(motion.forces)
     power = _spectrum(motion.forces)
     if not problem.rig.twin.actuators and _decays(motion.displacement):
         moved = _spectrum(motion.displacement - motion.displacement.mean(axis=0))
@@ -54,7 +53,8 @@ def _tones(problem: EstimationProblem, motion: Motion) -> tuple[float, ...]:
         return ()
     frequencies = np.fft.rfftfreq(many, 1.0 / rate)
     power = np.where((frequencies > SLOWEST) & (frequencies < FASTEST * rate), power, 0.0)
-    return tuple(float(frequencies[i]) for i in _strongest(power, WIDTH, rules.tones))
+    beside = 3 * LINES  # just beyond the main lobe of the window
+    return tuple(float(frequencies[i]) for i in _strongest(power, beside, rules.tones))
 
 
 def _pitches(problem: EstimationProblem, x: Array, rate: Array, forces: Array) -> tuple[float, ...]:
@@ -85,9 +85,9 @@ def _strongest(power: Array, width: int, most: int) -> list[int]:
 
 
 def _spectrum(table: Array) -> Array:
-    """Power of columns (m, c) together, each over its variance, in four lines for each of the record."""
+    """Power of columns (m, c) together, each over its variance, in some lines for each of the record."""
     window, found = np.hanning(len(table))[:, None], table[:, table.var(axis=0) > 0.0]
-    power = np.abs(np.fft.rfft(found * window, 4 * len(table), axis=0)) ** 2
+    power = np.abs(np.fft.rfft(found * window, LINES * len(table), axis=0)) ** 2
     return np.asarray((power / found.var(axis=0)).sum(axis=1))
 
 

@@ -41,6 +41,10 @@ class Work:
         """Budget reserved for the final stage, a part of that of one search, whatever the searches have done."""
         return Work(part * self.most)
 
+    def again(self) -> Work:
+        """Budget of a further stage: as much as all searches of the answer have done."""
+        return Work(self.done if self.whole is None else self.whole.done)
+
     def add(self, steps: int, width: int) -> None:
         """Add a simulation, from any thread: steps of integration, and states and columns that each one moves."""
         with self._lock:
@@ -49,19 +53,14 @@ class Work:
             self.whole.add(steps, width)
 
     @property
-    def is_done(self) -> bool:
-        """Whether this alone is done, whatever others do that run beside it."""
-        return self.done > self.most
-
-    @property
     def is_over(self) -> bool:
         """Whether this is done, or what it is a part of."""
-        return self.is_done or (self.whole is not None and self.whole.is_over)
+        return self.done > self.most or (self.whole is not None and self.whole.is_over)
 
     def ends(self) -> bool:
         """Whether a search is to begin nothing more; that it was so is noted.
 
         It is asked where no other fit runs, so that the answer is the same each time.
         """
-        self.is_cut = self.is_cut or self.is_done or (self.whole is not None and self.whole.ends())
+        self.is_cut = self.is_over
         return self.is_cut

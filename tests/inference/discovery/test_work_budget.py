@@ -101,9 +101,9 @@ def test_searches_of_one_answer_share_what_it_may_do():
     first = Work.allowed(1000, 4)
     second, kept = first.another(), first.kept(0.5)
     second.add(int(0.2 * second.most), 1)
-    assert not second.is_done
+    assert not second.is_over
     second.add(int(first.most), 1)  # counts in the answer, too
-    assert second.is_done
+    assert second.is_over
     assert second.ends()
     assert not first.ends()
     first.add(int(0.6 * first.most), 1)
@@ -130,7 +130,7 @@ def test_fits_that_begin_where_the_work_of_the_whole_answer_is_over_are_fewer():
     answer = Work(100.0)
     search = Work(100.0, answer)
     answer.add(101, 1)  # by another search
-    assert not search.is_done
+    assert search.done == 0.0
     assert search.is_over
     found = fitted([partial(lambda number, _: number, i) for i in range(11)], 0.0, search)
     assert found == [*range(FEWEST), *[None] * (11 - FEWEST)]
