@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.candidates import Candidate, candidates
+from masking.inference.discovery.candidates import Candidate, candidates, spans
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
@@ -18,7 +18,6 @@ from masking.inference.discovery.motion_features import Kept
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.screening import Score, Screen
-from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Key
 

@@ -2,8 +2,8 @@
 
 The rig with the one explanation is simulated under excitations within its limits; the other is fitted to what its
 sensors would read. The residual, in standard deviations of the noise, is how well the excitation separates them. What
-a fit would leave follows to first order from the derivatives of one simulation: the excitations that promise most are
-fitted, until none promises more than the best has, or as much simulation is done as the searches took.
+a fit would leave follows to first order from the derivatives of one simulation: the excitations that separate most by
+these are fitted, until none separates more than the best fit does, or as much is simulated as the searches took.
 Source: Hunter and Reiner (1965), Technometrics 7(3), 307-323: designs for discriminating between two rival models.
 """
 
@@ -89,11 +89,11 @@ def next_experiment(
         ways = (first, second), (second, first)
         return min(_left(problem, commands, truth, other, fitted=fitted) for truth, other in ways)
 
-    promised, best = list[tuple[float, Excitation]](), None
+    looked_at, best = list[tuple[float, Excitation]](), None
     for one in _excitations(problem, peaks, rates):
-        if not promised or not problem.work.is_over:
-            promised.append((separation(one[2], fitted=False), one))
-    for foreseen, (name, settings, commands) in sorted(promised, key=lambda pair: -pair[0]):
+        if not looked_at or not problem.work.is_over:
+            looked_at.append((separation(one[2], fitted=False), one))
+    for foreseen, (name, settings, commands) in sorted(looked_at, key=lambda pair: -pair[0]):
         if best is not None and (foreseen <= best.separation or problem.work.is_over):
             break
         parted = separation(commands, fitted=True)

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
-from masking.inference.discovery import closed_form, fitting, free_law, further_places, signal_ranges, verdict
+from masking.inference.discovery import candidates, closed_form, fitting, free_law, further_places, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.closed_form import ClosedForm
 from masking.inference.discovery.coverage import Coverage
@@ -243,7 +243,7 @@ def _free_law(found: Explained) -> FreeLaw | None:
     beside = _better(law, free_law.fit(found, others) if others else None)
     if not beside.hypothesis.cost > most or problem.work.ends():
         return beside
-    further = further_places.of(problem.rig, beside.place.name, signal_ranges.time(found.search.motion))
+    further = further_places.of(problem.rig, beside.place.name, candidates.time(found.search.motion))
     named = [one for one in beside.hypothesis.instances if one.effect not in KINDS]
     return _better(beside, free_law.fit(found, named, further))
 

@@ -11,7 +11,7 @@ from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
 from masking.inference.discovery import discrepancy, fitting, shooting_intervals
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
-from masking.inference.discovery.candidates import candidates
+from masking.inference.discovery.candidates import candidates, spans
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, occam
 from masking.inference.discovery.ground import Ground
@@ -19,7 +19,6 @@ from masking.inference.discovery.places import opened, places
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
-from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import smooth
 from masking.inference.estimation.identification_data import Data

@@ -13,12 +13,11 @@ from masking.app import cli
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.candidates import candidates
+from masking.inference.discovery.candidates import candidates, spans
 from masking.inference.discovery.pairs_of_causes import pairs
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
-from masking.inference.discovery.signal_ranges import spans
 from masking.inference.discovery.smoothing import centred, smooth
 from masking.inference.estimation.identification_data import Data
 
