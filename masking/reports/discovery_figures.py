@@ -113,7 +113,7 @@ def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigu
     command = max(seen.actuators, key=lambda name: seen.actuators[name])
     column = found.record.acting[:, found.twin.actuators.index(command)]
     by, unit = parts.shown(pretty(latent.units[0]), latent.before)
-    times, name = parts.shown(pretty(latent_force.command_unit(found, command)), column)
+    times, name = parts.shown(pretty(latent_force.channel_unit(found, command, "actuator")), column)
     t, few = np.arange(len(latent.before)) / rate, slice(None, None, max(1, len(latent.before) // POINTS))
     pairs = [(latent.before, BEFORE, what)]
     if latent.after is not None and (found.effects or found.law):
@@ -153,7 +153,7 @@ def _coursed(found: Discovery, latent: latent_force.LatentForce, command: str) -
     if not any(seen.coordinates.values()):
         return f"The model error at {latent.place} is not beyond its deviation"
     sentence = capital(place_text.follows_command(seen, command))
-    place = next((place for place in seen.places if place.name == latent.place), None)
+    place = seen.places.get(latent.place)
     if place is None or not place.decomposition.regions:
         return sentence
     thirds = [energy for energy, _ in place.decomposition.regions["record"].values()]

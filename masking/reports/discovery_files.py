@@ -15,7 +15,7 @@ from typing import Any
 
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
-from masking.inference.discovery import compiled_laws
+from masking.inference.discovery import compiled_laws, latent_force
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Estimate, Named
 from masking.inference.discovery.places import identifier
@@ -215,7 +215,7 @@ def plant(found: Discovery, model_file: Path, origin: Origin, folder: Path) -> d
     for kind in ("sensors", "actuators"):
         for name, unit in _in_other_units(found, kind).items():
             entry = made[kind][name] | {"unit": unit}
-            by = factor_of(discovery_text.channel_unit(found, name, kind.removesuffix("s"))) / factor_of(unit)
+            by = factor_of(latent_force.channel_unit(found, name, kind.removesuffix("s"))) / factor_of(unit)
             entry |= {"range": [by * end for end in entry["range"]]} if "range" in entry else {}
             entry |= {"jump": by * entry["jump"]} if "jump" in entry else {}
             made[kind] = made[kind] | {name: entry}
@@ -308,7 +308,7 @@ def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
     doubt = found.unit
     if doubt is None or doubt.is_sign or doubt.kind == "clock":
         return {}
-    known = {name: discovery_text.channel_unit(found, name, doubt.kind) for name in doubt.names}
+    known = {name: latent_force.channel_unit(found, name, doubt.kind) for name in doubt.names}
     keys = {name: discovery_text.unit_key(found, doubt, name).partition(".")[0] for name in doubt.names}
     return {n: doubt.of_declared(known[n]) for n, where in keys.items() if not section or where == section}
 
@@ -325,7 +325,7 @@ def _in_found_units(found: Discovery, effects: Mapping[str, dict[str, Any]]) -> 
             made[label] = use | ({"at": [name for name in every if name not in here]} if here else {})
         for name in here:
             own = label if len(every) == 1 else _free(f"{label}_{name}", {*effects, *made})
-            units = discovery_text.channel_unit(found, name, found.unit.kind if found.unit else ""), others[name]
+            units = latent_force.channel_unit(found, name, found.unit.kind if found.unit else ""), others[name]
             values = {n: _rescaled(value, entry, n, units) for n, value in use.get("parameters", {}).items()}
             made[own] = use | {"at": name} | ({"parameters": values} if values else {})
     return made

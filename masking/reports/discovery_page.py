@@ -38,7 +38,7 @@ def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | N
 def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, folder: Path) -> str:
     """Page of a discovery whose files will lie in a folder; of figures without a picture it shows the caption."""
     open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
-    places = (place for place in discovery_text.model_error(found).places if place.share > LEAST)
+    places = (place for place in discovery_text.model_error(found).places.values() if place.share > LEAST)
     return html.render(
         "discovery",
         names={*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names},

@@ -279,7 +279,9 @@ def deciding_experiment(found: Discovery) -> str:
         return f"no excitation that was tried can tell {one} from {other}"
     most = np.abs(found.record.commands).max(axis=0)
     peaks = dict(zip(found.twin.actuators, most, strict=True))
-    sizes = [f"{n} up to {quantity(x, latent_force.command_unit(found, n))}" for n, x in coming.peaks.items()]
+    sizes = [
+        f"{n} up to {quantity(x, latent_force.channel_unit(found, n, 'actuator'))}" for n, x in coming.peaks.items()
+    ]
     sentence = f"a {coming.excitation} of {listed(sizes)}, {coming.pace}, would tell {one} from {other}"
     times = max(peak / max(peaks[name], 1e-300) for name, peak in coming.peaks.items())
     declared = found.twin.declaration.limits.inputs
@@ -391,7 +393,7 @@ def resemblance(found: Discovery) -> str:
     of_command = max(latent.actuators, key=lambda name: latent.actuators[name], default="")
     if of_command and latent.actuators[of_command] > max(MOST, place.explained):
         return f"{what} looks like a force: {follows_command(latent, of_command)}"
-    return f"{what} looks like a force of {quantity(force.size, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
+    return f"{what} looks like a force of {quantity(force.rms, unit, 2)} (rms) at {place.name}: {portrayed(place)}"
 
 
 def remaining_error(found: Discovery) -> LatentForces:
@@ -449,12 +451,6 @@ def units(found: Discovery, named: Named) -> dict[str, str]:
     return {name: pretty(unit) for name, unit in plain_units(found, named).items()}
 
 
-def channel_unit(found: Discovery, name: str, kind: str) -> str:
-    """Declared unit of a channel, of kind 'sensor' or 'actuator'."""
-    sensors = found.twin.declaration.sensors
-    return sensors[name].unit if kind == "sensor" else latent_force.command_unit(found, name)
-
-
 def plain_units(found: Discovery, named: Named) -> dict[str, str]:
     """Units of the parameters of a cause, such as N/m**3."""
     if named.name not in found.dictionary:
@@ -466,7 +462,7 @@ def plain_units(found: Discovery, named: Named) -> dict[str, str]:
         force, displacement, _ = latent_force.element_units(found.written_rig, named.on)
         known = {"F": force or "1", "D": displacement or "1", "s": "s" if displacement else "1"}
     else:
-        known = dict.fromkeys("SU", channel_unit(found, named.on, effect.where))
+        known = dict.fromkeys("SU", latent_force.channel_unit(found, named.on, effect.where))
     made = {n: combined(effect.parameters[n].unit, known) for n in named.parameters}
     if effect.is_inertia:  # kg, rather than N s²/m
         made = {n: describe(dimension_of(unit)) for n, unit in made.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -102,14 +103,9 @@ def laws_at(found: Discovery, latent: latent_force.LatentForce) -> list[EffectIn
 
 def along(found: Discovery, latent: latent_force.LatentForce, instances: Sequence[EffectInstance]) -> Array:
     """Sum of the causes at the place in view (m,): force, command or reading; of its latent force and its instances."""
-    law = np.zeros_like(latent.before)
-    motion, names = found.smoothed.before, [place.name for place in found.rig.places]
-    for instance in instances:
-        if latent.where == "element":
-            law += latent_force.along(found, instance, *motion.acted_on(instance.entry, names.index(latent.place)))
-        else:
-            law += latent_force.along(found, instance, latent.x, latent.rate) - latent.x
-    return law
+    known = latent_force.features(found, found.smoothed.before)
+    laws = (known.signal(replace(instance, at=latent.place))[0][:, 0] for instance in instances)
+    return sum(laws, np.zeros_like(latent.before))
 
 
 def share(latent: latent_force.LatentForce, law: Array | None) -> float:

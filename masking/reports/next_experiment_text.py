@@ -25,7 +25,7 @@ def further(found: Discovery) -> list[str]:
     """Experiments that would tell more of what no name explains, in sentences."""
     seen = found.localisation
     left, law = seen.residual or seen.latent, found.law
-    place = left.best if law is None else next(one for one in left.places if one.name == law.place)
+    place = left.best if law is None else left.places[law.place]
     rest = "the model error" if seen.residual is None else "the residual"
     is_known = law is not None and np.isfinite(law.coverage.band)
     made = [_of_law(found, law.coverage, law.free.place.name)] if law is not None and is_known else []
@@ -72,7 +72,7 @@ def _between(low: float, high: float, unit: str) -> str:
 
 def _of_rest(found: Discovery, place: LocatedForce, rest: str) -> Iterator[str]:
     """Records that would tell a memory, another place or a change with time from each other."""
-    parts, thirds = place.decomposition.parts, place.decomposition.regions.get("record", {})
+    parts, thirds = place.decomposition.energy, place.decomposition.regions.get("record", {})
     late = next((name for name, (part, time) in thirds.items() if part > max(MUCH * time, MOST)), None)
     if late is not None:
         yield (
@@ -97,7 +97,7 @@ def _of_places(found: Discovery, latent: LatentForces) -> Iterator[str]:
     def moves(name: str) -> Array:
         return motion.displacement[:, names.index(name)]
 
-    others = [one for one in latent.places if one is not best] if best.explained else []
+    others = [one for one in latent.places.values() if one is not best] if best.explained else []
     alike = [one.name for one in others if one.explained > EQUAL * best.explained]
     if not alike:
         return

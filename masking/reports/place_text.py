@@ -47,10 +47,10 @@ def dependences(latent: LatentForces) -> str:
 
 def portrayed(place: LocatedForce) -> str:
     """Dependences of a force at a place, its symmetry, its regions and the power that it takes."""
-    parts = place.decomposition.parts
+    force, parts = place.decomposition, place.decomposition.energy
     if parts is None:
         return "it is no larger than its uncertainty"
-    if place.decomposition.mean**2 > CONSTANT * place.decomposition.size**2:
+    if force.mean**2 > CONSTANT * force.rms**2:
         return "it hardly changes"
     of = {"the displacement": parts.displacement, "the rate": parts.rate, "displacement and rate together": parts.both}
     most_first = sorted(of.items(), key=lambda pair: -pair[1])
@@ -64,8 +64,8 @@ def portrayed(place: LocatedForce) -> str:
         rest = much(parts.neither)
         sentences.append(f"{rest} follows neither displacement nor rate: time, memory or another place matters")
     sentences.extend(regions(place))
-    if abs(place.decomposition.taken) > TAKEN:
-        way = ("takes", "out of") if place.decomposition.loss > 0.0 else ("puts", "into")
+    if abs(force.loss_part) > TAKEN:
+        way = ("takes", "out of") if force.loss > 0.0 else ("puts", "into")
         sentences.append(f"it {way[0]} {loss(place) or 'energy'} {way[1]} the motion")
     return "; ".join(sentences)
 
@@ -85,9 +85,9 @@ def loss(place: LocatedForce) -> str:
 def taken(place: LocatedForce) -> str:
     """Power that a force takes out of the motion, negative where it puts it in."""
     force = place.decomposition
-    if abs(force.taken) <= LITTLE:
+    if abs(force.loss_part) <= LITTLE:
         return "little"
-    size = loss(place) or f"{percent(abs(force.taken))} of the most"
+    size = loss(place) or f"{percent(abs(force.loss_part))} of the most"
     return f"{'-' if force.loss < 0.0 else ''}{size}"
 
 
@@ -108,7 +108,7 @@ def regions(place: LocatedForce) -> list[str]:
         return {name: part for name, (part, spent) in of[kind].items() if part > MUCH * spent}
 
     ends = [of["displacement"][name] for name in ("low", "high")]
-    (energy, time), parts = np.sum(ends, axis=0), place.decomposition.parts
+    (energy, time), parts = np.sum(ends, axis=0), place.decomposition.energy
     if energy > MUCH * time and energy > MOST and min(part / max(spent, 1e-9) for part, spent in ends) > 1.0:
         sentences.append("most of it is at the ends of the travel")
     else:

@@ -39,7 +39,7 @@ def test_the_summary_counts_what_is_said():
 
 def test_a_force_that_no_sensor_shows_has_no_part_in_those_that_one_does():
     forces = np.column_stack([np.zeros(5), np.arange(5.0)])
-    motion = Motion(NONE, forces, np.array([np.inf, 0.1]), NONE, NONE, NONE, NONE)
+    motion = Motion(NONE, forces, np.array([np.inf, 0.1]), NONE, NONE, NONE)
     seen, deviation = projected(motion, np.array([1.0, -1.0]))
     np.testing.assert_allclose(seen, -forces[:, 1])
     assert deviation == pytest.approx(0.1)

@@ -5,17 +5,19 @@ the two directions; what it takes out of the motion; and where in the travel, in
 the mean square, less that of what the force may be wrong by. What follows something is found on four fifths of a
 record and held against the rest, stretch by stretch in turn, so that noise follows nothing. Under one sine alone a
 force with a memory is a function of displacement and rate; it takes a motion of several sizes to tell it from one.
+Under periodic commands that hold odd multiples of a base only, a force that turns round with the motion has odd ones
+only, and one that does not has even ones. This needs no displacement, and sees what has a memory, too.
 Source: Hastie and Tibshirani (1986), Statistical Science 1(3), 297-310, for additive models; Pratt (1987), Dividing the
 indivisible, for parts that add up; Masri and Caughey (1979), J. Applied Mechanics 46, 433-447, for forces over the
-plane of displacement and rate.
+plane of displacement and rate; Pintelon and Schoukens, System Identification (2012), section 3.4, for harmonics.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +25,26 @@ from scipy import linalg
 
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
-from masking.display.json_text import plain
+from masking.display.json_text import Result
+from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces
+from masking.inference.procedures.frequency_response import Spectra, by_period
+from masking.inference.procedures.measured_response import repeats
 
 MOST = 10_000  # samples that are looked at; forces change slowly beside the samples of a long record
 STRETCHES, FOLDS = 100, 5  # most into which a record is cut; each fifth of them is held against the others
-KNOTS, FEW = 17, 9  # of the straight pieces of a curve over a range, and of a surface
-NARROW = 0.02  # of the largest rate: as far from rest there are two more knots, for what changes with the direction
-STIFF = 1e-3  # of the samples of a piece: what a bend weighs
+SIGN = 0.02  # of the largest rate: width of its sign, as the smoother rounds off what changes with the direction
+STIFF = 1e-3  # of the samples of a function: what a bend weighs
 CELLS = 12  # of the range of displacement and of rate: an even number has an edge at 0
 FEWEST = 4  # samples in a cell
 COVERED = 0.5  # part of the time that must be spent where the opposite is visited, too
 SEEN = 2.0  # of its deviation's square: a mean square below is not looked at
 FOLLOWS = 0.1  # part of the energy that displacement and rate must explain for a symmetry to be stated
 ENDS = (0.002, 0.998)  # quantiles of a range
+REPEATED = 1e-3  # of their size: commands that differ by less a period later repeat themselves
+PERIODS = 3  # at least: one to settle, and two to estimate the noise
+FEWEST_CYCLES = 3  # in a record, of a motion that has a frequency
+NEAR, LEAKAGE = 0.1, 2  # part of a frequency, and lines on either side by leakage, that are near it
+ONE = 0.7  # of the energy of a rate: a motion with more near one frequency has that
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -49,7 +58,7 @@ class Region(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Parts:
+class Parts(Result):
     """Parts of the energy of a force that follow its displacement, its rate, both together and neither; sum 1.
 
     What follows the displacement alone gives back what it takes. What follows neither has a memory, changes with time,
@@ -63,35 +72,38 @@ class Parts:
     both: float
     neither: float
     odd: float | None
+    json_names = ("displacement", "rate", "both", "neither", "odd", "even")
 
-    def as_dict(self) -> dict[str, Any]:
-        """Parts as JSON can hold them."""
-        return {**vars(self), "even": None if self.odd is None else 1.0 - self.odd}
+    @property
+    def even(self) -> float | None:
+        """Part of what follows displacement and rate that does not turn round with both."""
+        return None if self.odd is None else 1.0 - self.odd
 
 
 @dataclass(frozen=True)
-class ForceDecomposition:
+class ForceDecomposition(Result):
     """What a force looks like."""
 
-    size: float  # its root mean square
-    mean: float  # its mean
+    rms: float
+    mean: float
     deviation: float  # standard deviation of what it may be wrong by
     loss: float  # power that it takes out of the motion, its mean product with the rate
-    taken: float  # that, as a part of the most that a force of this size can take
-    parts: Parts | None  # of its energy; None where it is not beyond its deviation
-    regions: Mapping[str, Mapping[str, Region]]  # of travel, speed and record; none where parts are None
+    loss_part: float  # that, as a part of the most that a force of this size can take
+    energy: Parts | None  # None where it is not beyond its deviation
+    regions: Mapping[str, Mapping[str, Region]]  # of travel, speed and record; none where the energy has no parts
 
-    def as_dict(self) -> dict[str, Any]:
-        """Decomposition as JSON can hold it."""
-        return {
-            "rms": self.size,
-            "mean": self.mean,
-            "deviation": self.deviation,
-            "loss": self.loss,
-            "loss_part": self.taken,
-            "energy": plain(self.parts),
-            "regions": plain(self.regions),
-        }
+
+@dataclass(frozen=True)
+class Harmonics(Result):
+    """Parts of the mean square of a force under periodic commands, less its noise; the first period is left out."""
+
+    base: float  # frequency of the first multiple in Hz
+    periods: int  # that are used
+    only_odd: bool  # whether odd multiples alone are excited: `even` is then what does not turn round with the motion
+    # excited, even, odd: parts at excited multiples, and at others that are even, 0 included, or odd; sum 1
+    excited: float
+    even: float
+    odd: float
 
 
 def decompose(
@@ -127,28 +139,66 @@ def _rms(values: Array) -> float:
 def followed(x: Array, force: Array, cycle: int | None = None) -> float:
     """Mean square of the part of a force (m,) that is a function of x (m,); the cycle is that of `decompose`."""
     every, stretches = _thinned(x, cycle)
-    x, force = x[every], force[every]
-    rows, bend = _curve(x, _knots(x))
-    return _explained(force, _held_out(rows, bend, force, stretches)[:, 0])
+    x, force = _relative(x[every]), force[every]
+    return _explained(force, _held_out([[_spring(x)]], x, x, force, stretches))
 
 
-def _explained(force: Array, part: Array) -> float:
-    """Mean square that a force loses if its explained part is taken off; 0 if it gains."""
-    return max(float((force**2).mean() - ((force - part) ** 2).mean()), 0.0)
+def _explained(force: Array, parts: Array) -> float:
+    """Mean square that a force (m,) loses if its parts (m, c) are taken off; 0 if it gains."""
+    return max(float((force**2).mean() - ((force - parts.sum(axis=1)) ** 2).mean()), 0.0)
+
+
+def period(commands: Array) -> int | None:
+    """Samples after which commands (m, actuators) repeat themselves exactly; None where they do not."""
+    moving = commands[:, np.ptp(commands, axis=0) > 0.0]
+    return repeats(moving, REPEATED) if moving.size else None
+
+
+def harmonics(commands: Array, force: Array, length: int, rate: float) -> Harmonics | None:
+    """Harmonics of a force; None under three periods, or where they are no more than noise.
+
+    Args:
+        commands: that are periodic (m, actuators).
+        force: along them (m,).
+        length: samples of a period.
+        rate: samples per second.
+    """
+    if len(force) < PERIODS * length:
+        return None
+    tables = commands[None, :, np.ptp(commands, axis=0) > 0.0], force[None, :, None]
+    found = Spectra(rate, length, *(by_period(table, length) for table in tables))
+    spectrum = found.outputs[0, :, :, 0]
+    power = np.abs(spectrum.mean(axis=0)) ** 2 - spectrum.var(axis=0, ddof=1) / found.periods
+    power[0] *= 2.0  # the mean square of a sine is half of its amplitude squared, that of a constant all of it
+    excited, is_even = np.isin(np.arange(len(power)), found.excited), np.arange(len(power)) % 2 == 0
+    parts = np.array([max(float(power[at].sum()), 0.0) for at in (excited, ~excited & is_even, ~excited & ~is_even)])
+    whole = float(parts.sum())
+    if not whole > 0.0:
+        return None
+    return Harmonics(found.base, found.periods, bool((found.excited % 2 == 1).all()), *(parts / whole).tolist())
+
+
+def cycle(rate: Array, sampling: float) -> float | None:
+    """Frequency of a motion in Hz, where most of the energy of its rate (m,) is near one; None of others."""
+    power = np.abs(np.fft.rfft((rate - rate.mean()) * np.hanning(len(rate)))) ** 2
+    power[0] = 0.0
+    at, lines = int(np.argmax(power)), np.arange(len(power))
+    near = np.abs(lines - at) <= max(NEAR * at, LEAKAGE)
+    if at < FEWEST_CYCLES or not float(power[near].sum()) > ONE * float(power.sum()) > 0.0:
+        return None
+    return float((lines * power)[near].sum() / power[near].sum() * sampling / len(rate))
 
 
 def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indices) -> Parts:
-    (of_x, bend_x), (of_rate, bend_rate) = _curve(x, _knots(x)), _curve(rate, _knots_of_rate(rate))
-    split = of_x.shape[1]
-    alone = _held_out(np.hstack([of_x, of_rate]), linalg.block_diag(bend_x, bend_rate), force, stretches, split)
-    if np.ptp(x) == 0.0:  # of a displacement that is not known, the force follows none but a constant
-        total = alone.sum(axis=1)
-        alone = np.column_stack([np.full(len(x), total.mean()), total - total.mean()])
-    mean = float(alone[:, 1].mean())  # a constant gives back what it takes
-    each = np.array([(force * (alone[:, 0] + mean)).mean(), (force * (alone[:, 1] - mean)).mean()]).clip(0.0)
-    explained = _explained(force, alone.sum(axis=1))
+    x, rate = _relative(x), _relative(rate)
+    curve, turn = _spring(x), Term("free_friction", (), SIGN)
+    sides = (Curve(pieces(x, FEW, beside=0)), Curve(pieces(rate, FEW, beside=0)))
+    together = [Term("free_surface", sides), Term("free_rub", (Curve(pieces(x, FEW)),), SIGN)]
+    alone = _held_out([[curve], [Term("free_damping", (Curve(pieces(rate)),)), turn]], x, rate, force, stretches)
+    each = (force[:, None] * alone).mean(axis=0).clip(0.0)
+    explained = _explained(force, alone)
     residual = force - alone.sum(axis=1) if explained else force
-    both = _explained(residual, _held_out(*_surface(x, rate), residual, stretches)[:, 0])
+    both = _explained(residual, _held_out([together], x, rate, residual, stretches))
     found = np.array([*(explained * each / (float(each.sum()) or 1.0)), both]) / energy
     found /= max(1.0, float(found.sum()))
     neither = max(0.0, 1.0 - float(found.sum()))
@@ -158,36 +208,40 @@ def _parts(x: Array, rate: Array, force: Array, energy: float, stretches: Indice
 
 def _odd(x: Array, rate: Array, force: Array, least: float, half: Mask) -> float | None:
     """Which part of the means over cells of displacement and rate turns round with both."""
-    at = _cells(x, *_around(x)) * CELLS + _cells(rate, *_around(rate))
-    sums = np.array([np.bincount(at[h], force[h], CELLS**2) for h in (half, ~half)])
-    many = np.array([np.bincount(at[h], minlength=CELLS**2) for h in (half, ~half)])
-    # The cell at the other side of the origin has the last number less this one.
-    weights = many.sum(axis=0) * (np.minimum(many, many[:, ::-1]) >= FEWEST).all(axis=0)
+    reach = [(-high, high) for high in (max(float(np.quantile(np.abs(v), ENDS[1])), 1e-300) for v in (x, rate))]
+
+    def sums(of: Array) -> Array:
+        each = (np.histogram2d(x[h], rate[h], CELLS, reach, weights=of[h])[0] for h in (half, ~half))
+        return np.array(list(each))
+
+    many = sums(np.ones_like(x))
+    # The cell at the other side of the origin is turned in both directions.
+    weights = many.sum(axis=0) * (np.minimum(many, many[:, ::-1, ::-1]) >= FEWEST).all(axis=0)
     if weights.sum() < COVERED * len(x):
         return None
-    means = sums / np.maximum(many, 1)
-    odd, even = 0.5 * (means - means[:, ::-1]), 0.5 * (means + means[:, ::-1])
+    means = sums(force) / np.maximum(many, 1.0)
     # Their noise differs from half to half, so that it does not count in the product.
-    up, down = (max(float((weights * side[0] * side[1]).sum() / len(x)), 0.0) for side in (odd, even))
+    up, down = (
+        max(float((weights * np.prod(0.5 * (means + way * means[:, ::-1, ::-1]), axis=0)).sum() / len(x)), 0.0)
+        for way in (-1.0, 1.0)
+    )
     return up / (up + down) if up + down > least else None
 
 
 def _regions(x: Array, rate: Array, energy: Array) -> dict[str, dict[str, Region]]:
     """Parts of the energy and of the time in thirds of the travel and the record, and halves by speed."""
     low, high = np.quantile(x, ENDS)
-    third = np.clip(np.floor(3.0 * (x - low) / max(high - low, 1e-300)), 0, 2)
-    is_fast = np.abs(rate) > np.median(np.abs(rate))
-    when = np.arange(len(x)) * 3 // len(x)
+    kinds = {
+        "displacement": (("low", "middle", "high"), np.digitize(x, np.linspace(low, high, 4)[1:3])),
+        "speed": (("slow", "fast"), np.abs(rate) > np.median(np.abs(rate))),
+        "record": (("first", "middle", "last"), np.arange(len(x)) * 3 // len(x)),
+    }
     whole = float(energy.sum())
 
     def region(inside: Mask) -> Region:
         return Region(min(max(float(energy[inside].sum()) / whole, 0.0), 1.0), float(inside.mean()))
 
-    return {
-        "displacement": {name: region(third == i) for i, name in enumerate(("low", "middle", "high"))},
-        "speed": {"slow": region(~is_fast), "fast": region(is_fast)},
-        "record": {name: region(when == i) for i, name in enumerate(("first", "middle", "last"))},
-    }
+    return {kind: {n: region(at == i) for i, n in enumerate(names)} for kind, (names, at) in kinds.items()}
 
 
 def _thinned(x: Array, cycle: int | None) -> tuple[slice, Indices]:
@@ -204,76 +258,33 @@ def _thinned(x: Array, cycle: int | None) -> tuple[slice, Indices]:
     return slice(None, None, step), kept % each * many // each
 
 
-def _knots(x: Array, many: int = KNOTS) -> Array:
-    low, high = float(x.min()), float(x.max())
-    return np.linspace(low, high, many) if high > low else np.array([low])
+def _relative(x: Array) -> Array:
+    """Values in parts of the largest."""
+    return x / (float(np.abs(x).max()) or 1.0)
 
 
-def _knots_of_rate(rate: Array, many: int = KNOTS) -> Array:
-    high = float(np.abs(rate).max()) or 1.0
-    return np.sort(np.append(np.linspace(-high, high, many), [-NARROW * high, NARROW * high]))
+def _spring(x: Array) -> Term:
+    return Term("free_spring", (Curve(pieces(x)),))
 
 
-def _around(x: Array) -> tuple[float, float]:
-    high = max(float(np.quantile(np.abs(x), ENDS[1])), 1e-300)
-    return -high, high
+def _held_out(parts: Sequence[Sequence[Term]], x: Array, rate: Array, values: Array, stretches: Indices) -> Array:
+    """Values (m,) by terms that are fitted without them, of each part of several terms (m, parts).
 
-
-def _curve(x: Array, knots: Array) -> tuple[Array, Array]:
-    """Functions that a curve over x is made of (m, functions), and what its bends weigh.
-
-    Straight pieces, whose bends weigh a little, and a square and a cube, which weigh nothing: where there are few
-    samples, at the ends of the travel, the curve goes on as these.
-    """
-    many, every = len(knots), np.arange(len(x))
-    if many < 3:
-        return np.ones((len(x), 1)), np.zeros((1, 1))
-    rows = np.zeros((len(x), many + 2))
-    at = np.clip(np.searchsorted(knots, x) - 1, 0, many - 2)
-    part = (x - knots[at]) / (knots[at + 1] - knots[at])
-    rows[every, at], rows[every, at + 1] = 1.0 - part, part
-    middle, half = 0.5 * (knots[0] + knots[-1]), 0.5 * (knots[-1] - knots[0])
-    rows[:, many] = ((x - middle) / half) ** 2
-    rows[:, many + 1] = ((x - middle) / half) ** 3
-    slopes = np.diff(np.eye(many), axis=0) / np.diff(knots)[:, None]
-    turns = np.diff(slopes, axis=0) * 2.0 * half / (many - 1)
-    bend = np.zeros((many + 2, many + 2))
-    bend[:many, :many] = turns.T @ turns
-    return rows, bend
-
-
-def _surface(x: Array, rate: Array) -> tuple[Array, Array]:
-    """Functions that a surface over x and rate is made of (m, functions), and what its bends weigh."""
-    (of_x, bend_x), (of_rate, bend_rate) = _curve(x, _knots(x, FEW)), _curve(rate, _knots_of_rate(rate, FEW))
-    if min(of_x.shape[1], of_rate.shape[1]) < 3:
-        return np.ones((len(x), 1)), np.zeros((1, 1))
-    hats, across = of_x[:, :-2], of_rate[:, :-2]
-    products = (hats[:, :, None] * across[:, None, :]).reshape(len(x), -1)
-    bend = np.kron(bend_x[:-2, :-2], np.eye(across.shape[1])) + np.kron(np.eye(hats.shape[1]), bend_rate[:-2, :-2])
-    a, b = x / (np.abs(x).max() or 1.0), rate / (np.abs(rate).max() or 1.0)
-    rows = np.column_stack([products, a * b, a**2 * b, a * b**2])
-    return rows, linalg.block_diag(bend, np.zeros((3, 3)))
-
-
-def _held_out(rows: Array, bend: Array, values: Array, stretches: Indices, split: int | None = None) -> Array:
-    """Values (m,) by functions that are fitted without them, of the columns before and after a split (m, 2).
-
-    The functions (m, functions) have bends that weigh a little, so that curves go on straight where there are no
-    samples. Of the stretches of the record, each fifth is left out in turn.
+    A constant is in the first part alone. The bends of the terms weigh a little, so that curves go on straight where
+    there are no samples. Of the stretches of the record, each fifth is left out in turn.
     Source: Eilers and Marx (1996), Statistical Science 11(2), 89-121, for the weight.
     """
+    each = [np.hstack([term.values(x, rate) for term in terms]) for terms in parts]
+    each[1:] = [part - part.mean(axis=0) for part in each[1:]]
+    rows, ends = np.hstack(each), np.cumsum([part.shape[1] for part in each])[:-1]
+    bends = linalg.block_diag(*(term.roughness() for terms in parts for term in terms))
     folds = [stretches % FOLDS == i for i in range(FOLDS)]
-    each = [(rows[fold].T @ rows[fold], rows[fold].T @ values[fold]) for fold in folds]
-    weight = STIFF * len(rows) / rows.shape[1] * bend
-    matrix, right = sum(m for m, _ in each) + weight, sum(r for _, r in each)
-    found = np.zeros((len(rows), 2))
-    for fold, (its_matrix, its_right) in zip(folds, each, strict=True):
-        heights = decompositions.inverse(matrix - its_matrix, 1e-9, hermitian=True) @ (right - its_right)
-        found[fold, 0] = rows[fold, :split] @ heights[:split]
-        if split is not None:
-            found[fold, 1] = rows[fold, split:] @ heights[split:]
+    sums = [(rows[fold].T @ rows[fold], rows[fold].T @ values[fold]) for fold in folds]
+    matrix = sum(m for m, _ in sums) + STIFF * len(rows) / rows.shape[1] * bends
+    right = sum(r for _, r in sums)
+    found = np.zeros((len(rows), len(parts)))
+    for fold, (its_matrix, its_right) in zip(folds, sums, strict=True):
+        factors = decompositions.inverse(matrix - its_matrix, 1e-9, hermitian=True) @ (right - its_right)
+        split = zip(each, np.split(factors, ends), strict=True)
+        found[fold] = np.column_stack([part[fold] @ its for part, its in split])
     return found
-
-
-def _cells(x: Array, low: float, high: float) -> Indices:
-    return np.clip((CELLS * (x - low) / max(high - low, 1e-300)).astype(np.intp), 0, CELLS - 1)

@@ -9,9 +9,9 @@ Source: Larsen and McCleary (1972), Technometrics 14(3), 781-790, for partial re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,21 +19,30 @@ from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws
-from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.force_decomposition import ENDS
+from masking.inference.discovery.motion_features import MotionFeatures
 from masking.inference.discovery.places import is_of_one
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Verdict
 from masking.inference.estimation.identification_data import Data
-from masking.model.declaration.dimensions import dimension_in, displacement_dimension, is_plain, symbol_dimensions
-from masking.model.declaration.expression import Expression
-from masking.model.declaration.units import Dimension, coherent, describe
+from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
+from masking.model.declaration.units import coherent, combined, describe
 
 BINS = 24  # of a range, with equally many samples each
 FEWEST = 30  # samples of a bin
+
+
+class Units(NamedTuple):
+    """Units of what acts at a place, of the displacement, command or reading that it follows, and of the rate of it."""
+
+    force: str
+    displacement: str
+    rate: str
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,7 @@ class LatentForce:
     before: Array  # the latent force, command or reading (m,)
     after: Array | None  # its residual with the causes (m,); None if no cause is known, or the residual cannot be found
     deviations: tuple[float, float]  # standard deviations of `before` and of `after`
-    units: tuple[str, str, str]  # of `before`, `x` and `rate`
+    units: Units  # of `before`, `x` and `rate`
     known: tuple[bool, bool] = (True, True)  # whether displacement and rate are known
 
     @property
@@ -108,22 +117,47 @@ class Explained:
 
 def force_at(found: Explained, most: str) -> LatentForce:
     """Latent force at the place of the last cause, or at `most`, that of the largest one, if no cause explains it."""
-    instances = found.explanation.hypothesis.instances
-    if not instances or found.verdict == "unknown":
-        return _force(found, "element", most)
-    name = instances[-1].at or found.twin.actuators[int(np.argmax(found.record.commands.std(axis=0)))]  # the busiest
-    return _sensor(found, name) if instances[-1].where == "sensor" else _force(found, instances[-1].where, name)
+    chosen, record = found.explanation.hypothesis, found.record
+    if not chosen.instances or found.verdict == "unknown":
+        return _of_element(found, most)
+    where = chosen.instances[-1].where
+    name = chosen.instances[-1].at or found.twin.actuators[int(np.argmax(record.commands.std(axis=0)))]  # the busiest
+    if where == "element":
+        return _of_element(found, name)
+    at = getattr(found.twin, f"{where}s").index(name)
+    if where == "actuator":
+        x = record.acting[:, at]
+        before, after, deviations = _forces(found, found.rig.columns[2][at])
+    else:
+        before, after = found.search.base.hypothesis.residuals[:, at], chosen.residuals[:, at]
+        x, deviations = record.readings[:, at] - after, (float(found.problem.sigma[at]),) * 2
+    rate, unit = np.gradient(x) * record.rate, channel_unit(found, name, where)
+    return LatentForce(name, where, x, rate, before, after, deviations, Units(unit, unit, _per_second(unit)))
+
+
+def _of_element(found: Explained, name: str) -> LatentForce:
+    at = [place.name for place in found.rig.places].index(name)
+    place, motion = found.rig.places[at], found.smoothed.before
+    x, rate, units = motion.displacement[:, at], motion.rate[:, at], element_units(found.rig, name)
+    before, after, deviations = _forces(found, found.rig.columns[1][at])
+    known = place.element.displacement is not None, place.has_rate
+    return LatentForce(name, "element", x, rate, before, after, deviations, units, known)
+
+
+def _forces(found: Explained, column: int) -> tuple[Array, Array | None, tuple[float, float]]:
+    """Forces (m,) before and after the causes in a column of the equations, and their deviations."""
+    by, seen = directions(found.rig, found.explanation.hypothesis.theta, column), found.smoothed
+    before, deviation = projected(seen.before, by)
+    after, afterwards = (None, deviation) if seen.after is None else projected(seen.after, by)
+    return before, after, (deviation, afterwards)
 
 
 def binned(x: Array, force: Array) -> tuple[Array, Array, Array]:
     """Centres, means of a force and numbers of samples (b,) of bins of x (m,); those with few samples are left out."""
-    low, high = np.quantile(x, [0.002, 0.998])
-    edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
-    at = np.clip(np.searchsorted(edges, x) - 1, 0, BINS - 1)
-    counts = np.bincount(at, minlength=BINS)
+    inside = np.clip(x, *np.quantile(x, ENDS))
+    counts, places, sums = (np.histogram(inside, BINS, weights=of)[0] for of in (np.ones_like(x), x, force))
     enough = counts >= min(FEWEST, max(1, len(x) // (4 * BINS)))
-    sums, places = np.bincount(at, force, BINS), np.bincount(at, x, BINS)
-    return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough].astype(float)
+    return places[enough] / counts[enough], sums[enough] / counts[enough], counts[enough]
 
 
 def energies(found: Explained) -> dict[str, float]:
@@ -134,58 +168,18 @@ def energies(found: Explained) -> dict[str, float]:
     return dict(zip(found.twin.sensors, (float(part / whole) for part in beyond), strict=True))
 
 
-def _force(found: Explained, where: str, name: str) -> LatentForce:
-    rig, seen, known = found.rig, found.smoothed, (True, True)
-    motion, left = seen.before, seen.after
-    if where == "actuator":
-        at = rig.twin.actuators.index(name)
-        x = found.record.acting[:, at]
-        rate = np.gradient(x) * found.record.rate
-        column = rig.columns[2][at]
-        unit = command_unit(found, name)
-        units = (unit, unit, _per_second(unit))
-    else:
-        at = [place.name for place in rig.places].index(name)
-        place = rig.places[at]
-        known = place.element.displacement is not None, place.has_rate
-        x, rate = motion.displacement[:, at], motion.rate[:, at]
-        column = rig.columns[1][at]
-        units = element_units(rig, name)
-    by = directions(rig, found.explanation.hypothesis.theta, column)
-    before, deviation = projected(motion, by)
-    after, afterwards = (None, deviation) if left is None else projected(left, by)
-    return LatentForce(name, where, x, rate, before, after, (deviation, afterwards), units, known)
-
-
-def _sensor(found: Explained, name: str) -> LatentForce:
-    at, base, after = found.twin.sensors.index(name), found.search.base.hypothesis, found.explanation.hypothesis
-    x = (found.record.readings - after.residuals)[:, at]
-    rate, sigma = np.gradient(x) * found.record.rate, float(found.problem.sigma[at])
-    unit = found.twin.declaration.sensors[name].unit
-    before, left = base.residuals[:, at], after.residuals[:, at]
-    return LatentForce(name, "sensor", x, rate, before, left, (sigma, sigma), (unit, unit, _per_second(unit)))
-
-
-def along(found: Explained, instance: EffectInstance, x: Array, rate: Array) -> Array:
-    """Force or value of an effect along a motion of its place, displacement, command or reading and rate of it (m,)."""
-    if instance.effect == compiled_laws.DELAY:
-        t = np.arange(len(x)) / found.record.rate
-        return np.asarray(np.interp(t - instance.values[0], t, x))
-    return np.asarray(found.rig.along(instance, x, rate, found.problem.dt)[:, 0])
+def features(found: Explained, motion: Motion) -> MotionFeatures:
+    """What effects do along a smoothed motion, in each sample; those of sensors, to the readings as explained."""
+    simulated = found.record.readings - found.explanation.hypothesis.residuals
+    return MotionFeatures(found.rig, found.record, motion, simulated, Thinning(1, 1))
 
 
 def _without(found: Explained, motion: Motion) -> Motion:
-    forces = motion.forces.copy()
+    forces, known = motion.forces.copy(), features(found, motion)
     for instance in found.explanation.hypothesis.instances:
-        if instance.where == "sensor":
-            continue
-        for i in [found.rig.index(instance)] if instance.at else range(len(found.twin.actuators)):
-            if instance.where == "actuator":
-                x = found.record.acting[:, i]
-                law, column = along(found, instance, x, np.zeros_like(x)) - x, found.rig.columns[2][i]
-            else:
-                law, column = along(found, instance, *motion.acted_on(instance.entry, i)), found.rig.columns[1][i]
-            forces -= np.outer(law, directions(found.rig, found.explanation.hypothesis.theta, column))
+        if instance.where != "sensor":
+            for signal, column in zip(*(part.T for part in known.signal(instance)), strict=True):
+                forces -= np.outer(signal, directions(found.rig, found.explanation.hypothesis.theta, int(column)))
     return replace(motion, forces=forces)
 
 
@@ -208,39 +202,34 @@ def directions(rig: AugmentedModel, theta: Array, column: int) -> Array:
     return decompositions.least_squares(ports, moved[:, column])
 
 
-def command_unit(found: Explained, name: str) -> str:
-    """Unit of the commands of an actuator."""
-    return (found.twin.declaration.actuators or found.twin.base.inputs)[name].unit
+def channel_unit(found: Explained, name: str, kind: str) -> str:
+    """Declared unit of a channel, of kind 'sensor' or 'actuator'."""
+    declared = found.twin.declaration
+    return (declared.sensors if kind == "sensor" else declared.actuators or found.twin.base.inputs)[name].unit
 
 
-def element_units(rig: AugmentedModel, name: str) -> tuple[str, str, str]:
-    """SI units of force, displacement and rate of a place; '' in a model without units."""
-    base = rig.twin.base
+def element_units(rig: AugmentedModel, name: str) -> Units:
+    """SI units of force, displacement and rate of a place; '' in a model without units.
+
+    That of what the element follows is as it is declared where that is of one unit.
+    """
+    base, symbols = rig.twin.base, symbol_dimensions(rig.twin.base)
     element = next(place.element for place in rig.places if place.name == name)
-    symbols = symbol_dimensions(base)
     if is_plain(base) or symbols is None:
-        return "", "", ""
+        return Units("", "", "")
     declared = {n: x.unit for section in (base.coordinates, base.states, base.inputs) for n, x in section.items()}
-    moved, rate = (_written(of, declared, symbols) for of in (element.displacement, element.rate))
-    if not moved and rate:
-        dimension = displacement_dimension(element, symbols)
-        moved = rate.removesuffix("/s") if rate.endswith("/s") else describe(dimension) if dimension else ""
-    force, moved, rate = coherent(element.unit), coherent(moved), coherent(rate)
-    return force, moved, rate or _per_second(moved)
 
-
-def _written(
-    expression: Expression | None, declared: Mapping[str, str], symbols: Mapping[str, Dimension | None]
-) -> str:
-    """Unit of what an element follows, as it is declared where that is of one unit; '' of nothing."""
-    if expression is None:
-        return ""
-    known = {declared[name] for name in expression.names & declared.keys()}
-    if len(known) == 1 and is_of_one(expression, declared):
-        return known.pop()
-    dimension = dimension_in(expression, symbols)
-    return "" if dimension is None else describe(dimension)
+    follows = element.rate if element.displacement is None else element.displacement
+    known = set() if follows is None else {declared[n] for n in follows.names & declared.keys()}
+    if len(known) == 1 and is_of_one(follows, declared):
+        moved = known.pop()
+    else:
+        dimension = None if follows is None else dimension_in(follows, symbols)
+        moved = "" if dimension is None else describe(dimension)
+    if moved and element.displacement is None:
+        moved = combined("V*s", {"V": moved})
+    return Units(*map(coherent, (element.unit, moved, _per_second(moved))))
 
 
 def _per_second(unit: str) -> str:
-    return f"{unit}/s" if unit not in {"", "1"} else "1/s"
+    return combined("U/s", {"U": unit})

@@ -40,17 +40,17 @@ class MotionFeatures:
     motion: Motion  # the smoothed record
     simulated: Array  # readings as they are simulated (m, sensors)
     thinning: Thinning  # samples over which means are taken
-    kept: Kept  # what is known of this motion already; it is added to
+    kept: Kept = field(default_factory=Kept)  # what is known of this motion already; it is added to
 
     def with_slopes(self, instance: EffectInstance) -> Features:
         """Signal that an instance adds where it acts, with slopes by its free parameters."""
         if instance.effect == compiled_laws.DELAY:
             half = 0.5 / self.record.rate
-            late, at = self._late(instance)
-            later, _ = self._late(instance.with_values((0,), (instance.values[0] + half,)))
+            late, at = self.signal(instance)
+            later, _ = self.signal(instance.with_values((0,), (instance.values[0] + half,)))
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
         instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
-        return self._followed(instance, instance.free)
+        return self.signal(instance, instance.free)
 
     def by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
         """Signal of a candidate for each of its factors."""
@@ -65,16 +65,16 @@ class MotionFeatures:
         return found
 
     def _by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
-        if candidate.effect == compiled_laws.DELAY:
-            return self._late(instance)
-        if not candidate.factors or instance.entry.scaled:
-            return self._followed(instance)
+        if candidate.effect == compiled_laws.DELAY or not candidate.factors or instance.entry.scaled:
+            return self.signal(instance)
         instance = instance.with_values(candidate.factors, np.zeros(len(candidate.factors)))
-        features, at = self._followed(instance, candidate.factors)
+        features, at = self.signal(instance, candidate.factors)
         return np.ascontiguousarray(features[:, 1:]), at[1:]
 
-    def _followed(self, instance: EffectInstance, free: tuple[int, ...] = ()) -> Features:
-        """Signal that an instance adds where it acts, with slopes by some of its parameters."""
+    def signal(self, instance: EffectInstance, free: tuple[int, ...] = ()) -> Features:
+        """Signal that an instance adds where it acts, with slopes by some parameters; by channel of a delay."""
+        if instance.effect == compiled_laws.DELAY:
+            return self._late(instance)
         rig, record, motion, thin = self.rig, self.record, self.motion, self.thinning.motion
         where, at, stride = instance.where, rig.index(instance), 1
         nothing = np.zeros(len(record))
@@ -95,12 +95,8 @@ class MotionFeatures:
 
     def _late(self, instance: EffectInstance) -> Features:
         """Change of each command by a delay, and the columns where these act."""
-        acting, m = self.record.acting, len(self.record)
-        early = np.clip(np.arange(m) - instance.values[0] * self.record.rate, 0.0, None)
-        low = np.floor(early).astype(int)
-        share = (early - low)[:, None]
-        late = (1.0 - share) * acting[low] + share * acting[np.minimum(low + 1, m - 1)]
-        actuators = self.rig.twin.actuators
+        actuators, t = self.rig.twin.actuators, np.arange(len(self.record)) / self.record.rate
         at = [actuators.index(instance.at)] if instance.at else [*range(len(actuators))]
-        columns = np.array([self.rig.columns[2][i] for i in at], dtype=float)
-        return thinned((late - acting)[:, at], self.thinning.motion), columns
+        commands = self.record.acting[:, at]
+        late = np.column_stack([np.interp(t - instance.values[0], t, command) for command in commands.T])
+        return thinned(late - commands, self.thinning.motion), np.array([self.rig.columns[2][i] for i in at], float)

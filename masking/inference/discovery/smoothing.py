@@ -46,7 +46,6 @@ class Motion:
     states: Array  # of the rig (m, n)
     forces: Array  # latent, on each degree (m, degrees): coordinates, in their unit of acceleration, states and outputs
     deviation: Array  # standard deviation of these forces (degrees,); infinite where no sensor shows a force at once
-    innovations: Array  # what each reading adds to the past, in standard deviations (m, sensors)
     displacement: Array  # of each place (m, places)
     rate: Array  # of each place (m, places)
     # of each place (m, places): what the rig's own equations make of the motion, the commands and these forces.
@@ -92,7 +91,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
             whitened = linalg.solve_triangular(root, innovations.T, lower=True)
         costs.append((whitened**2).mean() + 2.0 * np.log(np.diag(root)).mean())
     gains = _gains(rig, theta, record.rate, sigma, walks[int(np.argmin(costs))] * unit)
-    innovations, states, predicted = _filter(problem, theta, start, gains)
+    _, states, predicted = _filter(problem, theta, start, gains)
     rig.kernels.smooth_backward(len(record), gains.backward, states, predicted)
     n = len(rig.twin.state_names)
     seen = unit > UNSEEN
@@ -108,7 +107,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
             raise IntegrationError("the record cannot be followed: the smoothed motion is no longer finite")
     return Motion(
         np.ascontiguousarray(states[:, :n]), states[:, n:], np.where(seen, gains.deviation, np.inf),
-        innovations / np.sqrt(np.diag(gains.spread)), displacement, rate, acceleration,
+        displacement, rate, acceleration,
     )  # fmt: skip
 
 

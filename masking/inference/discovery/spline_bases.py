@@ -1,7 +1,8 @@
 """Spline bases: cubic B-splines over displacement and rate, as effects that a fit puts at a place in any number.
 
-A curve is a sum of B-splines with one factor each; a surface is one of curves over the displacement, times functions of
-the rate, or of products. A bend that the motion does not visit is held at zero, so that curves go on straight there.
+The parts of a latent force are fitted in them, too. A curve is a sum of B-splines with one factor each; a surface is
+one of curves over the displacement, times functions of the rate, or of products. A bend that the motion does not visit
+is held at zero, so that curves go on straight there.
 Source: de Boor (2001), A Practical Guide to Splines, chapter 9; Eilers and Marx (1996), Statistical Science 11(2),
 89-121, for the penalty on bends.
 """
@@ -31,7 +32,7 @@ def pieces(x: Array, many: int = PIECES, *, is_even: bool = False, beside: int =
     There are `many` pieces of the range, and `beside` further ones on both sides of it.
     """
     low, high = float(x.min()), float(x.max())
-    pad = MARGIN * (high - low)
+    pad = MARGIN * (high - low or 1.0)  # also around a motion that stands still
     low, high = low - pad, high + pad
     if low < 0.0 < high and not is_even:
         reach = max(-low, high)

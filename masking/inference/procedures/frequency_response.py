@@ -180,13 +180,22 @@ def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float
         )
     for what, values in (("input", u), ("output", y)):
         _refuse_constant(what, values[:, discard * length :])
-    found = []
-    for values in (u, y):
-        kept = values[:, discard * length :].reshape(len(values), whole - discard, length, values.shape[2])
-        spectrum = 2.0 / length * np.fft.rfft(kept, axis=2)
-        spectrum[:, :, 0] /= 2.0
-        found.append(spectrum)
-    return Spectra(float(rate), length, *found)
+    return Spectra(float(rate), length, *(by_period(values, length, discard) for values in (u, y)))
+
+
+def by_period(values: Array, length: int, discard: int = 1) -> Complex:
+    """Spectra (experiments, periods, lines, channels) of the whole periods of values but the first ones.
+
+    Args:
+        values: a table of each experiment (experiments, samples, channels).
+        length: samples per period.
+        discard: periods at the start that are left out.
+    """
+    whole = values.shape[1] // length
+    kept = values[:, discard * length : whole * length].reshape(len(values), whole - discard, length, values.shape[2])
+    spectrum = 2.0 / length * np.fft.rfft(kept, axis=2)
+    spectrum[:, :, 0] /= 2.0
+    return np.asarray(spectrum)
 
 
 def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> FrequencyResponse:

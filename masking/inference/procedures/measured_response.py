@@ -143,8 +143,11 @@ def _period(source: Source, u: Array, rate: float, discard: int) -> float:
     return found / rate
 
 
-def repeats(u: Array) -> int | None:
-    """Samples after which columns (samples, inputs) repeat, at most half of all; None where they do not."""
+def repeats(u: Array, difference: float = REPEATED) -> int | None:
+    """Samples after which columns (samples, inputs) repeat, at most half of all; None where they do not.
+
+    From one period to the next they differ by no more than a part of their size.
+    """
     count, waves = len(u), u - u.mean(axis=0)
     size = np.sqrt(np.mean(waves**2, axis=0))
     waves = waves / np.where(size > 0.0, size, 1.0)
@@ -155,7 +158,7 @@ def repeats(u: Array) -> int | None:
     apart = (power[count - lags] + power[count] - power[lags] - 2.0 * along[lags]) / (count - lags)
     # A wave is like itself a few samples later too: the first time that it is no more like it ends that.
     far = np.flatnonzero(apart > 0.5 * u.shape[1])
-    close = np.flatnonzero(apart <= REPEATED**2 * u.shape[1])
+    close = np.flatnonzero(apart <= difference**2 * u.shape[1])
     close = close[close > far[0]] if len(far) else close[:0]
     if not len(close):
         return None

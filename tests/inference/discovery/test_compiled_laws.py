@@ -3,13 +3,11 @@
 The truth is Dahl's friction in closed form: along a straight piece of the motion, z = s + (z0 - s) exp(-|x - x0|/l).
 """
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from masking.control.rig.twin import Twin
-from masking.inference.discovery import compiled_laws, latent_force
+from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 
 FORCE, LENGTH, RATE = 3.0, 2e-6, 100.0
@@ -69,11 +67,10 @@ def test_a_force_that_builds_up_over_any_length_is_followed_in_steps_of_samples(
     np.testing.assert_allclose(slope, force / FORCE, atol=1e-9)
 
 
-def test_the_map_of_a_friction_is_drawn_along_the_motion_in_stable_steps(rig):
+def test_a_friction_is_drawn_along_a_motion_in_stable_steps(rig):
     x, rate = zigzag()
     instance = EffectInstance("dahl_friction", "guide", (FORCE, LENGTH), (0,))
-    found = SimpleNamespace(rig=rig, problem=SimpleNamespace(dt=1.0 / RATE, substeps=1))
-    force = latent_force.along(found, instance, x, rate)
+    force = rig.along(instance, x, rate, 1.0 / RATE)[:, 0]
     assert np.abs(force).max() < 1.001 * FORCE  # no step of it runs away
     sliding = np.abs(rate) > 0.9 * np.abs(rate).max()
     np.testing.assert_allclose(np.median(force[sliding & (rate > 0.0)]), FORCE, rtol=1e-3)

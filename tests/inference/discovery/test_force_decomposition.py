@@ -14,8 +14,7 @@ from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Named, SimulationError
 from masking.inference.discovery.explanation import Explanation
-from masking.inference.discovery.force_decomposition import decompose, followed
-from masking.inference.discovery.harmonics import Periods, period
+from masking.inference.discovery.force_decomposition import decompose, followed, harmonics, period
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
@@ -80,7 +79,7 @@ FORCES = {
 @pytest.mark.parametrize("name", FORCES)
 def test_parts_of_the_energy(name):
     force, truth, odd = FORCES[name]
-    parts = decompose(X, V, force).parts
+    parts = decompose(X, V, force).energy
     assert (parts.displacement, parts.rate, parts.both, parts.neither) == pytest.approx(truth, abs=0.03)
     assert parts.odd == pytest.approx(odd, abs=0.03)
     told = parts.as_dict()
@@ -90,7 +89,7 @@ def test_parts_of_the_energy(name):
 def test_what_follows_displacement_and_rate_together():
     # x^2 v less its best function of the rate: a share that depends on neither alone
     force = X**2 * V
-    parts = decompose(X, V, force).parts
+    parts = decompose(X, V, force).energy
     alone = np.mean(X**2 * V**2) ** 2 / np.mean(V**2) / np.mean(force**2)  # of a damper, the best straight one
     assert parts.rate == pytest.approx(alone, abs=0.1)
     assert parts.rate + parts.both > 0.97
@@ -100,18 +99,18 @@ def test_what_follows_displacement_and_rate_together():
 @pytest.mark.parametrize("force", [jenkins(X, 100.0, 0.05), dahl(X, 0.05, 1e-3)], ids=["Jenkins", "Dahl"])
 def test_a_memory_follows_neither(force):
     found = decompose(X, V, force)
-    assert found.parts.neither > 0.12
+    assert found.energy.neither > 0.12
     assert found.loss > 0.0
-    assert found.parts.odd > 0.95
+    assert found.energy.odd > 0.95
 
 
 def test_what_does_not_follow_the_motion_follows_neither():
     t = np.arange(len(X)) / RATE
-    parts = decompose(X, V, np.sin(2.0 * np.pi * 0.7123 * t)).parts
+    parts = decompose(X, V, np.sin(2.0 * np.pi * 0.7123 * t)).energy
     assert parts.neither > 0.9
     assert parts.odd is None
     # of another multisine on other lines, which repeats itself as the motion does
-    parts = decompose(X, V, multisine(60.0, seed=5, lines=np.arange(2, 60, 2))[0], cycle=20000).parts
+    parts = decompose(X, V, multisine(60.0, seed=5, lines=np.arange(2, 60, 2))[0], cycle=20000).energy
     assert parts.neither > 0.9
 
 
@@ -120,30 +119,30 @@ def test_noise_is_no_energy():
     force = 100.0 * X
     noise = 0.5 * force.std() * rng.standard_normal(len(X))
     found = decompose(X, V, force + noise, 0.5 * force.std())
-    assert found.parts.displacement == pytest.approx(1.0, abs=0.03)
+    assert found.energy.displacement == pytest.approx(1.0, abs=0.03)
     nothing = decompose(X, V, noise, 0.5 * force.std())
-    assert nothing.parts is None
+    assert nothing.energy is None
     assert nothing.regions == {}
 
 
 def test_losses_are_those_of_the_laws():
     x, v = multisine(20.0)  # one whole period
-    assert decompose(x, v, 100.0 * x).taken == pytest.approx(0.0, abs=1e-9)
-    assert decompose(x, v, 1e6 * x**3).taken == pytest.approx(0.0, abs=1e-3)
+    assert decompose(x, v, 100.0 * x).loss_part == pytest.approx(0.0, abs=1e-9)
+    assert decompose(x, v, 1e6 * x**3).loss_part == pytest.approx(0.0, abs=1e-3)
     viscous = decompose(x, v, 3.0 * v)
     assert viscous.loss == pytest.approx(3.0 * np.mean(v**2), rel=1e-3)
-    assert viscous.taken == pytest.approx(1.0)
+    assert viscous.loss_part == pytest.approx(1.0)
     assert decompose(x, v, 0.05 * np.sign(v)).loss == pytest.approx(0.05 * np.mean(np.abs(v)), rel=1e-3)
-    assert decompose(x, v, -3.0 * v).taken == pytest.approx(-1.0)
+    assert decompose(x, v, -3.0 * v).loss_part == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize("unit", [1e-200, 1e-3, 1e200])
 def test_a_force_looks_the_same_in_any_unit(unit):
     one, other = decompose(X, V, 3.0 * V + X**3), decompose(X, V, unit * (3.0 * V + X**3))
-    assert other.size == pytest.approx(unit * one.size, rel=1e-12)
-    assert other.taken == pytest.approx(one.taken, rel=1e-9)
+    assert other.rms == pytest.approx(unit * one.rms, rel=1e-12)
+    assert other.loss_part == pytest.approx(one.loss_part, rel=1e-9)
     for name in ("displacement", "rate", "both", "neither"):
-        assert getattr(other.parts, name) == pytest.approx(getattr(one.parts, name), abs=1e-9)
+        assert getattr(other.energy, name) == pytest.approx(getattr(one.energy, name), abs=1e-9)
 
 
 def test_the_area_of_a_loop():
@@ -176,8 +175,8 @@ def test_regions():
 
 def test_a_motion_on_one_side_tells_no_symmetry():
     found = decompose(X + 5.0, V, 100.0 * (X + 5.0))
-    assert found.parts.odd is None
-    assert found.parts.displacement == pytest.approx(1.0, abs=1e-3)
+    assert found.energy.odd is None
+    assert found.energy.displacement == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("still", ["displacement", "rate", "both"])
@@ -185,13 +184,13 @@ def test_a_place_that_does_not_move(still):
     x = X if still == "rate" else np.zeros(len(X))
     v = V if still == "displacement" else np.zeros(len(V))
     found = decompose(x, v, 1.0 + 0.0 * X)
-    assert found.parts.displacement == pytest.approx(1.0)
+    assert found.energy.displacement == pytest.approx(1.0)
     assert followed(x, 1.0 + 0.0 * X) == pytest.approx(1.0)
 
 
 def test_a_short_record():
     x, v = X[::50][:400], V[::50][:400]
-    assert decompose(x, v, 100.0 * x).parts.displacement == pytest.approx(1.0, abs=0.01)
+    assert decompose(x, v, 100.0 * x).energy.displacement == pytest.approx(1.0, abs=0.01)
 
 
 def test_what_follows_a_command():
@@ -201,47 +200,48 @@ def test_what_follows_a_command():
     assert followed(command, X) < 0.05 * np.mean(X**2)
 
 
-def periods(command):
-    return Periods.of(command[:, None], RATE)
+def harmonics_of(command):
+    """Return a function of a force along a command: its harmonics."""
+    return lambda force: harmonics(command[:, None], force, period(command[:, None]), RATE)
 
 
 def test_periods_are_found():
     assert period(X[:, None]) == 20000
     two = np.column_stack([X, np.full(len(X), 0.3), multisine(60.0, seed=1, lines=np.arange(2, 60, 4))[0]])
-    assert Periods.of(two, RATE).length == 20000
+    assert period(two) == 20000
     assert period(multisine(60.0, lines=np.array([4, 12]))[0][:, None]) == 5000
     rng = np.random.default_rng(0)
-    assert Periods.of(rng.standard_normal((3000, 2)), RATE) is None
-    assert Periods.of(X[:50000, None], RATE).harmonics(X[:50000]) is None  # two and a half
-    assert Periods.of(X[:24000, None], RATE) is None
-    assert Periods.of(np.ones((3000, 1)), RATE) is None
-    assert Periods.of(np.zeros((3000, 0)), RATE) is None
+    assert period(rng.standard_normal((3000, 2))) is None
+    assert harmonics_of(X[:50000])(X[:50000]) is None  # two and a half
+    assert period(X[:24000, None]) is None
+    assert period(np.ones((3000, 1))) is None
+    assert period(np.zeros((3000, 0))) is None
 
 
 def test_harmonics_of_a_sine():
     x = np.sin(2.0 * np.pi * np.arange(10000) / 1000.0)
-    found = periods(x)
+    found = harmonics_of(x)
     # sin^3 = 3/4 sin - 1/4 sin 3: squares as 9 to 1. sin^2 = 1/2 - 1/2 cos 2
-    cubic, quadratic = found.harmonics(x**3), found.harmonics(x**2)
+    cubic, quadratic = found(x**3), found(x**2)
     assert (cubic.excited, cubic.even, cubic.odd) == pytest.approx((0.9, 0.0, 0.1), abs=1e-9)
     assert (quadratic.excited, quadratic.even, quadratic.odd) == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
     # an offset and a sine: 1 to 1/2
-    both = found.harmonics(1.0 + x)
+    both = found(1.0 + x)
     assert (both.excited, both.even) == pytest.approx((1 / 3, 2 / 3), abs=1e-9)
     assert (cubic.base, cubic.periods, cubic.only_odd) == (1.0, 9, True)
     assert json.loads(json.dumps(cubic.as_dict()))["odd"] == pytest.approx(0.1)
 
 
 def test_harmonics_of_odd_multisines():
-    found = periods(X)
-    assert found.harmonics(1e6 * X**3).even == pytest.approx(0.0, abs=1e-6)
-    assert found.harmonics(np.sign(V)).even == pytest.approx(0.0, abs=1e-3)
-    assert found.harmonics(jenkins(X, 100.0, 0.05)).even == pytest.approx(0.0, abs=1e-3)  # settled after a period
-    assert found.harmonics(X**2).even == pytest.approx(1.0, abs=1e-6)
+    found = harmonics_of(X)
+    assert found(1e6 * X**3).even == pytest.approx(0.0, abs=1e-6)
+    assert found(np.sign(V)).even == pytest.approx(0.0, abs=1e-3)
+    assert found(jenkins(X, 100.0, 0.05)).even == pytest.approx(0.0, abs=1e-3)  # settled after a period
+    assert found(X**2).even == pytest.approx(1.0, abs=1e-6)
     every = multisine(60.0, lines=np.arange(1, 30))[0]
-    assert not periods(every).harmonics(every**3).only_odd
+    assert not harmonics_of(every)(every**3).only_odd
     rng = np.random.default_rng(0)
-    noisy = found.harmonics(1e6 * X**3 + 0.5 * (1e6 * X**3).std() * rng.standard_normal(len(X)))
+    noisy = found(1e6 * X**3 + 0.5 * (1e6 * X**3).std() * rng.standard_normal(len(X)))
     assert noisy.even == pytest.approx(0.0, abs=0.05)
 
 
@@ -377,8 +377,8 @@ def test_friction_is_where_it_is(discoveries):
     best = seen.latent.best
     assert best.name == "spring1"
     assert best.share > 0.95
-    assert best.decomposition.parts.rate > 0.9
-    assert best.decomposition.parts.odd > 0.95
+    assert best.decomposition.energy.rate > 0.9
+    assert best.decomposition.energy.odd > 0.95
     assert best.harmonics.only_odd
     assert best.harmonics.even < 0.02
     rate = found.search.motion.rate[:, 0]
@@ -403,8 +403,8 @@ def test_what_is_said_of_friction(discoveries):
 def test_a_quadratic_spring_is_even(discoveries):
     best = discoveries("square").localisation.latent.best
     assert best.name == "spring2"
-    assert best.decomposition.parts.displacement > 0.9
-    assert best.decomposition.parts.odd < 0.05
+    assert best.decomposition.energy.displacement > 0.9
+    assert best.decomposition.energy.odd < 0.05
     assert best.harmonics.even > 0.95
     assert "the same on both sides" in place_text.portrayed(best)
 

@@ -26,7 +26,7 @@ def features(tmp_path_factory):
     twin = Twin.load(path)
     rig, readings = AugmentedModel(twin, twin.equation_parameters()), np.zeros((COUNT, 3))
     states, moving = np.zeros((COUNT, 6)), [np.tile(part[:, None], len(rig.places)) for part in (X, V, -9.0 * X)]
-    motion = Motion(states, states[:, :3], np.ones(3), readings, *moving)
+    motion = Motion(states, states[:, :3], np.ones(3), *moving)
     return MotionFeatures(rig, Data("made", RATE, readings, readings), motion, readings, Thinning(MEAN, MEAN), Kept())
 
 
