@@ -61,8 +61,11 @@ def _is_beyond(problem: EstimationProblem, instance: EffectInstance) -> bool:
 
 
 def _belies_its_name(problem: EstimationProblem, instance: EffectInstance, motion: Motion | None) -> bool:
-    text, known = instance.entry.positive, dict(zip(instance.entry.parameters, instance.values, strict=True))
-    known |= {"duration": len(problem.record) * problem.dt, "travel": np.inf}  # where no motion is given, any
+    if not instance.entry.positive:
+        return False
+    condition = Expression(instance.entry.positive)
+    known = dict(zip(instance.entry.parameters, instance.values, strict=True))
+    known["duration"] = len(problem.record) * problem.dt
     if motion is not None and instance.where == "element":
         known["travel"] = float(np.ptp(motion.displacement[:, problem.rig.index(instance)]))
-    return bool(text) and not Expression(text).evaluate(known) > 0.0
+    return condition.names <= known.keys() and not condition.evaluate(known) > 0.0
