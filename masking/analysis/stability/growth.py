@@ -15,7 +15,7 @@ import sympy as sp
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.free_equations import Motion
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.graph_values import function_of, values_of
+from masking.compile.codegen.graph_values import ARRAYS, function_of, values_of
 from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
@@ -91,7 +91,7 @@ class Growth:
 def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
     """Nodes of a graph at many states at once, in floating point."""
     with np.errstate(all="ignore"):
-        return values_of(graph, nodes, given, _RULES, _KIND)
+        return values_of(graph, nodes, given, ARRAYS, _KIND)
 
 
 def along(
@@ -99,7 +99,7 @@ def along(
 ) -> Callable[[Array], list[Any]]:
     """Function of states (..., variables) that gives nodes of a graph at each, in floating point."""
     with np.errstate(all="ignore"):
-        function = function_of(graph, nodes, given, _RULES, _KIND, variables=variables)
+        function = function_of(graph, nodes, given, ARRAYS, _KIND, variables=variables)
 
     def at(states: Array) -> list[Any]:
         with np.errstate(all="ignore"):
@@ -109,23 +109,3 @@ def along(
 
 
 _KIND = "value in floating point"
-_SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
-_RULES: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in _SAME_NAME} | {
-    "number": float,
-    "square": lambda x: x * x,
-    "neg": np.negative,
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "pow": np.power,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "min": np.minimum,
-    "max": np.maximum,
-    "lt": np.less,
-    "le": np.less_equal,
-    "heaviside": lambda x: np.heaviside(x, 0.5),
-}

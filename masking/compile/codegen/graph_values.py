@@ -1,9 +1,11 @@
-"""Values of expressions on a graph, by rules for one kind of numbers: floats, intervals, those of mpmath."""
+"""Values of expressions on a graph, by rules for one kind of numbers: floats, arrays, intervals, those of mpmath."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.printers import needed
@@ -55,3 +57,26 @@ def function_of(
         return [here[node] for node in nodes]
 
     return values
+
+
+# Rules for arrays in floating point.
+_SAME_NAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "abs", "sign", "floor", "where")
+ARRAYS: Rules = {name: getattr(np, name) for name in _SAME_NAME} | {
+    "number": float,
+    "square": lambda x: x * x,
+    "neg": np.negative,
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "pow": np.power,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "min": np.minimum,
+    "max": np.maximum,
+    "lt": np.less,
+    "le": np.less_equal,
+    "heaviside": lambda x: np.heaviside(x, 0.5),
+}

@@ -7,15 +7,19 @@ Shapes are of u, displacement or rate over the largest in the record; at most th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
+from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.numerics.arrays import Array
+from masking.inference.discovery.augmented_model import EffectInstance
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration.expression import Expression
-from masking.model.declaration.operations import CONSTANTS, Step
 
 MOST_SHAPES = 3  # numbers that shape a form
 _TINY = "1e-9"  # of the largest displacement or rate: powers have derivatives from there on
@@ -113,6 +117,13 @@ class Atom:
             parts.append(shape.text.format(u=f"({_BASES[of]})", **known))
         return "*".join(parts)
 
+    def along(self, motion: Mapping[str, Array | float], values: Sequence[float]) -> Array:
+        """Values (m,) along displacements and rates `d` and `d_rate` (m,), of largest sizes `x0` and `v0`."""
+        names = [f"p{i}" for i in range(self.count)]
+        return np.broadcast_to(
+            evaluated(self.text(names), {**motion, **dict(zip(names, values, strict=True))}), np.shape(motion["d"])
+        )
+
     def words(self, values: Sequence[float], nouns: Mapping[str, str]) -> str:
         """Phrase for the force of the term, with the values of its numbers and nouns of displacement and rate."""
         left, said = [*values], []
@@ -145,33 +156,24 @@ def _ordinal(value: float) -> str:
     return text + {"1": "st", "2": "nd", "3": "rd"}.get(text, "th")
 
 
-class Columns:
-    """Reads an expression for columns (m,) or numbers by symbol."""
-
-    def __init__(self, known: Mapping[str, Array | float]) -> None:
-        self.known = known
-
-    def number(self, step: Step) -> Array | float:
-        """Give the value of a literal."""
-        return CONSTANTS[step.value] if step.value in CONSTANTS else float(step.value)
-
-    def symbol(self, step: Step) -> Array | float:
-        """Give the value of a name."""
-        return self.known[step.value]
-
-    def apply(self, step: Step, args: Sequence[Array | float]) -> Array | float:
-        """Give the value of an operation."""
-        return np.asarray(_OPERATIONS[step.operation](*args))
-
-
-_OPERATIONS = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power, "negative": np.negative,
-    "abs": np.abs, "max": np.maximum, "atan": np.arctan,
-    **{name: getattr(np, name) for name in ("sign", "sin", "sinh", "tan", "tanh", "exp", "log")},
-}  # fmt: skip
+@cache
+def _function(text: str, names: tuple[str, ...]) -> Callable[[Iterable[Any]], list[Any]]:
+    """Function that an expression is, of arrays by symbol."""
+    graph = Graph()
+    nodes = {sp.Symbol(name, real=True): graph.symbol(name, varying=True) for name in names}
+    value = graph.lower(Expression(text).to_sympy({symbol.name: symbol for symbol in nodes}), nodes)
+    return function_of(graph, [value], {}, ARRAYS, "value", variables=[*nodes.values()])
 
 
 def evaluated(text: str, known: Mapping[str, Array | float]) -> Array:
     """Values of an expression (m,) for columns (m,) or numbers by symbol."""
     with np.errstate(all="ignore"):
-        return np.asarray(Expression(text).walk(Columns(known)), dtype=float)
+        (found,) = _function(text, tuple(known))(known.values())
+    return np.asarray(found, dtype=float)
+
+
+def force(instance: EffectInstance, x: Array, rate: Array) -> Array:
+    """Force of a law at displacements and rates (m,)."""
+    values = dict(zip(instance.entry.parameters, instance.values, strict=True))
+    found = evaluated(instance.entry.expression, {**values, "d": x, "d_rate": rate})
+    return np.broadcast_to(found, np.shape(x))
