@@ -52,12 +52,11 @@ class Curve:
 
     points: Array
 
-    @property
-    def knots(self) -> Array:
-        """Points with three more on both sides."""
+    def knots(self, beyond: int = 3) -> Array:
+        """Points with some more on both sides."""
         first, last = self.points[1] - self.points[0], self.points[-1] - self.points[-2]
-        beyond = np.arange(1, 4)
-        return np.concatenate([self.points[0] - first * beyond[::-1], self.points, self.points[-1] + last * beyond])
+        ahead = np.arange(1, beyond + 1)
+        return np.concatenate([self.points[0] - first * ahead[::-1], self.points, self.points[-1] + last * ahead])
 
     @property
     def size(self) -> int:
@@ -66,11 +65,8 @@ class Curve:
 
     def values(self, x: Array, derivative: int = 0) -> Array:
         """B-splines at x, or a derivative of them (m, p + 2)."""
-        knots, made = self.knots, []
-        for i in range(self.size):
-            one = BSpline.basis_element(knots[i : i + 5], extrapolate=False)
-            made.append(np.nan_to_num(one.derivative(derivative)(x) if derivative else one(x)))
-        return np.column_stack(made)
+        alone = np.pad(np.eye(self.size), ((3, 3), (0, 0)))  # further ones of no weight: each is whole
+        return np.nan_to_num(BSpline(self.knots(6), alone, 3, extrapolate=False)(x, derivative))
 
     def bends(self) -> Array:
         """Second derivative at each point times the distance of its neighbours squared (p, p + 2).
@@ -85,7 +81,7 @@ class Curve:
 
     def parameters(self) -> list[tuple[float, ...]]:
         """Five knots of each B-spline."""
-        return [tuple(map(float, self.knots[i : i + 5])) for i in range(self.size)]
+        return [*map(tuple, np.lib.stride_tricks.sliding_window_view(self.knots(), 5).tolist())]
 
 
 @dataclass(frozen=True)
