@@ -135,8 +135,8 @@ def law_form(found: Discovery, law: UnnamedLaw) -> str:
     """Form of a law without a name: a force that grows with the 1.7th power of the rate."""
     if law.form is None:
         return f"{law.free.words}, in tables"
-    shares = law.form.shares(law.free)
-    terms = zip(law.form.terms, shares, strict=True)
+    shares = law.form.formula.shares(law.free)
+    terms = zip(law.form.formula.terms, shares, strict=True)
     said = [a.words(v, law.free.nouns) for (a, v, _), share in terms if share > LEAST]
     about = "" if law.is_formula else "in tables, about "
     values = cause_with_values(found, found.unnamed).partition(", ")[2] if law.is_formula and found.unnamed else ""

@@ -7,8 +7,9 @@ Source: as `bases`; Masri and Caughey (1979), J. Appl. Mech. 46, 433-447, for fo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -16,10 +17,10 @@ from scipy import linalg
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting
+from masking.inference.discovery import fitting, further_places
 from masking.inference.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.further_places import NOUNS, FurtherPlaces
+from masking.inference.discovery.further_places import LawPlaces
 from masking.inference.discovery.latent_force import Explained, directions, projected
 from masking.inference.discovery.places import Place
 from masking.inference.discovery.problem import EstimationProblem
@@ -43,36 +44,45 @@ ALIKE = 1.1  # cost over that of noise from which no richer form is fitted
 
 @dataclass(frozen=True)
 class FreeLaw:
-    """A law without a name, fitted."""
+    """A law without a name as a sum of curves, fitted."""
 
     place: Place  # where it sits
     terms: tuple[Term, ...]  # what it is made of
-    hypothesis: Hypothesis  # the model with it, fitted to the record
-    # x and rate: displacement and rate along the record (m,)
-    x: Array
-    rate: Array
-    penalty: Array  # on the free parameters of all effects (f, f), as in `fitting.fit`
+    hypothesis: Hypothesis  # the model with it, and with effects elsewhere before it
+    penalty: Array  # on its factors (f, f)
     problem: EstimationProblem  # the record in the shooting intervals of the fit
-    further: FurtherPlaces | None = None  # further places that it sits in one of; None for places of the rig itself
+    motion: Motion  # the record, smoothed
+    places: LawPlaces  # those that it sits in one of
 
     def score(self, like: Hypothesis) -> float:
-        """-2 log likelihood by the colour of another hypothesis, with Schwarz's penalty for each factor."""
-        return self.hypothesis.misfit(like) + self.numbers * float(np.log(self.hypothesis.residuals.size))
+        """-2 log likelihood by the colour of another hypothesis, with Schwarz's penalty for each number."""
+        numbers = self.size + bool(self.places.time)
+        return self.hypothesis.misfit(like) + numbers * float(np.log(self.hypothesis.residuals.size))
 
     @property
-    def numbers(self) -> int:
-        """Number of factors, and of a relaxation time."""
-        return self.size + bool(self.further and self.further.time)
+    def x(self) -> Array:
+        """Displacement of its place along the record (m,)."""
+        return self.motion.displacement[:, self.problem.rig.places.index(self.place)]
+
+    @property
+    def rate(self) -> Array:
+        """Rate of its place along the record (m,)."""
+        return self.motion.rate[:, self.problem.rig.places.index(self.place)]
 
     @property
     def size(self) -> int:
         """Number of factors."""
-        return sum(len(instance.free) for instance in self.instances)
+        return len(self.penalty)
 
     @property
     def instances(self) -> tuple[EffectInstance, ...]:
         """Instances that the law is made of."""
         return tuple(one for one in self.hypothesis.instances if one.effect in KINDS)
+
+    @property
+    def others(self) -> tuple[EffectInstance, ...]:
+        """Effects elsewhere."""
+        return tuple(one for one in self.hypothesis.instances if one.effect not in KINDS)
 
     @property
     def words(self) -> str:
@@ -82,16 +92,12 @@ class FreeLaw:
     @property
     def nouns(self) -> Mapping[str, str]:
         """Nouns of its displacement `d` and its rate `v`."""
-        return NOUNS if self.further is None else self.further.nouns[self.place.name]
+        return self.places.nouns[self.place.name]
 
     @property
     def on(self) -> str:
         """Name of the place of the rig whose force it is."""
-        return self.place.name if self.further is None else self.further.on[self.place.name]
-
-    def of(self, problem: EstimationProblem) -> EstimationProblem:
-        """Problem of another record for the rig of this law."""
-        return replace(problem, rig=self.problem.rig, prior=self.problem.prior)
+        return self.places.on[self.place.name]
 
     @property
     def follows(self) -> set[str]:
@@ -108,6 +114,14 @@ class FreeLaw:
     def covariance(self) -> Array:
         """Covariance of the factors (f, f)."""
         return self.hypothesis.covariance[-self.size :, -self.size :]
+
+    def with_factors(self, factors: Array) -> FreeLaw:
+        """Law with factors (f,) beside the effects elsewhere."""
+        parts = np.split(factors, np.cumsum([term.size for term in self.terms])[:-1])
+        made = (
+            one for term, part in zip(self.terms, parts, strict=True) for one in term.instances(self.place.name, part)
+        )
+        return replace(self, hypothesis=replace(self.hypothesis, instances=(*self.others, *made)))
 
     def rows(self, x: Array, rate: Array) -> Array:
         """Basis functions at displacements and rates (m, f)."""
@@ -141,8 +155,10 @@ class FreeLaw:
         return factors, np.asarray(self.covariance - gain @ every[:k, -self.size :])
 
 
-def likelier(one: FreeLaw, other: FreeLaw) -> FreeLaw:
-    """Likelier one of two laws."""
+def likelier(one: FreeLaw, other: FreeLaw | None) -> FreeLaw:
+    """Likelier one of two laws; one where there is no other."""
+    if other is None:
+        return one
     like = fitting.nearest([one.hypothesis, other.hypothesis])
     return other if other.score(like) < one.score(like) else one
 
@@ -158,60 +174,58 @@ KINDS = {
 OF_DISPLACEMENT, OF_RATE = {"free_spring"}, {"free_damping", "free_friction"}  # alone
 
 
-def fit(
-    found: Explained, known: Sequence[EffectInstance] = (), further: Sequence[FurtherPlaces] = ()
-) -> FreeLaw | None:
+class _Start(NamedTuple):
+    """A law to first order."""
+
+    law: FreeLaw  # with the factors that are best to first order
+    cost: float  # with the penalty
+    used: float  # effective number of factors
+    screen: Screen
+
+    @property
+    def rows(self) -> int:
+        return len(self.screen.left)
+
+    def score(self, scale: float = 1.0) -> float:
+        """-2 log likelihood with the cost divided by a scale, and with Schwarz's penalty."""
+        return self.cost / scale + self.used * float(np.log(self.rows))
+
+
+def fit(found: Explained, known: Sequence[EffectInstance] = (), places: Sequence[LawPlaces] = ()) -> FreeLaw | None:
     """Law that leaves least, at the place where it does; None where none can be fitted.
 
-    It is fitted beside known effects elsewhere, from their values. Further places take the place of those of the rig.
+    It is fitted beside known effects elsewhere, from their values. By default, it sits in a place of the rig itself.
     """
-    if further:
-        starts = [start for one in further for start in _further(found, one, known)]
-    else:
-        theta, search = found.explanation.hypothesis.theta, found.search
-        starts = _at(_Ground(found.problem, search.base.hypothesis, search.motion, _places(found)), theta, known)
+    starts = [start for one in places or [further_places.own(found.rig)] for start in _nearest(found, one, known)]
     best: FreeLaw | None = None
     noise, marks = float(found.record.readings.size), dict[int, float]()
     # Costs are divided by what the best form leaves, if that is more than noise.
     scale = max(1.0, min((one.cost / max(one.rows - one.used, 1.0) for one in starts), default=1.0))
-    for one in sorted(starts, key=lambda one: one.cost / scale + one.used * np.log(one.rows))[:MOST_FORMS]:
-        law = _fitted(one, known, marks)
-        if law is not None:
-            best = law if best is None else likelier(best, law)
+    for one in sorted(starts, key=lambda one: one.score(scale))[:MOST_FORMS]:
+        law = _fitted(one, marks)
+        best = law if best is None else likelier(best, law)
         if found.problem.work.ends() or (best is not None and best.hypothesis.cost < ALIKE * noise):
             break
     return best
 
 
-@dataclass(frozen=True)
-class _Ground:
-    """The model without a law: a fit of it, and the motion that is smoothed with its parameters."""
-
-    problem: EstimationProblem
-    base: Hypothesis
-    motion: Motion
-    places: Collection[str]
-    further: FurtherPlaces | None = None
-
-
-def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectInstance]) -> Sequence[_Start]:
-    """Forms of a law at further places, with the relaxation time that leaves least to first order."""
+def _nearest(found: Explained, places: LawPlaces, known: Sequence[EffectInstance]) -> list[_Start]:
+    """Forms of a law at places, to first order, with the relaxation time that leaves least."""
+    base = replace(found.search.base.hypothesis, instances=tuple(known))
 
     def at(seconds: float) -> list[_Start]:
-        problem = further.problem(found.problem, seconds)
-        base = further.hypothesis(found.search.base.hypothesis, found.rig, seconds)
+        problem, begun = places.begun(found.problem, base, seconds)
         try:
-            motion = smooth(problem, base.theta, base.start)
+            return _starts(problem, begun, smooth(problem, begun.theta, begun.start), places)
         except IntegrationError:
             return []
-        return _at(_Ground(problem, base, motion, further.nouns, further), base.theta, known)
 
-    made = {seconds: at(seconds) for seconds in further.tried or (0.0,)}
+    made = {seconds: at(seconds) for seconds in places.tried or (0.0,)}
 
     def best() -> float:
-        return min(made, key=lambda seconds: min((one.score for one in made[seconds]), default=np.inf))
+        return min(made, key=lambda seconds: min((one.score() for one in made[seconds]), default=np.inf))
 
-    for factor in NEARER if further.time else ():
+    for factor in NEARER if places.tried else ():
         near = best()
         made |= {seconds: at(seconds) for seconds in (near / factor, near * factor)}
     return made[best()]
@@ -219,61 +233,38 @@ def _further(found: Explained, further: FurtherPlaces, known: Sequence[EffectIns
 
 def explainable(found: Explained) -> float:
     """Part of the cost that a law without a name beside the names could take, to first order; 0 without a screen."""
-    named = found.explanation.hypothesis
-    ground = _Ground(found.problem, named, found.search.motion, _places(found))
+    own, named = further_places.own(found.rig), found.explanation.hypothesis
     try:
-        starts = _at(ground, named.theta, named.instances, taken=True)
+        starts = _starts(found.problem, named, found.search.motion, own, taken=True)
     except IntegrationError:
         return 0.0
-    return max((one.screen.total - one.cost for one in starts), default=0.0)
+    return max((0.0, *(one.screen.total - one.cost for one in starts)))
 
 
-def _places(found: Explained) -> list[str]:
-    return [one.name for one in found.rig.places if one.is_open and (one.declared or one.coordinate)]
+def _starts(
+    problem: EstimationProblem, base: Hypothesis, motion: Motion, places: LawPlaces, *, taken: bool = False
+) -> list[_Start]:
+    """Forms of a law at each place where one may sit, to first order beside the effects of a fit.
 
-
-def _at(ground: _Ground, theta: Array, known: Sequence[EffectInstance], *, taken: bool = False) -> list[_Start]:
-    """Forms of a law at each place where one may sit, fitted to first order; arguments as of `Screen`."""
-    rig, screen = ground.problem.rig, Screen(ground.problem, ground.base, ground.motion, known, taken=taken)
+    Where these are taken, they are in its residual already.
+    """
+    rig, known = problem.rig, base.instances
+    screen = Screen(problem, base, motion, known, taken=taken)
     room = MOST_COLUMNS - len(rig.start) - len(fitting.estimated(known)) - 2 * len(rig.twin.state_names)
     starts = list[_Start]()
     for at, place in enumerate(rig.places):
-        if place.name in ground.places:
-            force, deviation = projected(ground.motion, directions(rig, theta, rig.columns[1][at]))
+        if place.name in places.on:
+            force, deviation = projected(motion, directions(rig, base.theta, rig.columns[1][at]))
             high = float(np.abs(force).max())
             if high > NEGLIGIBLE * deviation:
-                starts += _starts(screen, ground, at, high, room)
+                forms = _forms(place, motion.displacement[:, at], motion.rate[:, at], has_friction=places.are_own)
+                laws = [FreeLaw(place, form, base, _penalty(form, high), problem, motion, places) for form in forms]
+                starts += _first_order(screen, [law for law in laws if law.size <= room])
     return starts
 
 
-@dataclass(frozen=True)
-class _Start:
-    """A form at a place, to first order: with its factors (f,), and the penalty on these (f, f).
-
-    Displacement and rate (m,) are those of the place; `used` is the effective number of factors.
-    """
-
-    ground: _Ground
-    screen: Screen
-    place: Place
-    form: tuple[Term, ...]
-    x: Array
-    rate: Array
-    factors: Array
-    penalty: Array
-    cost: float
-    used: float
-
-    @property
-    def rows(self) -> int:
-        return len(self.screen.left)
-
-    @property
-    def score(self) -> float:
-        return self.cost + self.used * float(np.log(self.rows))
-
-
-def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
+def _forms(place: Place, x: Array, rate: Array, *, has_friction: bool) -> list[tuple[Term, ...]]:
+    """Forms over displacements and rates (m,) of a place; a dry friction is of its own rate alone."""
     high = float(np.abs(rate).max())
     turn = Term("free_friction", (), SHARP * high)
     along = Term("free_spring", (Curve(pieces(x)),))
@@ -283,79 +274,79 @@ def _forms(place: Place, x: Array, rate: Array) -> list[tuple[Term, ...]]:
     sides = (Curve(pieces(x, SIDE, beside=0, is_even=True)), Curve(pieces(rate, SIDE, beside=0, is_even=True)))
     surface = Term("free_surface", sides)
     if place.element.displacement is None:
-        return [(moving,), (moving, turn)]
-    if not place.has_rate:
-        return [(along,)]
-    return [
-        (along,), (moving,), (moving, turn), (along, moving), (held,), (rubbed,), (along, held), (along, moving, turn),
-        (along, rubbed), (moving, rubbed), (moving, held), (surface,), (surface, turn),
-    ]  # fmt: skip
+        forms = [(moving,), (moving, turn)]
+    elif not place.has_rate:
+        forms = [(along,)]
+    else:
+        forms = [
+            (along,), (moving,), (moving, turn), (along, moving), (held,), (rubbed,), (along, held),
+            (along, moving, turn), (along, rubbed), (moving, rubbed), (moving, held), (surface,), (surface, turn),
+        ]  # fmt: skip
+    return [form for form in forms if has_friction or not any(term.sharp for term in form)]
 
 
-def _starts(screen: Screen, ground: _Ground, at: int, high: float, room: int) -> list[_Start]:
-    """Forms of a law at a place, fitted to first order.
+def _penalty(form: Sequence[Term], high: float) -> Array:
+    """Penalty on the factors of a form (f, f), at a place whose largest force is known."""
+    return np.asarray(linalg.block_diag(*(term.roughness() * (term.unit / (BEND * high)) ** 2 for term in form)))
+
+
+def _first_order(screen: Screen, laws: Sequence[FreeLaw]) -> list[_Start]:
+    """Laws at one place with the factors that are best to first order.
 
     Source: Hastie and Tibshirani (1990), Generalized Additive Models, section 3.5, for the effective number of factors.
     """
-    place, x, rate = screen.rig.places[at], ground.motion.displacement[:, at], ground.motion.rate[:, at]
-    forms = [form for form in _forms(place, x, rate) if sum(term.size for term in form) <= room]
-    if ground.further is not None:  # friction is of the rate of its own place
-        forms = [form for form in forms if not any(term.sharp for term in form)]
-    terms = {term.kind: term for form in forms for term in form}
-    columns = {kind: screen.responses(_instances([term], place.name)) for kind, term in terms.items()}
+    terms = {term.kind: (term, law.place.name) for law in laws for term in law.terms}
+    columns = {kind: screen.responses(term.instances(at, np.zeros(term.size))) for kind, (term, at) in terms.items()}
     found = []
-    for form in forms:
-        rows_of = np.hstack([columns[term.kind] for term in form])
-        penalty = linalg.block_diag(*(term.roughness() * (term.unit / (BEND * high)) ** 2 for term in form))
+    for law in laws:
+        rows = np.hstack([columns[term.kind] for term in law.terms])
         with np.errstate(over="ignore", invalid="ignore"):
-            gram, right = rows_of.T @ rows_of, rows_of.T @ screen.left
+            gram, right = rows.T @ rows, rows.T @ screen.left
         if not (np.isfinite(gram).all() and np.isfinite(right).all()):  # a response that runs away
             continue
-        size = np.sqrt(np.maximum(np.diag(gram + penalty), 1e-300))
-        inverse = decompositions.inverse((gram + penalty) / np.outer(size, size), COLLINEAR, hermitian=True)
+        whole = gram + law.penalty
+        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        inverse = decompositions.inverse(whole / np.outer(size, size), COLLINEAR, hermitian=True)
         factors = inverse @ (right / size) / size
         used = float(np.einsum("ij,ji->", inverse, gram / np.outer(size, size)))
-        left = screen.total - 2.0 * float(factors @ right) + float(factors @ (gram + penalty) @ factors)
-        found.append(_Start(ground, screen, place, form, x, rate, factors, penalty, left, used))
+        cost = screen.total - 2.0 * float(factors @ right) + float(factors @ whole @ factors)
+        found.append(_Start(law.with_factors(factors), cost, used, screen))
     return found
 
 
-def _instances(form: Sequence[Term], at: str, factors: Array | None = None) -> tuple[EffectInstance, ...]:
-    """Form at a place as effects, with factors (f,); 0 if none are given."""
-    sizes = [term.size for term in form]
-    parts = np.split(np.zeros(sum(sizes)) if factors is None else factors, np.cumsum(sizes)[:-1])
-    return tuple(one for term, part in zip(form, parts, strict=True) for one in term.instances(at, part))
+def growing(problem: EstimationProblem) -> Iterator[EstimationProblem]:
+    """Problem in shooting intervals that grow to its own."""
+    for part in PARTS:
+        samples = len(problem.record) // part
+        if FEWEST < samples < problem.interval_samples:
+            yield replace(problem, interval=samples)
+    yield problem
 
 
-def _fitted(one: _Start, known: Sequence[EffectInstance], marks: dict[int, float]) -> FreeLaw | None:
-    """Form with effects elsewhere, fitted to the record from where the smoothed motion is.
+def _fitted(start: _Start, marks: dict[int, float]) -> FreeLaw | None:
+    """Law fitted to the record, with effects elsewhere, from where the smoothed motion is.
 
-    Shooting intervals grow from a fraction of the record to those of the problem: with the first factors the simulated
-    motion would lose the record. If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept.
-    Marks are the least cost of a form, by the samples of shooting intervals; one that costs far more is given up.
+    Shooting intervals grow to those of the problem: with the first factors the simulated motion would lose the record.
+    If it loses it with the last ones, too, as chaotic motions do, shorter ones are kept. Marks are the least cost of a
+    law, by the samples of shooting intervals; one that costs far more is given up.
     """
-    problem = one.ground.problem
-    instances: tuple[EffectInstance, ...] = (*known, *_instances(one.form, one.place.name, one.factors))
-    many = len(fitting.estimated(instances))
-    whole = np.zeros((many, many))
-    whole[-len(one.penalty) :, -len(one.penalty) :] = one.penalty
-    theta, best = one.ground.base.theta, None
-    if one.ground.further is not None:  # the parameters that go with it, which the fit without it has led away
-        theta, _ = one.screen.around(instances)
-    most, noise = problem.interval_samples, float(problem.record.readings.size)
-    for samples in (*(n for part in PARTS if FEWEST < (n := len(problem.record) // part) < most), most):
-        stage = replace(problem, interval=0 if samples == len(problem.record) else samples)
-        start = np.ascontiguousarray(one.ground.motion.states[::samples][: stage.intervals])
-        rounds, mark = ROUNDS if samples == most else FIRST_ROUNDS, LOST * marks.get(samples, np.inf)
+    law, problem, best = start.law, start.law.problem, None
+    instances, noise = law.hypothesis.instances, float(problem.record.readings.size)
+    theta, _ = start.screen.around(instances)
+    many = len(fitting.estimated(law.others))
+    penalty = linalg.block_diag(np.zeros((many, many)), law.penalty)
+    for stage in growing(problem):
+        samples = stage.interval_samples
+        begin = np.ascontiguousarray(law.motion.states[::samples][: stage.intervals])
+        rounds, mark = ROUNDS if stage is problem else FIRST_ROUNDS, LOST * marks.get(samples, np.inf)
         try:
-            fitted = fitting.fit(stage, instances, theta=theta, start=start, rounds=rounds, rival=mark, penalty=whole)
+            made = fitting.fit(stage, instances, theta=theta, start=begin, rounds=rounds, rival=mark, penalty=penalty)
         except IntegrationError:
             break
-        if fitted.cost > mark:
+        if made.cost > mark:
             return None
-        if best is not None and fitted.cost > LOST * max(best.hypothesis.cost, noise):
+        if best is not None and made.cost > LOST * max(best.hypothesis.cost, noise):
             break
-        instances, theta = fitted.instances, fitted.theta
-        marks[samples] = min(fitted.cost, marks.get(samples, np.inf))
-        best = FreeLaw(one.place, one.form, fitted, one.x, one.rate, whole, stage, one.ground.further)
+        instances, theta, best = made.instances, made.theta, replace(law, hypothesis=made, problem=stage)
+        marks[samples] = min(made.cost, marks.get(samples, np.inf))
     return best

@@ -7,8 +7,9 @@ Source: Christensen (1982), Theory of Viscoelasticity, chapter 1, for internal s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,57 +28,57 @@ NOUNS = {"d": "displacement", "v": "rate"}
 
 
 @dataclass(frozen=True)
-class FurtherPlaces:
-    """A rig with further places for a law."""
+class LawPlaces:
+    """Places where a law without a name may sit, in a rig that has them."""
 
-    rig: AugmentedModel  # of the model that has them
-    nouns: Mapping[str, Mapping[str, str]]  # for each of these elements, names of its displacement `d` and rate `v`
-    on: Mapping[str, str]  # for each, the place whose force it is
+    rig: AugmentedModel
+    nouns: Mapping[str, Mapping[str, str]]  # for each, names of its displacement `d` and rate `v`
+    on: Mapping[str, str]  # for each, the place of the rig itself whose force it is
     time: str = ""  # name of the relaxation time among the parameters; '' without memory
-    tried: tuple[float, ...] = field(default=())  # relaxation times, s
+    tried: tuple[float, ...] = ()  # relaxation times, s
 
-    def problem(self, problem: EstimationProblem, seconds: float) -> EstimationProblem:
-        """Problem of this rig, made of that without further places; a relaxation time is `seconds`, known to that."""
-        prior = problem.prior
+    @property
+    def are_own(self) -> bool:
+        """Whether they are places of the rig itself."""
+        return all(name == at for name, at in self.on.items())
+
+    def begun(
+        self, problem: EstimationProblem, known: Hypothesis, seconds: float
+    ) -> tuple[EstimationProblem, Hypothesis]:
+        """Problem and hypothesis of the rig itself as those of this one, at rest, with a relaxation time in s."""
+        before, prior, theta = problem.rig, problem.prior, known.theta
         if self.time:
-            prior = prior.extended(len(problem.rig.names), seconds, seconds, SHORTEST * seconds, np.inf)
-        return replace(problem, rig=self.rig, prior=prior)
-
-    def hypothesis(self, known: Hypothesis, before: AugmentedModel, seconds: float) -> Hypothesis:
-        """Hypothesis of the rig without further places as one of this rig, with the state at rest."""
-        if not self.time:
-            return known
+            prior = prior.extended(len(before.names), seconds, seconds, SHORTEST * seconds, np.inf)
+            theta = np.insert(theta, len(before.names), seconds)
         start = np.tile(self.rig.rest, (len(known.start), 1))
         start[:, [self.rig.twin.state_names.index(name) for name in before.twin.state_names]] = known.start
-        return replace(known, theta=np.insert(known.theta, len(before.names), seconds), start=start)
+        return replace(problem, rig=self.rig, prior=prior), replace(known, theta=theta, start=start)
 
 
-def of(rig: AugmentedModel, at: str, time: float) -> list[FurtherPlaces]:
+def own(rig: AugmentedModel) -> LawPlaces:
+    """Places of a rig itself where a law may sit: declared ones and coordinates."""
+    names = [one.name for one in rig.places if one.is_open and (one.declared or one.coordinate)]
+    return LawPlaces(rig, dict.fromkeys(names, NOUNS), dict(zip(names, names, strict=True)))
+
+
+def of(rig: AugmentedModel, at: str, time: float) -> list[LawPlaces]:
     """Further places of a law: those with memory at its place, and those that follow another coordinate.
 
     The others act at the place, and at each coordinate that it acts on. The time of the motion is in s.
     """
-    base, place = rig.twin.base, next(one for one in rig.places if one.name == at)
+    place = next(one for one in rig.places if one.name == at)
     found = [] if place.element.displacement is None else [_with_memory(rig, place, time)]
     near = [one for one in rig.places if one.coordinate in place.element.acts and one.name != at and not one.directed]
-    nouns, on = dict[str, Mapping[str, str]](), dict[str, str]()
-    elements, parameters = dict[str, Element](), dict[str, Parameter]()
-    for one in (place, *near):
-        for name, element, parameter, noun in _others(base, one):
-            elements[name], nouns[name], on[name] = element, noun, one.name
-            parameters |= parameter
-    if elements:
-        changed = {"elements": {**base.elements, **elements}, "parameters": {**base.parameters, **parameters}}
-        found.append(FurtherPlaces(_changed(rig, base.model_copy(update=changed)), nouns, on))
-    return found
+    others = _following_others(rig, (place, *near))
+    return [*found, others] if others.on else found
 
 
-def _with_memory(rig: AugmentedModel, place: Place, time: float) -> FurtherPlaces:
+def _with_memory(rig: AugmentedModel, place: Place, time: float) -> LawPlaces:
     """Place with a state z that relaxes to its displacement d: a law follows d, and (d - z)/tau as its rate.
 
     That is the rate of d, of which tau is forgotten: f(d), f(d - z), and of both f(z), too.
     """
-    base, element, label = rig.twin.base, place.element, identifier(place.name) if not place.declared else place.name
+    base, element, label = rig.twin.base, place.element, _label(place)
     state, seconds, name = (_free(base, f"{what}_{label}") for what in ("relaxed", "relaxation_time", "memory"))
     moved, tried = element.displacement.text if element.displacement else "", tuple(part * time for part in TIMES)
     rate = Expression(f"(({moved}) - {state})/{seconds}")
@@ -93,38 +94,27 @@ def _with_memory(rig: AugmentedModel, place: Place, time: float) -> FurtherPlace
         "equations": {**base.equations, Expression(f"{state}'"): rate},
         "elements": {**base.elements, name: law},
     }
-    made = _changed(rig, base.model_copy(update=changed), (seconds,))
-    return FurtherPlaces(made, {name: {"d": "displacement", "v": "relaxing rate"}}, {name: place.name}, seconds, tried)
+    twin = replace(rig.twin, base=base.model_copy(update=changed))
+    made = replace(rig, twin=twin, names=(*rig.names, seconds))
+    return LawPlaces(made, {name: {"d": "displacement", "v": "relaxing rate"}}, {name: place.name}, seconds, tried)
 
 
-def _others(
-    base: ModelDeclaration, place: Place
-) -> Iterator[tuple[str, Element, Mapping[str, Parameter], Mapping[str, str]]]:
-    """Elements that act as a place does and follow another coordinate, by itself or beside its displacement.
-
-    With each come its name, its parameters and what a law calls what it follows.
-    """
-    element, label = place.element, identifier(place.name) if not place.declared else place.name
-    symbols = {} if is_plain(base) else symbol_dimensions(base) or {}
-    for other in base.coordinates:
-        if element.displacement is not None and element.displacement.text.strip() == other:
-            continue
-        alone = Element(displacement=Expression(other), unit=element.unit, acts=element.acts)
-        yield _free(base, f"{other}_at_{label}"), alone, {}, {k: f"{x} of {other}" for k, x in NOUNS.items()}
-        if element.displacement is None:
-            continue
-        unit, seconds = "1", _free(base, f"second_{other}_{label}")
-        if symbols:
-            made = dimension_in(Expression(f"({other})*t/({element.displacement.text})"), symbols)
-            unit = "1" if made is None else describe(made)
-        with_it = element.model_copy(update={"rate": Expression(f"{other}/{seconds}"), "force": None, "meaning": ""})
-        one = Parameter(value=1.0, unit=unit, meaning=f"{other} as a rate of {place.name}")
-        nouns = {"d": f"displacement of {place.name}", "v": f"displacement of {other}"}
-        yield _free(base, f"{label}_and_{other}"), with_it, {seconds: one}, nouns
+def _following_others(rig: AugmentedModel, places: Sequence[Place]) -> LawPlaces:
+    """Places that act as others do, each following another coordinate."""
+    base, elements = rig.twin.base, dict[str, Element]()
+    nouns, on = dict[str, Mapping[str, str]](), dict[str, str]()
+    for place, other in itertools.product(places, base.coordinates):
+        element = place.element
+        if element.displacement is None or element.displacement.text.strip() != other:
+            name = _free(base, f"{other}_at_{_label(place)}")
+            elements[name] = Element(displacement=Expression(other), unit=element.unit, acts=element.acts)
+            nouns[name], on[name] = {key: f"{noun} of {other}" for key, noun in NOUNS.items()}, place.name
+    twin = replace(rig.twin, base=base.model_copy(update={"elements": {**base.elements, **elements}}))
+    return LawPlaces(replace(rig, twin=twin), nouns, on)
 
 
-def _changed(rig: AugmentedModel, base: ModelDeclaration, more: Sequence[str] = ()) -> AugmentedModel:
-    return replace(rig, twin=replace(rig.twin, base=base), names=(*rig.names, *more))
+def _label(place: Place) -> str:
+    return place.name if place.declared else identifier(place.name)
 
 
 def _free(base: ModelDeclaration, name: str) -> str:

@@ -11,9 +11,11 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
+from masking.inference.discovery.explanation import in_both
+from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import explainable
 from masking.inference.discovery.ground import Tell
-from masking.inference.discovery.unnamed_law import UnnamedLaw, evidence, law_of
+from masking.inference.discovery.unnamed_law import UnnamedLaw, law_of
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
 
@@ -21,47 +23,36 @@ OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the a
 def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    Where the names leave so much more than noise that it could explain, that law is fitted, as their rival; also where
-    they leave a little more, two act at one place, the last takes what another left or one changes beyond the motion,
-    for a closed form may do as well with no more numbers. The integration steps are those of the model alone.
+    That law is fitted where the names are refused, and as their rival where it could explain what they leave: so much
+    that it is likelier, or a little more than noise, or where two act at one place. A closed form may do as well with
+    no more numbers. The integration steps are those of the model alone.
     """
-    if found.verdict in {"none", "parameter"} or found.is_hidden or not found.explanation.hypothesis.instances:
-        return _without_names(found, substeps)
-    is_refused, rules = found.verdict == "unknown", found.problem.rules
-    left, size, errs = _left(found), found.record.readings.size, found.simulation_error.over_noise
-    with threadpool_limits(1):
-        taken = explainable(found)
-    part = taken / max(verdict.excess_cost(found.search.base.cost, size), 1.0)
-    is_open = is_refused or (verdict.none_matters(min(left, float(np.sqrt(part)))) and not found.closed)
+    is_refused, has_names = found.verdict == "unknown", bool(found.explanation.hypothesis.instances)
+    if found.verdict in {"none", "parameter"} or not (is_refused or has_names):
+        return replace(found, law=None, none_of_these=0.0)
+    rules, size = found.problem.rules, found.record.readings.size
     are_two = share_a_place(found.explanation.names, found.problem.rig)
-    leaves_more = max(found.explanation.cost / size, errs**2) > 1.0 + rules.screen_resolution
-    # Where the rest does not follow the motion of a place, no law does better than the names.
-    follows = taken > (1.0 - rules.much_less) * verdict.excess_cost(found.explanation.cost, size)
-    law = None
-    if is_open or (follows and (are_two or leaves_more or _takes_a_rest(found) or changes_beyond(found))):
+    worst = max(found.explanation.cost / size, found.simulation_error.over_noise**2)
+    leaves_more = worst > 1.0 + rules.screen_resolution
+    has_rival = not is_refused and (are_two or leaves_more) and _is_explainable(found)
+    law, matched = None, found
+    if has_rival or (is_refused and not found.is_hidden):
         say("fitting a law without a name", 0.97)
         law = law_of(found, found.validation, substeps, OPEN if is_refused else NAMED)
-    matched, better, unexplained = _in_intervals_of(law, found), -np.inf, left if is_refused else 0.0
-    if law is not None and law.follows(found.problem, found.validation):
-        alone = not matched.is_at_noise_floor and law.reaches(found.simulation_error.validation_noise_floor)
-        better = evidence(matched, matched.after, law, alone=alone) - rules.effect_evidence
-        unexplained = law.unexplained(found) if is_open else 0.0
-    none = verdict.none_of_these(unexplained, better, shared=are_two)
-    if law is None and leaves_more and follows and found.problem.work.is_cut:  # no rival was tried
+        matched = found if law is None else _in_intervals_of(law, found)
+        if law is not None and not _is_better(law, matched.before, matched.adjusted):
+            law, matched = None, found
+    left, better = _left(found) if is_refused else 0.0, -np.inf
+    if law is not None and _is_as_long(law, found):
+        left, better = _left(matched, law), evidence(matched, law) - rules.effect_evidence
+    none = verdict.none_of_these(left, better, shared=are_two)
+    if law is None and leaves_more and has_rival and found.problem.work.is_cut:  # no rival was tried
         none = max(none, verdict.LIKELIER)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
-    is_written = answer == "unknown" and law is not None and not _leaves_more(law, found, matched)
+    is_written = answer == "unknown" and law is not None and _is_better(law, matched.after)
     of, kept = (matched, law) if is_written else (found, None)
-    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=_effects(found, 1.0 - none))
-
-
-def _without_names(found: Discovery, substeps: int) -> Discovery:
-    """Discovery that names no effect, with the law without a name where something is missing."""
-    if found.verdict != "unknown":
-        return replace(found, law=None, none_of_these=0.0)
-    law = None if found.is_hidden else law_of(found, found.validation, substeps, OPEN)
-    none = verdict.none_of_these(1.0 if law is None else law.unexplained(found))
-    return replace(_in_intervals_of(law, found), law=law, none_of_these=none)
+    effects = _effects(found, 1.0 - none) if has_names else found.effects
+    return replace(of, verdict=answer, law=kept, none_of_these=none, effects=effects)
 
 
 def _effects(found: Discovery, part: float) -> tuple[Named, ...]:
@@ -73,12 +64,12 @@ def _effects(found: Discovery, part: float) -> tuple[Named, ...]:
     return (*causes, *found.effects[len(causes) :])
 
 
-def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
+def _in_intervals_of(law: UnnamedLaw, found: Discovery) -> Discovery:
     """Discovery with its errors on unseen data in the shooting intervals in which a law follows these.
 
-    It is as it was where there is no law, or where the model does not move on from one interval to the next.
+    It is as it was where the model does not move on from one interval to the next.
     """
-    if law is None or law.problem.interval == found.validation.interval:
+    if law.problem.interval == found.validation.interval:
         return found
     validation = replace(found.validation, interval=law.problem.interval)
     try:
@@ -90,44 +81,59 @@ def _in_intervals_of(law: UnnamedLaw | None, found: Discovery) -> Discovery:
     return replace(found, validation=validation, before=new[0], after=new[1], adjusted=new[2], simulation_error=errors)
 
 
-def _leaves_more(law: UnnamedLaw, *found: Discovery) -> bool:
-    """Whether a law leaves more on unseen data than the names do, in intervals that are no shorter."""
-    left, length = float(law.validated.squares @ law.problem.weights), law.problem.interval_samples
-    fair = [one for one in found if one.validation.interval_samples >= length]
-    return any(left > one.after.squares @ one.validation.weights for one in fair)
+def _is_better(law: UnnamedLaw, *others: Hypothesis) -> bool:
+    """Whether a law leaves less on unseen data than others do, in its shooting intervals."""
+    left, *rest = (float(one.squares @ law.problem.weights) for one in (law.validated, *others))
+    return left < min(rest)
 
 
-def changes_beyond(found: Discovery) -> bool:
-    """Whether a law has its edge, width or rate beyond the motion, which shows it in a limit that others share.
+def _is_as_long(law: UnnamedLaw, found: Discovery) -> bool:
+    """Whether a law follows both records in intervals as long as the names do: in shorter ones any law leaves less."""
+    pairs = (law.free.problem, found.problem), (law.problem, found.validation)
+    return all(own.interval_samples >= other.interval_samples for own, other in pairs)
 
-    Such as dry friction that is proportional to each rate of the record.
+
+def evidence(found: Discovery, law: UnnamedLaw) -> float:
+    """Score of the names less that of the closed form of a law, in both records; -inf where it has none.
+
+    The discovery is in the shooting intervals of the law.
     """
-    places, motion = [place.name for place in found.problem.rig.places], found.search.motion
-    for one in found.explanation.hypothesis.instances:
-        if one.at in places:
-            at = places.index(one.at)
-            reached = {"D": np.abs(motion.displacement[:, at]).max(), "D/s": np.abs(motion.rate[:, at]).max()}
-            units = (one.entry.parameters[name].unit for name in one.names)
-            if any(abs(value) > reached.get(unit, np.inf) for unit, value in zip(units, one.estimated, strict=True)):
-                return True
-    return False
+    if law.form is None:
+        return -np.inf
+    pairs = (found.explanation, found.after), (law.form.explanation, law.form.validated)
+    names, form = in_both([replace(one, unseen=unseen) for one, unseen in pairs])
+    return names - form
 
 
-def _takes_a_rest(found: Discovery) -> bool:
-    """Whether the last cause takes no more than a trace that the others leave: of one law, they may be two."""
-    names, ranked = {*found.explanation.names}, found.search.ranked
-    before = next((one for one in ranked if {*one.names} < names and len(one.names) == len(names) - 1), None)
-    base, size = found.search.base, found.problem.record.readings.size
-    return before is not None and verdict.leaves_little(before.cost, base.cost, size, found.problem.rules)
+def _is_explainable(found: Discovery) -> bool:
+    """Whether a law could explain nearly all that the names leave of the record, or so much that it is likelier.
+
+    Where the rest does not follow the motion of a place, no law does better than the names.
+    """
+    with threadpool_limits(1):
+        taken = explainable(found)
+    base, names = (
+        verdict.excess_cost(one.cost, found.record.readings.size) for one in (found.search.base, found.explanation)
+    )
+    part = min(_left(found), float(np.sqrt(taken / max(base, 1.0))))
+    return taken > (1.0 - found.problem.rules.much_less) * names or verdict.none_of_these(part) > verdict.LIKELIER
 
 
-def _left(found: Discovery) -> float:
-    """Part of the rms of the model error that the names leave in both records, beyond noise."""
-    seen = found.problem, found.search.base.hypothesis, found.explanation.hypothesis
-    unseen = found.validation, found.adjusted, found.after
+def _left(found: Discovery, law: UnnamedLaw | None = None) -> float:
+    """Part of the rms of the model error beyond noise that the names leave in both records, and a law explains.
+
+    What it leaves itself is of as many independent samples as it is worth, and is larger or smaller by chance.
+    """
+    seen, unseen = [found.search.base.hypothesis, found.explanation.hypothesis], [found.adjusted, found.after]
+    chance = 0.0
+    if law is not None:
+        seen, unseen = [*seen, law.fitted], [*unseen, law.validated]
+        samples = float(law.fitted.independent.sum() + law.validated.independent.sum())
+        chance = float(found.problem.rules.chance_deviations) * float(np.sqrt(2.0 / samples))
     excess = [
-        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in (base, named)]
-        for part, base, named in (seen, unseen)
+        [verdict.excess_cost(float(one.squares @ part.weights), part.record.readings.size) for one in every]
+        for part, every in ((found.problem, seen), (found.validation, unseen))
     ]
-    whole, left = np.sum(excess, axis=0)
-    return float(np.sqrt(left / whole)) if whole > left else 1.0
+    base, names, *own = np.sum(excess, axis=0)
+    explained = max(names - (1.0 + chance) * sum(own), 0.0)
+    return float(np.sqrt(explained / base)) if base > names else 1.0

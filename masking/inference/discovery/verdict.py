@@ -27,9 +27,7 @@ NONE_LEAST = 0.01  # p0, where the names leave no more than noise; and of the na
 NONE_HALF = 0.1  # l0: a law that is a tenth off is as likely another one
 NONE_SHARPNESS = 3.0  # s
 SHARED = 0.3  # at least, where two forces of one place are named: together they imitate many a single law
-EXPLAINED = 1.5  # times the noise that a law without a name leaves at most, where it speaks against all names
 LIKELIER = 0.5  # from which none of the names is likelier than all of them
-CHANGE = 1e-3  # of a probability: a law that changes it by less is not fitted
 
 
 class Cause(NamedTuple):
@@ -208,8 +206,3 @@ def none_of_these(left: float, better: float = -np.inf, *, shared: bool = False)
     found = NONE_LEAST + (1.0 - NONE_LEAST) / (1.0 + (NONE_HALF / left) ** NONE_SHARPNESS) if left > 0.0 else NONE_LEAST
     found = max(found, (1.0 - NONE_LEAST) * float(special.expit(0.5 * float(better))))
     return max(found, SHARED if shared else 0.0)
-
-
-def none_matters(left: float) -> bool:
-    """Whether a law without a name could change the probability where names leave so much of the rms of the error."""
-    return none_of_these(left) > NONE_LEAST + CHANGE

@@ -13,7 +13,7 @@ import numpy as np
 
 import masking
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.grammar import evaluated
+from masking.inference.discovery.grammar import force
 from tests.benchmarks.laws import records
 from tests.benchmarks.laws.records import NAMES, Case, Rig
 
@@ -113,11 +113,10 @@ def _form(found: Discovery, rig: Rig) -> tuple[float | None, str]:
     if found.law is None or found.law.form is None:
         return None, ""
     one, x, rate = found.law.form.instance, found.law.free.x, found.law.free.rate
-    known = dict(zip(one.entry.parameters, one.values, strict=True))
-    made = evaluated(one.entry.expression, {**known, "d": x, "d_rate": rate})
+    made = force(one, x, rate)
     truth = np.array([rig.hidden(d, v) for d, v in zip(x, rate, strict=True)])
     error = float(np.abs(made - truth).max() / np.abs(truth).max())
-    return error, ", ".join(atom.name for atom, _, _ in found.law.form.terms)
+    return error, ", ".join(atom.name for atom, _, _ in found.law.form.formula.terms)
 
 
 def brier(outcomes: Sequence[Outcome]) -> float:
