@@ -11,7 +11,7 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
-from masking.inference.discovery.explanation import in_both
+from masking.inference.discovery.explanation import Unseen, in_both
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import explainable
 from masking.inference.discovery.ground import Tell
@@ -101,7 +101,7 @@ def evidence(found: Discovery, law: UnnamedLaw) -> float:
     if law.form is None:
         return -np.inf
     pairs = (found.explanation, found.after), (law.form.explanation, law.form.validated)
-    names, form = in_both([replace(one, unseen=unseen) for one, unseen in pairs])
+    names, form = in_both([replace(one, unseen=Unseen(unseen, unseen.as_given)) for one, unseen in pairs])
     return names - form
 
 
