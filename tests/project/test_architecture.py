@@ -50,11 +50,10 @@ FLOORS: dict[str, set[str]] = {
         *("control", "plants", "signals"),
     },
     "estimation": {"numerics", "declaration", "display", "codegen", "records", "rig"},
-    "procedures": {"numerics", "declaration", "modelling", "records", "rig", "estimation"},
     "discovery": {
         *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
-        "procedures",
     },
+    "procedures": {"numerics", "declaration", "modelling", "records", "rig", "estimation"},
     "reports": {
         *("numerics", "declaration", "display", "effects", "modelling", "records", "analysis", "rig", "estimation"),
         *("discovery", "procedures"),

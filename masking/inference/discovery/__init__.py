@@ -2,5 +2,5 @@
 
 In: a record that a model does not reproduce.
 Out: the physical effect that the model lacks, and a verdict.
-Imports: numerics, declaration, display, effects, codegen, records, signals, rig, estimation, procedures.
+Imports: numerics, declaration, display, effects, codegen, records, signals, rig, estimation.
 """

@@ -19,7 +19,7 @@ import numpy as np
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, minimise_residuals
-from masking.inference.discovery import explanation, fitting
+from masking.inference.discovery import explanation, fitting, unseen_data
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
@@ -270,7 +270,7 @@ def fitted(law: FreeLaw, unseen: EstimationProblem, followed: Hypothesis) -> Clo
     def made(form: Formula, rival: float) -> ClosedForm:
         every = (*law.others, instance(form, law))
         found = fitting.fit(knowing(problem, every), every, theta=known.theta, start=known.start, rival=rival)
-        checked = fitting.validated(knowing(unseen, every), found)
+        checked = unseen_data.validated(knowing(unseen, every), found)
         cost = found.misfit(known) + checked.misfit(followed) + both * form.size + price * len(form.atoms)
         return ClosedForm(form.fitted(found.instances[-1].estimated), named(found), checked, cost)
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, MaskingError
-from masking.inference.discovery import fitting, held_out, instrument_errors, readings, verdict
+from masking.inference.discovery import fitting, held_out, instrument_errors, readings, unseen_data, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.discovery_result import (
@@ -139,7 +139,10 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         known = search.problem
         validation = replace(known, record=reading.unseen, sigma=reading.noise)
         declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-        before, base = fitting.validated(validation, declared.hypothesis), held_out.simulated(search.base, validation)
+        before, base = (
+            unseen_data.validated(validation, declared.hypothesis),
+            held_out.simulated(search.base, validation),
+        )
         without = base.unseen or Unseen(before, before)
         left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
         if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
@@ -20,14 +19,13 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, Damping, Linearised, Minimum, Patience, System, minimise
 from masking.errors import IntegrationError
-from masking.inference.discovery import continuation, discrepancy, excluded_laws
+from masking.inference.discovery import continuation, discrepancy
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.discrepancy import Likelihood
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES, DecisionRules
 from masking.inference.discovery.smoothing import sizes
 from masking.inference.estimation.initial_states import FIRST_READINGS
-from masking.inference.estimation.simulation import PARTS, STUCK
 from masking.model.declaration.expression import Expression
 
 MOST_ROUNDS = 40
@@ -244,56 +242,19 @@ def _continued(problem: EstimationProblem, begun: Begun, *, frozen: bool, most: 
     return Begun(begun.instances, begun.theta, every)
 
 
-def together(problem: EstimationProblem, other: EstimationProblem, known: Hypothesis) -> Hypothesis:
-    """Fit a hypothesis to its own record and to another one at once, from where each leaves it by itself.
+def together(problem: EstimationProblem, other: EstimationProblem, known: Hypothesis, start: Array) -> Hypothesis:
+    """Fit a hypothesis to its own record and to another one at once, which begins at `start` (w, states).
 
     The initial states that are found are those of both records, the residuals those of its own; the rest as in `fit`.
     """
-    start = np.concatenate([known.start, validated(other, known).start])
-    return _LeastSquares(problem, known.instances, start, (other,)).solve(known.theta)
+    begins = np.concatenate([known.start, start])
+    return _LeastSquares(problem, known.instances, begins, (other,)).solve(known.theta)
 
 
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem; errors as `fit`."""
     begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
     return fit(problem, begun, theta=known.theta, start=known.start, rounds=continuation.ROUNDS, rival=rival)
-
-
-def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
-    """Hypothesis on a validation record: its initial state alone is fitted, by parts if need be; errors as `fit`."""
-    fitted = partial(fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
-    found, record = fitted(problem), problem.record
-    if problem.interval or found.cost < STUCK * record.readings.size:
-        return found
-    folded = [problem.rig.index(one) for one in hypothesis.instances if excluded_laws.folds(problem, one)]
-    for sides in itertools.product((1.0, -1.0), repeat=len(folded)):
-        signs = np.ones(record.readings.shape[1])
-        signs[folded] = sides
-        turned = replace(problem, record=replace(record, readings=signs * record.readings))
-        start = turned.first_states(hypothesis.theta)
-        with suppress(IntegrationError):
-            for part in PARTS:
-                if part * len(record) >= FIRST_READINGS:
-                    begin = replace(problem, record=record.first(part * len(record) / record.rate))
-                    start = fitted(begin, start=start).start
-            found = min(found, fitted(problem, start=start), key=lambda one: one.cost)
-        if found.cost < STUCK * record.readings.size:
-            break
-    return found
-
-
-def predicted(problem: EstimationProblem, known: Hypothesis, alone: Hypothesis) -> Hypothesis:
-    """Hypothesis on unseen data, with the parameters of the rig as uncertain as its own record leaves them.
-
-    The effects are as they were found. `alone` is what `validated` gives: the parameters go from there.
-    Source: Gelman et al. (2013), Bayesian Data Analysis, section 6.3, for predictions as uncertain as parameters are.
-    """
-    prior, size = problem.prior, known.deviations[: len(known.theta)]
-    deviation = np.where(size > 0.0, np.minimum(size, prior.deviation), prior.deviation)
-    wider = replace(problem, prior=replace(prior, mean=known.theta, deviation=deviation))
-    fixed = tuple(replace(one, free=()) for one in known.instances)
-    made, stays = solved(wider, Begun(fixed, known.theta, alone.start), rounds=continuation.ROUNDS), alone.as_given
-    return made if made is not None and made.misfit(made) < stays.misfit(made) else stays
 
 
 def cost(problem: EstimationProblem, instances: Sequence[EffectInstance], theta: Array, start: Array) -> float:

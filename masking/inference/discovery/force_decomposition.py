@@ -27,8 +27,7 @@ from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces
-from masking.inference.procedures.frequency_response import Spectra, by_period
-from masking.inference.procedures.measured_response import repeats
+from masking.inference.estimation.periodic_spectra import Spectra, by_period, repeats
 
 MOST = 10_000  # samples that are looked at; forces change slowly beside the samples of a long record
 STRETCHES, FOLDS = 100, 5  # most into which a record is cut; each fifth of them is held against the others

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting
+from masking.inference.discovery import fitting, unseen_data
 from masking.inference.discovery.discovery_result import Discovery, Grade
 from masking.inference.discovery.trace import Line
 from masking.inference.discovery.verdict import Key
@@ -29,7 +29,7 @@ def graded(found: Discovery) -> tuple[Grade, ...]:
         try:
             with threadpool_limits(1):
                 fitted = fitting.fit(found.problem, others, theta=known.theta, start=known.start) if others else None
-                left = found.adjusted if fitted is None else fitting.validated(unseen, fitted)
+                left = found.adjusted if fitted is None else unseen_data.validated(unseen, fitted)
             without = unseen.errors(left.squares)
         except IntegrationError:
             without = dict.fromkeys(errors, np.inf)

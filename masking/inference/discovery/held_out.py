@@ -19,7 +19,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery import fitting, unseen_data, verdict
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, Unseen, in_both, nearest, on_unseen
 from masking.inference.discovery.fitting import Hypothesis
@@ -107,9 +107,9 @@ def _is_plainer(one: Explanation, richer: Explanation, problem: EstimationProble
 
 def simulated(one: Explanation, validation: EstimationProblem) -> Explanation:
     """Explanation along unseen data; errors as `fitting.fit`."""
-    alone = fitting.validated(validation, one.hypothesis)
+    alone = unseen_data.validated(validation, one.hypothesis)
     is_noise = verdict.reaches_noise(float(alone.misfits.sum()), alone.residuals.size, validation.rules)
-    within = alone.as_given if is_noise else fitting.predicted(validation, one.hypothesis, alone)
+    within = alone.as_given if is_noise else unseen_data.predicted(validation, one.hypothesis, alone)
     return replace(one, unseen=Unseen(alone, within))
 
 
@@ -195,7 +195,7 @@ def _pooled(
 
     if fitted.cost > rules.small_residual * fitted.residuals.size or is_explained(after, validation):
         return None
-    joint = fitting.together(free, validation, fitted)
+    joint = fitting.together(free, validation, fitted, after.start)
     starts = joint.start[: problem.intervals], joint.start[problem.intervals :]
     seen, unseen = (
         fitting.fit(part, joint.instances, theta=joint.theta, start=start, frozen=True)

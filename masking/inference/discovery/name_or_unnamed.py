@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery import unseen_data, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
 from masking.inference.discovery.explanation import Unseen, in_both
@@ -73,7 +73,7 @@ def _in_intervals_of(law: UnnamedLaw, found: Discovery) -> Discovery:
         return found
     validation = replace(found.validation, interval=law.problem.interval)
     try:
-        new = [fitting.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
+        new = [unseen_data.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
     except IntegrationError:
         return found
     before, after, adjusted = (validation.errors(one.squares) for one in new)

@@ -15,10 +15,10 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import (
     candidates,
     closed_form,
-    fitting,
     free_law,
     further_places,
     grammar,
+    unseen_data,
     verdict,
 )
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
@@ -207,7 +207,7 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
     most = STUCK * unseen.record.readings.size
     for part in reversed([*free_law.growing(unseen)]):
         with suppress(IntegrationError):
-            found = fitting.validated(part, law.hypothesis, most)
+            found = unseen_data.validated(part, law.hypothesis, most)
             if found.cost < most:
                 return part, found
-    return unseen, fitting.validated(unseen, law.hypothesis)
+    return unseen, unseen_data.validated(unseen, law.hypothesis)

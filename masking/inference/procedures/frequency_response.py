@@ -20,45 +20,12 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, RecordError
+from masking.inference.estimation.periodic_spectra import Indices, Spectra, by_period
 from masking.inference.procedures.motion_columns import probability
 
-Indices = NDArray[np.int64]
-
-EXCITED_PART = 0.01  # of its largest amplitude, from which an input is excited at a line
 WORST_CONDITION = 1e6  # of the amplitudes of inputs at a line, up to which they can be distinguished
 MOVING_PART = 1e-12  # of its largest value: a channel that changes by no more does not move
 SILENT_PART = 1e-9  # of the largest amplitude: one that is no larger is rounding
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """Periods of a record as spectra, period by period."""
-
-    rate: float  # samples per second
-    length: int  # samples per period
-    inputs: Complex  # (experiments, periods, lines, inputs), at harmonics 0 to half the length
-    outputs: Complex  # (experiments, periods, lines, outputs)
-
-    @property
-    def base(self) -> float:
-        """Frequency of the first harmonic, Hz."""
-        return self.rate / self.length
-
-    @property
-    def periods(self) -> int:
-        """Number of periods that are used."""
-        return int(self.inputs.shape[1])
-
-    @property
-    def excited(self) -> Indices:
-        """Harmonics (lines,), without 0, at which an input has 1 % of its largest amplitude or more."""
-        return np.flatnonzero(self.moved().any(axis=1))
-
-    def moved(self) -> NDArray[np.bool_]:
-        """Harmonics at which each input is excited in any experiment, as a mask (lines, inputs)."""
-        size = np.abs(self.inputs.mean(axis=1)).max(axis=0)
-        size[0] = 0.0
-        return np.asarray(size >= EXCITED_PART * size.max(axis=0))
 
 
 @dataclass(frozen=True)
@@ -181,21 +148,6 @@ def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float
     for what, values in (("input", u), ("output", y)):
         _refuse_constant(what, values[:, discard * length :])
     return Spectra(float(rate), length, *(by_period(values, length, discard) for values in (u, y)))
-
-
-def by_period(values: Array, length: int, discard: int = 1) -> Complex:
-    """Spectra (experiments, periods, lines, channels) of the whole periods of values but the first ones.
-
-    Args:
-        values: a table of each experiment (experiments, samples, channels).
-        length: samples per period.
-        discard: periods at the start that are left out.
-    """
-    whole = values.shape[1] // length
-    kept = values[:, discard * length : whole * length].reshape(len(values), whole - discard, length, values.shape[2])
-    spectrum = 2.0 / length * np.fft.rfft(kept, axis=2)
-    spectrum[:, :, 0] /= 2.0
-    return np.asarray(spectrum)
 
 
 def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> FrequencyResponse:

@@ -14,9 +14,10 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
+from masking.inference.estimation.periodic_spectra import Spectra, repeats
 from masking.inference.procedures import frequency_response as responses
 from masking.inference.procedures.channels import Channel, Source
-from masking.inference.procedures.frequency_response import Distortion, FrequencyResponse, Spectra
+from masking.inference.procedures.frequency_response import Distortion, FrequencyResponse
 from masking.inference.procedures.measurement import LEVEL, Measurement, Row
 from masking.model.declaration.quantities import percent
 
@@ -134,37 +135,13 @@ def _period(source: Source, u: Array, rate: float, discard: int) -> float:
     stated = meta.get("period") if isinstance(meta, dict) else None
     if isinstance(stated, int | float) and stated > 0.0:
         return float(stated)
-    found = repeats(u)
+    found = repeats(u, REPEATED)
     if found is None:
         raise RecordError(
             f"{source.name}: there is no period in the record: over its {len(u) / rate:.4g} s the commands do not "
             f"repeat; give --period, and a record of at least {discard + 2} periods"
         )
     return found / rate
-
-
-def repeats(u: Array, difference: float = REPEATED) -> int | None:
-    """Samples after which columns (samples, inputs) repeat, at most half of all; None where they do not.
-
-    From one period to the next they differ by no more than a part of their size.
-    """
-    count, waves = len(u), u - u.mean(axis=0)
-    size = np.sqrt(np.mean(waves**2, axis=0))
-    waves = waves / np.where(size > 0.0, size, 1.0)
-    power = np.concatenate([[0.0], np.cumsum((waves**2).sum(axis=1))])
-    spectrum = np.fft.rfft(waves, 2 * count, axis=0)
-    along = np.fft.irfft((np.abs(spectrum) ** 2).sum(axis=1), 2 * count)[:count]
-    lags = np.arange(1, count // 2 + 1)
-    apart = (power[count - lags] + power[count] - power[lags] - 2.0 * along[lags]) / (count - lags)
-    # A wave is like itself a few samples later too: the first time that it is no more like it ends that.
-    far = np.flatnonzero(apart > 0.5 * u.shape[1])
-    close = np.flatnonzero(apart <= difference**2 * u.shape[1])
-    close = close[close > far[0]] if len(far) else close[:0]
-    if not len(close):
-        return None
-    first = close[0]
-    run = close[close < first + max(2, first // 20)]
-    return int(lags[run[np.argmin(apart[run])]])
 
 
 def _refuse_other_period(name: str, u: Array, length: int, rate: float, discard: int) -> None:
@@ -175,7 +152,7 @@ def _refuse_other_period(name: str, u: Array, length: int, rate: float, discard:
     size = np.maximum(later.std(axis=0), 1e-300)
     worst = float((np.sqrt(np.mean(change**2, axis=0)) / size).max())
     if worst > REPEATED:
-        found = repeats(u)
+        found = repeats(u, REPEATED)
         repetition = f"they repeat every {found / rate:.9g} s" if found else "they do not repeat at all"
         raise RecordError(
             f"{name}: there is no period of {length / rate:.9g} s in the record: from one such period to the next "

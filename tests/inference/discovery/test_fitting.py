@@ -9,7 +9,7 @@ from scipy import optimize, signal
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
-from masking.inference.discovery import discrepancy, fitting, shooting_intervals
+from masking.inference.discovery import discrepancy, fitting, shooting_intervals, unseen_data
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates, spans
 from masking.inference.discovery.composites import are_composite
@@ -271,7 +271,7 @@ def test_a_lag_is_judged_by_a_record_that_begins_in_motion(problem):
     own = whole.record.readings[begin:], whole.record.commands[begin:]
     assert abs(own[0][0, 1]) > 10.0 * NOISE
     part = replace(whole, record=replace(whole.record, readings=own[0], commands=own[1]))
-    left = fitting.validated(part, replace(fitting.fit(whole, (lag,)), start=np.zeros((1, 6)))).residuals
+    left = unseen_data.validated(part, replace(fitting.fit(whole, (lag,)), start=np.zeros((1, 6)))).residuals
     assert (np.abs(left[:5, 1]) < 5.0 * NOISE).all()
 
 
@@ -330,7 +330,7 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, problem,
     first, second = records
     start = instance.with_values((0,), (2e4,))
     alone = fitting.fit(first, (start,))
-    both = fitting.together(first, second, alone)
+    both = fitting.together(first, second, alone, unseen_data.validated(second, alone).start)
     k = len(rig.start)
 
     def residuals(x):

@@ -15,11 +15,11 @@ import masking
 from masking.inference.discovery import (
     closed_form,
     compiled_laws,
-    fitting,
     force_decomposition,
     grammar,
     latent_force,
     name_or_unnamed,
+    unseen_data,
     verdict,
 )
 from masking.inference.discovery.coverage import Coverage
@@ -105,7 +105,7 @@ def test_names_and_a_law_are_compared_in_the_same_intervals(found, parts):
     """In shorter intervals, names are not better than themselves."""
     discovery, _, _ = found
     named, short = discovery.explanation.hypothesis, replace(discovery.validation, interval=2000 // parts)
-    form = replace(discovery.law.form, explanation=discovery.explanation, validated=fitting.validated(short, named))
+    form = replace(discovery.law.form, explanation=discovery.explanation, validated=unseen_data.validated(short, named))
     law = replace(discovery.law, problem=short, form=form)
     matched = name_or_unnamed._in_intervals_of(law, discovery)
     assert float(matched.after.squares @ short.weights) < 0.9 * float(discovery.after.squares @ short.weights)

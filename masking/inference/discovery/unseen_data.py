@@ -1,0 +1,60 @@
+"""Unseen data: a hypothesis along a record that it was not fitted to."""
+
+from __future__ import annotations
+
+import itertools
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from masking.errors import IntegrationError
+from masking.inference.discovery import continuation, excluded_laws, fitting
+from masking.inference.discovery.fitting import Begun, Hypothesis
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.estimation.initial_states import FIRST_READINGS
+from masking.inference.estimation.simulation import PARTS, STUCK
+
+
+def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
+    """Hypothesis on a validation record: its initial state alone is fitted, by parts if need be.
+
+    Errors as `fitting.fit`.
+    """
+    fitted = partial(fitting.fit, instances=hypothesis.instances, theta=hypothesis.theta, frozen=True, rival=rival)
+    found, record = fitted(problem), problem.record
+    if problem.interval or found.cost < STUCK * record.readings.size:
+        return found
+    folded = [problem.rig.index(one) for one in hypothesis.instances if excluded_laws.folds(problem, one)]
+    for sides in itertools.product((1.0, -1.0), repeat=len(folded)):
+        signs = np.ones(record.readings.shape[1])
+        signs[folded] = sides
+        turned = replace(problem, record=replace(record, readings=signs * record.readings))
+        start = turned.first_states(hypothesis.theta)
+        with suppress(IntegrationError):
+            for part in PARTS:
+                if part * len(record) >= FIRST_READINGS:
+                    begin = replace(problem, record=record.first(part * len(record) / record.rate))
+                    start = fitted(begin, start=start).start
+            found = min(found, fitted(problem, start=start), key=lambda one: one.cost)
+        if found.cost < STUCK * record.readings.size:
+            break
+    return found
+
+
+def predicted(problem: EstimationProblem, known: Hypothesis, alone: Hypothesis) -> Hypothesis:
+    """Hypothesis on unseen data, with the parameters of the rig as uncertain as its own record leaves them.
+
+    The effects are as they were found. `alone` is what `validated` gives: the parameters go from there.
+    Source: Gelman et al. (2013), Bayesian Data Analysis, section 6.3, for predictions as uncertain as parameters are.
+    """
+    prior, size = problem.prior, known.deviations[: len(known.theta)]
+    deviation = np.where(size > 0.0, np.minimum(size, prior.deviation), prior.deviation)
+    wider = replace(problem, prior=replace(prior, mean=known.theta, deviation=deviation))
+    fixed = tuple(replace(one, free=()) for one in known.instances)
+    made, stays = (
+        fitting.solved(wider, Begun(fixed, known.theta, alone.start), rounds=continuation.ROUNDS),
+        alone.as_given,
+    )
+    return made if made is not None and made.misfit(made) < stays.misfit(made) else stays
