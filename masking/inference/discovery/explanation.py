@@ -124,9 +124,12 @@ def in_both(explanations: Sequence[Explanation]) -> list[float]:
     return [one.score(like) + unseen for one, unseen in zip(explanations, later, strict=True)]
 
 
-def on_unseen(explanations: Sequence[Explanation]) -> list[float]:
-    """-2 log likelihood of unseen data, see `in_both`; 0 where not all explanations have been simulated there."""
-    later = [one.unseen.within for one in explanations if one.unseen is not None]
+def on_unseen(explanations: Sequence[Explanation], view: str = "within") -> list[float]:
+    """-2 log likelihood of unseen data, see `in_both`; 0 where not all explanations have been simulated there.
+
+    The view is a field of `Unseen`.
+    """
+    later = [getattr(one.unseen, view) for one in explanations if one.unseen is not None]
     if len(later) < len(explanations):
         return [0.0] * len(explanations)
     like = fitting.nearest(later)

@@ -110,34 +110,39 @@ def simulated(one: Explanation, validation: EstimationProblem) -> Explanation:
     alone = unseen_data.validated(validation, one.hypothesis)
     is_noise = verdict.reaches_noise(float(alone.misfits.sum()), alone.residuals.size, validation.rules)
     within = alone.as_given if is_noise else unseen_data.predicted(validation, one.hypothesis, alone)
-    return replace(one, unseen=Unseen(alone, within))
+    return replace(one, unseen=Unseen(alone.as_given, within))
 
 
 def weights(rivals: Sequence[Explanation]) -> list[float]:
     """Probabilities of explanations, the likeliest in both records first.
 
-    Where the first leaves more than noise, one that leaves less of unseen data is as likely: what only the record says
-    against that may be what both lack.
+    Where the first leaves more than noise, one that leaves less of unseen data, by the estimates and within their
+    uncertainty, is as likely: what only the record says against that may be what both lack.
     """
-    scores, left, first = in_both(rivals), on_unseen(rivals), rivals[0].hypothesis
+    scores, first = in_both(rivals), rivals[0].hypothesis
     if not verdict.reaches_noise(first.cost, first.residuals.size, first.rules):
-        most = left[0] - first.rules.indifferent
-        scores = [min(score, scores[0]) if other < most else score for score, other in zip(scores, left, strict=True)]
+        views = [on_unseen(rivals, view) for view in Unseen._fields]
+        for i in range(1, len(rivals)):
+            if all(left[i] < left[0] - first.rules.indifferent for left in views):
+                scores[i] = min(scores[i], scores[0])
     return [float(one) for one in verdict.probabilities(scores)]
 
 
 def _does_nearly_as_much(simple: Explanation, richer: Explanation, most: float) -> bool:
     """Whether a special case of an explanation leaves hardly more of unseen data, if what it leaves is no chance.
 
-    The richer one is to leave at most a part of its excess cost.
+    The richer one is to leave at most a part of its excess cost, by the estimates or within their uncertainty.
     """
     if simple.unseen is None or richer.unseen is None:
         return False
-    size, rules = richer.unseen.within.residuals.size, simple.hypothesis.rules
-    left, more = (float(one.within.misfits.sum()) for one in (simple.unseen, richer.unseen))
-    if not verdict.is_excess(max(left, more), size, rules):
-        return False
-    return verdict.excess_cost(more, size) > most * verdict.excess_cost(left, size)
+    size, rules = richer.unseen.alone.residuals.size, simple.hypothesis.rules
+
+    def is_no_less(one: Hypothesis, other: Hypothesis) -> bool:
+        left, more = float(one.misfits.sum()), float(other.misfits.sum())
+        is_shown = verdict.is_excess(max(left, more), size, rules)
+        return is_shown and verdict.excess_cost(more, size) > most * verdict.excess_cost(left, size)
+
+    return all(is_no_less(one, other) for one, other in zip(simple.unseen, richer.unseen, strict=True))
 
 
 def _doubt(explanation: Explanation, problem: EstimationProblem) -> str:

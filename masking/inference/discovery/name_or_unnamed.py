@@ -8,10 +8,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import unseen_data, verdict
+from masking.inference.discovery import closed_form, fitting, unseen_data, verdict
 from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
-from masking.inference.discovery.explanation import Unseen, in_both
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import explainable
 from masking.inference.discovery.ground import Tell
@@ -24,8 +23,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Discovery with the probability that no name is right, and with the law without a name where it is not.
 
     That law is fitted where the names are refused, and as their rival where it could explain what they leave: so much
-    that it is likelier, or a little more than noise, or where two act at one place. A closed form may do as well with
-    no more numbers. The integration steps are those of the model alone.
+    that it is likelier, or a little more than noise, or where two act at one place. The integration steps are those of
+    the model alone.
     """
     is_refused, has_names = found.verdict == "unknown", bool(found.explanation.hypothesis.instances)
     if found.verdict in {"none", "parameter"} or not (is_refused or has_names):
@@ -94,15 +93,33 @@ def _is_as_long(law: UnnamedLaw, found: Discovery) -> bool:
 
 
 def evidence(found: Discovery, law: UnnamedLaw) -> float:
-    """Score of the names less that of the closed form of a law, in both records; -inf where it has none.
+    """Score of the names less that of the closed form of a law, each fitted to both records.
+
+    So a parameter that shows in the validation record alone is no evidence against either. The form is no rival, and
+    this is -inf, where there is none, it is known in other intervals, a motion of both fits is not finite, or it has
+    more numbers than names that leave no more than noise of unseen data.
 
     The discovery is in the shooting intervals of the law.
     """
-    if law.form is None:
+    form, named, unseen = law.form, found.explanation, law.problem
+    if form is None or law.free.problem.interval != found.problem.interval:
         return -np.inf
-    pairs = (found.explanation, found.after), (law.form.explanation, law.form.validated)
-    names, form = in_both([replace(one, unseen=Unseen(unseen, unseen.as_given)) for one, unseen in pairs])
-    return names - form
+    numbers = [len(one.hypothesis.deviations) for one in (named, form.explanation)]
+    if numbers[1] > numbers[0] and found.is_at_noise_floor:
+        return -np.inf
+    known = named.with_prior(found.problem)
+    seen = replace(unseen, substeps=known.substeps, rig=known.rig, prior=known.prior)
+    written = form.explanation.hypothesis
+    fine, other = (closed_form.knowing(one, written.instances) for one in (law.free.problem, unseen))
+    try:
+        with threadpool_limits(1):
+            names = fitting.together(known, seen, named.hypothesis, found.after.start)
+            rival = fitting.together(fine, other, written, form.validated.start)
+    except IntegrationError:
+        return -np.inf
+    like = fitting.nearest([names, rival])
+    penalty = float(np.log(found.record.readings.size + unseen.record.readings.size))
+    return names.misfit(like) - rival.misfit(like) + penalty * (numbers[0] - numbers[1])
 
 
 def _is_explainable(found: Discovery) -> bool:
