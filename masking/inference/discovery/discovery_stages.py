@@ -139,10 +139,8 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         known = search.problem
         validation = replace(known, record=reading.unseen, sigma=reading.noise)
         declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-        before, base = (
-            unseen_data.validated(validation, declared.hypothesis),
-            held_out.simulated(search.base, validation),
-        )
+        before = unseen_data.validated(validation, declared.hypothesis)
+        base = held_out.simulated(search.base, validation)
         without = base.unseen or Unseen(before, before)
         left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
         if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):

@@ -53,8 +53,6 @@ def predicted(problem: EstimationProblem, known: Hypothesis, alone: Hypothesis) 
     deviation = np.where(size > 0.0, np.minimum(size, prior.deviation), prior.deviation)
     wider = replace(problem, prior=replace(prior, mean=known.theta, deviation=deviation))
     fixed = tuple(replace(one, free=()) for one in known.instances)
-    made, stays = (
-        fitting.solved(wider, Begun(fixed, known.theta, alone.start), rounds=continuation.ROUNDS),
-        alone.as_given,
-    )
+    stays = alone.as_given
+    made = fitting.solved(wider, Begun(fixed, known.theta, alone.start), rounds=continuation.ROUNDS)
     return made if made is not None and made.misfit(made) < stays.misfit(made) else stays

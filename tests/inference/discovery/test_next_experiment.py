@@ -1,4 +1,4 @@
-"""The next experiment: laws that a weak motion confuses are told apart by a strong one, and equal ones by none.
+"""The next experiment: laws alike under a weak motion are separated by a strong one, equal laws by none.
 
 The record is the response of one mass to held commands, by the matrix exponential of scipy. It has a quarter more
 damping than is declared, which drag explains, too, as long as the motion is as large.
