@@ -2,9 +2,9 @@
 
 A force port at each place and an offset of each actuator are entries of the rig's parameter array. Instances of effects
 (`instances`) drive these ports; they are laws that know no rig, each with a number:
-`law(number, t, x, rate, z, values, rows)`. States of effects follow those of the rig in y. At an instant, the effects
-act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that read a
-force or a command at once see what the effects do, too.
+`law(number, t, x, rate, z, z2, values, rows)`. States of effects follow those of the rig in y. At an instant, the
+effects act first: forces, commands and rates of their states. Then the equations of the rig are evaluated. Sensors that
+read a force or a command at once see what the effects do, too.
 Kernels serve any rig: its functions are linked to them, and the table of `rig_sizes` has its sizes and indices.
 Source: as `motion_sensitivities`; of inertias as `inertia`.
 """
@@ -28,9 +28,12 @@ from masking.compile.numerics.effect_table import (
     INERTIA,
     KIND,
     LAW,
+    LAW_ROWS,
     PLACE,
+    RATES,
     SENSOR,
     STATE,
+    STATE_COUNT,
     VALUE,
 )
 from masking.compile.numerics.inertia import accelerate, draw_rows
@@ -70,15 +73,16 @@ OF_EFFECTS = (
     f"within(given.table[{FORCE_ENTRIES}, :places], len(given.p))",
     f"within(given.table[{INPUT_COLUMNS}, : places + channels], wide) and within(given.acting, places + channels)",
     "channels <= min(len(given.lead), len(given.late_columns)) and within(given.late_columns + 1, columns + 1)",
-    f"(rows := 4 * sensors + 7 * places + 2 * channels + 13 + 2 * n) <= given.table[{SIZES}, {READ_ROWS}]",
+    f"(rows := 4 * sensors + 7 * places + 2 * (channels + n + {LAW_ROWS}) + 9) <= given.table[{SIZES}, {READ_ROWS}]",
     f"rows >= 0 and len(work) >= given.table[{SIZES}, {READ_ROWS}] + 2 * n + own + 4 * sensors + 8 + rows",
     "are_terms(given.moved, given.moved_by, own, wide, columns)",
     "(effects := len(given.instances)) <= min(len(given.support), len(given.estimated)) and given.support.shape[1] > 3",
-    f"given.instances.shape[1] > {STATE} and given.estimated.shape[1] + {BY_PARAMETER} <= wide",
+    f"given.instances.shape[1] > {STATE_COUNT} and given.estimated.shape[1] + {BY_PARAMETER} <= wide",
     "within(given.estimated + 1, columns + 1)",
     f"within((at := given.instances[:, {PLACE}])[(kinds := given.instances[:, {KIND}]) == {ACTUATOR}], channels)",
     f"within(at[kinds == {SENSOR}], sensors) and within(at[(kinds == {ELEMENT}) | (kinds == {INERTIA})], places)",
-    f"within(given.instances[:, {STATE}] + 1, n + 1) and within(given.instances[:, {FIRST}], len(given.values) + 1)",
+    f"within(z := given.instances[:, {STATE}], n + 1) and within(z + given.instances[:, {STATE_COUNT}], n + 1)",
+    f"within(given.instances[:, {FIRST}], len(given.values) + 1)",
     "all(first + linked.case('theta', law) <= len(given.values)"
     f" for law, first in given.instances[:, [{LAW}, {FIRST}]].tolist())",
 )
@@ -184,10 +188,17 @@ def is_beyond(support, x, rate):
 
 
 @inlined
-def add_law(i, z, by, given, target, o):
-    """Add to derivatives what a law gives (`by`) by the state z of its effect, if it has one, and by its parameters."""
-    if z >= 0:
-        target.by_state[o, z] += by[BY_STATE]
+def states_in(y, given, i):
+    """Values of the states of effect i, 0 of those that it has not."""
+    z, many = given.instances[i, STATE], given.instances[i, STATE_COUNT]
+    return y[z] if many > 0 else 0.0, y[z + 1] if many > 1 else 0.0
+
+
+@inlined
+def add_law(i, by, given, target, o):
+    """Add to derivatives what a law gives (`by`) by the states of its effect i, and by its parameters."""
+    for k in range(given.instances[i, STATE_COUNT]):
+        target.by_state[o, given.instances[i, STATE] + k] += by[BY_STATE + k]
     for m in range(given.estimated.shape[1]):
         if given.estimated[i, m] >= 0:
             target.by_column[o, given.estimated[i, m]] += by[BY_PARAMETER + m]
@@ -245,7 +256,7 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
 
     Returns `act(t, y, u, given, rate, made, ports, work) -> has_inertia`, which writes forces into the parameter array,
     and commands, inertias and derivatives into `ports`, the latter only where an effect acts; the rates of the effects'
-    states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 4 rows.
+    states go into `rate`, their derivatives into `made`. `work` has 3 sensors + 5 rows.
     """
 
     @inlined
@@ -253,7 +264,7 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         n, width, places = y.size, made.by_column.shape[1], given.table[SIZES, PLACES]
         readings, work = rows_in(work, given.table[SIZES, SENSORS])
         by_entry, work = take(work, given.table[SIZES, SENSORS])
-        rows, work = take(work, 2)
+        rows, work = take(work, LAW_ROWS)
         s, noise = work[0], work[1]
         instances = given.instances
         has_elements, has_inertia, is_sensed = False, False, False
@@ -264,8 +275,8 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
         if has_elements or has_inertia:
             placed(t, y, ports.command, given.p, ports.displacement, ports.followed)
         for i in range(instances.shape[0]):
-            kind, at, z = instances[i, KIND], instances[i, PLACE], instances[i, STATE]
-            if kind == SENSOR and z < 0:
+            kind, at, many = instances[i, KIND], instances[i, PLACE], instances[i, STATE_COUNT]
+            if kind == SENSOR and many == 0:
                 continue
             if kind == SENSOR and not is_sensed:
                 sensed(t, y, ports.command, given.p, noise, s, readings.by_state, by_entry)
@@ -280,24 +291,25 @@ def effects_at_ports(law: Kernel, placed: Kernel, sensed: Kernel) -> Kernel:
                 x = s[at]
             if is_beyond(given.support[i], x, moved):
                 continue
-            inside = y[z] if z >= 0 else 0.0
-            law(instances[i, LAW], t, x, moved, inside, given.values[instances[i, FIRST] :], rows)
-            if z >= 0:
-                rate[z] = rows[1, VALUE]
+            first, second = states_in(y, given, i)
+            law(instances[i, LAW], t, x, moved, first, second, given.values[instances[i, FIRST] :], rows)
+            for k in range(many):
+                z = instances[i, STATE] + k
+                rate[z] = rows[RATES + k, VALUE]
                 clear_row(made, z, n)
-                add_motion((kind, at), rows, 1, (n, width), ports, readings, made, z)
-                add_law(i, z, rows[1], given, made, z)
+                add_motion((kind, at), rows, RATES + k, (n, width), ports, readings, made, z)
+                add_law(i, rows[RATES + k], given, made, z)
             if kind == ELEMENT:
                 given.p[given.table[FORCE_ENTRIES, at]] += rows[0, VALUE]
                 add_motion((kind, at), rows, 0, (n, width), ports, readings, ports.inputs, at)
-                add_law(i, z, rows[0], given, ports.inputs, at)
+                add_law(i, rows[0], given, ports.inputs, at)
             elif kind == ACTUATOR:
                 ports.command[at] = rows[0, VALUE]
                 scale_row(rows[0, BY_DISPLACEMENT], ports.inputs, places + at, n, width)
-                add_law(i, z, rows[0], given, ports.inputs, places + at)
+                add_law(i, rows[0], given, ports.inputs, places + at)
             elif kind == INERTIA:
                 ports.acceleration[at] += rows[0, VALUE]
-                add_law(i, z, rows[0], given, ports.inertias, at)
+                add_law(i, rows[0], given, ports.inertias, at)
         return has_inertia
 
     return act
@@ -348,18 +360,19 @@ def readings_with_effects(law: Kernel, act: Kernel, sensed: Kernel) -> Kernel:
         n, width = y.size, made.by_column.shape[1]
         for i in range(given.instances.shape[0]):
             if given.instances[i, KIND] == SENSOR:
-                at, first, z = given.instances[i, PLACE], given.instances[i, FIRST], given.instances[i, STATE]
-                law(given.instances[i, LAW], t, s[at], 0.0, y[z] if z >= 0 else 0.0, given.values[first:], by)
+                at, values = given.instances[i, PLACE], given.values[given.instances[i, FIRST] :]
+                first, second = states_in(y, given, i)
+                law(given.instances[i, LAW], t, s[at], 0.0, first, second, values, by)
                 s[at] = by[0, VALUE]
                 scale_row(by[0, BY_DISPLACEMENT], made, at, n, width)
-                add_law(i, z, by[0], given, made, at)
+                add_law(i, by[0], given, made, at)
 
     @inlined
     def read(steps, y, commands, index, given, s, made, work):
         t, is_linear, table = index * steps.dt, steps.is_linear, given.table
         channels = table[SIZES, CHANNELS]
         by_entry, work = take(work, table[SIZES, SENSORS])
-        by, work = take(work, 2)
+        by, work = take(work, LAW_ROWS)
         vectors, work = take(work, 3)
         noise, u, rate = vectors[0], vectors[1][:channels], vectors[2]
         moved, work = rows_in(work, y.size)

@@ -12,12 +12,21 @@ import math
 
 from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, requires
-from masking.compile.numerics.effect_table import BY_PARAMETER, BY_STATE, NEARLY_ZERO, VALUE
+from masking.compile.numerics.effect_table import (
+    BY_PARAMETER,
+    BY_STATE,
+    LAW_ROWS,
+    MOST_STATES,
+    NEARLY_ZERO,
+    RATES,
+    VALUE,
+)
 from masking.compile.numerics.kernel_arguments import Blocks, Course, KnownMotion, Pieces, Sources
 from masking.compile.numerics.motion_sensitivities import take
 from masking.compile.numerics.runge_kutta import copy
 
 ROUNDED = 1e-15  # exponent below which its exponential is linear to the last bit
+ALIKE = 1e-4  # difference of exponents below which two are one
 
 
 def places_along(derivative: Kernel, placed: Kernel) -> Kernel:
@@ -93,15 +102,39 @@ def relaxed(h: float, decay: float) -> float:
     return math.expm1(decay * h) / decay if abs(decay * h) > ROUNDED else h
 
 
+@compiled
+@requires("len(rates) == len(weight) == 2 and rates.shape[1] == weight.shape[1] == 2")
+def relaxing(h: float, rates: Matrix, weight: Matrix) -> None:
+    """Write the integral of exp(A s) over s from 0 to h into `weight`, for A (2, 2) in `rates`.
+
+    For eigenvalues m + q and m - q it is f I + g (A - m I): f is the mean of the two integrals, g their difference over
+    2 q. Where they are nearly the same, they are taken a ten-thousandth of 1/h apart.
+    """
+    apart, mean = 0.5 * (rates[0, 0] - rates[1, 1]), 0.5 * (rates[0, 0] + rates[1, 1])
+    square = apart**2 + rates[0, 1] * rates[1, 0]
+    q = max(math.sqrt(abs(square)), ALIKE / h)
+    if square < -((ALIKE / h) ** 2):  # a pair of complex ones
+        real = math.exp(mean * h) * math.cos(q * h) - 1.0
+        imaginary = math.exp(mean * h) * math.sin(q * h)
+        size = mean**2 + q**2
+        f, g = (real * mean + imaginary * q) / size, (imaginary * mean - real * q) / (size * q)
+    else:
+        one, other = relaxed(h, mean + q), relaxed(h, mean - q)
+        f, g = 0.5 * (one + other), 0.5 * (one - other) / q
+    weight[0, 0], weight[0, 1] = f + g * apart, g * rates[0, 1]
+    weight[1, 0], weight[1, 1] = g * rates[1, 0], f - g * apart
+
+
 def law_along(law: Kernel) -> Kernel:
     """Make the value of a law along a motion, and its derivatives by parameters.
 
-    The state of an effect is integrated by the exponential midpoint rule, with the law linearised in the middle of each
-    piece: second order, exact where the law is linear in its state, and stable however fast that decays.
+    The states of an effect are integrated by the exponential midpoint rule, with the law linearised in the middle of
+    each piece: second order, exact where the law is linear in its states, and stable however fast these decay.
     Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
-    Returns `follow(span, number, has_state, course, parameters, values, features, work)`, which writes `features`
-    (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,).
+    Returns `follow(span, number, states, course, parameters, values, features, work)`, which writes `features`
+    (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,). `states` counts
+    those of the effect.
     """
 
     @compiled
@@ -109,36 +142,49 @@ def law_along(law: Kernel) -> Kernel:
         "span.samples <= min(len(course.x), len(course.rate), len(features))",
         f"0 < features.shape[1] <= len(parameters) + 1 and within(parameters, work.shape[1] - {BY_PARAMETER})",
         "len(values) >= linked.case('theta', number)",
-        "len(work) >= 5 and work.shape[1] >= max(linked.width, features.shape[1])",
+        f"len(work) >= {2 * (LAW_ROWS + MOST_STATES)} and work.shape[1] >= max(linked.width, features.shape[1], 2)",
     )
     def follow(
-        span: Pieces, number: int, has_state: int, course: Course, parameters: IntVector, values: Vector,
+        span: Pieces, number: int, states: int, course: Course, parameters: IntVector, values: Vector,
         features: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
         count, dt, pieces = span
         x, rate = course
-        rows, later, dz = work[:2], work[2:4], work[4]
-        many, h, z = features.shape[1], dt / pieces, NEARLY_ZERO
+        rows, work = take(work, LAW_ROWS)
+        later, work = take(work, LAW_ROWS)
+        dz, work = take(work, MOST_STATES)
+        many, h, z, w = features.shape[1], dt / pieces, NEARLY_ZERO, NEARLY_ZERO
+        a, weight = later[RATES:, BY_STATE:BY_PARAMETER], work[:MOST_STATES, :MOST_STATES]
         dz[:] = 0.0
         for index in range(count):
             t = index * dt
-            law(number, t, x[index], rate[index], z, values, rows)
+            law(number, t, x[index], rate[index], z, w, values, rows)
             features[index, 0] = rows[0, VALUE]
             for j in range(1, many):
-                features[index, j] = rows[0, BY_STATE] * dz[j] + rows[0, BY_PARAMETER + parameters[j - 1]]
-            if has_state and index < count - 1:
+                through = rows[0, BY_STATE] * dz[0, j] + rows[0, BY_STATE + 1] * dz[1, j]
+                features[index, j] = through + rows[0, BY_PARAMETER + parameters[j - 1]]
+            if states and index < count - 1:
                 for piece in range(pieces):
                     share = (piece + 0.5) / pieces
                     px = x[index] + share * (x[index + 1] - x[index])
                     pr = rate[index] + share * (rate[index + 1] - rate[index])
-                    law(number, t + share * dt, px, pr, z, values, later)
-                    half = z + relaxed(0.5 * h, later[1, BY_STATE]) * later[1, VALUE]
-                    law(number, t + share * dt, px, pr, half, values, later)
-                    decay = later[1, BY_STATE]
-                    weight = relaxed(h, decay)
+                    law(number, t + share * dt, px, pr, z, w, values, later)
+                    relaxing(0.5 * h, a, weight)
+                    half, beside = z, w
+                    half += weight[0, 0] * later[RATES, VALUE] + weight[0, 1] * later[RATES + 1, VALUE]
+                    beside += weight[1, 0] * later[RATES, VALUE] + weight[1, 1] * later[RATES + 1, VALUE]
+                    law(number, t + share * dt, px, pr, half, beside, values, later)
+                    relaxing(h, a, weight)
                     for j in range(1, many):
-                        dz[j] += weight * (decay * dz[j] + later[1, BY_PARAMETER + parameters[j - 1]])
-                    z += weight * (later[1, VALUE] + decay * (z - half))
+                        p = BY_PARAMETER + parameters[j - 1]
+                        one = a[0, 0] * dz[0, j] + a[0, 1] * dz[1, j] + later[RATES, p]
+                        other = a[1, 0] * dz[0, j] + a[1, 1] * dz[1, j] + later[RATES + 1, p]
+                        dz[0, j] += weight[0, 0] * one + weight[0, 1] * other
+                        dz[1, j] += weight[1, 0] * one + weight[1, 1] * other
+                    one = later[RATES, VALUE] + a[0, 0] * (z - half) + a[0, 1] * (w - beside)
+                    other = later[RATES + 1, VALUE] + a[1, 0] * (z - half) + a[1, 1] * (w - beside)
+                    z += weight[0, 0] * one + weight[0, 1] * other
+                    w += weight[1, 0] * one + weight[1, 1] * other
 
     return follow
 

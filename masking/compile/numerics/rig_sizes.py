@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from masking.compile.numerics.arrays import IntMatrix
+from masking.compile.numerics.effect_table import LAW_ROWS
 
 # Rows of the table, and the entries of its first row.
 SIZES, FORCE_ENTRIES, INPUT_COLUMNS = range(3)
@@ -84,12 +85,12 @@ class PortSizes(RigSizes):
     @property
     def port_rows(self) -> int:
         """Rows of work space of the ports and of the effects that drive them."""
-        return 7 * len(self.force_entries) + 2 * len(self.command_columns) + 4 + 3 * self.sensors + 4
+        return 7 * len(self.force_entries) + 2 * len(self.command_columns) + 6 + LAW_ROWS + 3 * self.sensors
 
     @property
     def read_rows(self) -> int:
         """Rows of work space of readings with derivatives."""
-        return self.sensors + 5 + 2 * self.moved + self.port_rows
+        return self.sensors + 3 + LAW_ROWS + 2 * self.moved + self.port_rows
 
     @property
     def flow_rows(self) -> int:

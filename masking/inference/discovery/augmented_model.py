@@ -135,7 +135,7 @@ class Equations:
 class Instances:
     """Tables of effect instances, as kernels read them."""
 
-    table: IntMatrix  # a row for each instance, those of sensors last (i, 5); columns as `numerics.effect_table` says
+    table: IntMatrix  # a row for each instance, those of sensors last (i, 6); columns as `numerics.effect_table` says
     estimated: IntMatrix  # the column of each parameter in the normal equations, or -1 (i, parameters)
     values: Array  # all parameters, one after the other
     support: Array  # displacements, then rates, between which each acts, as `laws.support` has them (i, 4)
@@ -411,12 +411,12 @@ class AugmentedModel:
                     late_columns[channel] = estimated[0]
                 continue
             kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
-            state = len(self.twin.state_names) + states if instance.entry.states else -1
-            states += len(instance.entry.states)
+            state, many = len(self.twin.state_names) + states, len(instance.entry.states)
+            states += many
             acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
             for number, seat in acting:
                 of_effect = number not in all_taken
-                rows.append((number, kind, seat, first, state if of_effect else -1))
+                rows.append((number, kind, seat, first, state, many if of_effect else 0))
                 columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
                 supports.append(laws.support(instance.effect if of_effect else "", instance.values))
         order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)  # these may read what the others do
@@ -444,7 +444,7 @@ class AugmentedModel:
             parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
         total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
         for number, factor in parts:
-            self.kernels.along(span, number, bool(instance.entry.states), course, parameters, values, features)
+            self.kernels.along(span, number, len(instance.entry.states), course, parameters, values, features)
             total += factor * features
         return total
 

@@ -1,8 +1,8 @@
 """Compiled laws: the effects of a dictionary as functions with derivatives, distinguished by a number.
 
 Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
-an inertia, or the value of a sensor or actuator), its internal state and its parameters, and gives a row for the force
-or value, and one for the rate of the state: the value itself, then its derivatives by displacement, rate, state and
+an inertia, or the value of a sensor or actuator), its internal states and its parameters, and gives a row for the force
+or value, and one for the rate of each state: the value itself, then its derivatives by displacement, rate, states and
 parameters. They do not know any model, so that an effect is put anywhere in one without compiling.
 """
 
@@ -20,16 +20,24 @@ from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.effect_table import BY_DISPLACEMENT, BY_PARAMETER, BY_RATE, BY_STATE, VALUE
+from masking.compile.numerics.effect_table import (
+    BY_DISPLACEMENT,
+    BY_PARAMETER,
+    BY_RATE,
+    BY_STATE,
+    LAW_ROWS,
+    MOST_STATES,
+    VALUE,
+)
 from masking.lazy_imports import sympy as sp
 from masking.model import effects
-from masking.model.declaration.dictionary_checks import MOST_PARAMETERS, MOST_STATES
+from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Effect
 
 WIDTH = BY_PARAMETER + MOST_PARAMETERS  # of a row
 LAW = "_law"
-SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, theta, rows: Matrix)"
+SIGNATURE = f"{LAW}(kind: int, t: float, x: float, rate: float, z: float, z2: float, theta, rows: Matrix)"
 SUBJECTS = {"element": "d", "sensor": "s", "actuator": "u"}
 _AT = effects.EffectParameter("D", "knot")
 _KNOTS = {f"t{i}": _AT for i in range(5)}
@@ -113,7 +121,7 @@ USUAL: Mapping[str, Effect] = {**effects.EFFECTS, DELAY: _LATE}  # laws of the p
 
 
 def known(dictionary: Mapping[str, Effect]) -> dict[str, Effect]:
-    """Effects that can be tried, in the order of their numbers: at most one state, and an expression."""
+    """Effects that can be tried, in the order of their numbers: no more states than kernels hold, and an expression."""
     found = {
         name: effect
         for name, effect in dictionary.items()
@@ -138,7 +146,7 @@ def library(kinds: Mapping[str, Effect]) -> NativeFunction:
 def printed(kinds: Mapping[str, Effect]) -> Module:
     """Laws as a module of one function, which chooses by their number."""
     module = Module("laws of effects", {})
-    zeros = [f"rows[{i}, {j}]" for i in range(2) for j in range(WIDTH)]
+    zeros = [f"rows[{i}, {j}]" for i in range(LAW_ROWS) for j in range(WIDTH)]
     module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
     return module
 
@@ -147,7 +155,7 @@ def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[
     """Graph of a law, its rows, and what its symbols read."""
     graph = Graph()
     subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
-    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict.fromkeys(effect.states, "z")}
+    reads = {"t": "t", subject: "x", "d_rate": "rate", **dict(zip(effect.states, ("z", "z2"), strict=False))}
     reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
     nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}
     nodes["xi"] = graph.number(0.0)
@@ -158,7 +166,8 @@ def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[
         return graph.lower(Expression(expression, path=name).to_sympy(symbols), by_symbol)
 
     rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
-    wanted = {subject: BY_DISPLACEMENT, "d_rate": BY_RATE, **dict.fromkeys(effect.states, BY_STATE)}
+    wanted = {subject: BY_DISPLACEMENT, "d_rate": BY_RATE}
+    wanted |= {state: BY_STATE + i for i, state in enumerate(effect.states)}
     fixed = {*effect.parameters} - {*_FACTOR} if name in BASES else set[str]()  # knots are not estimated
     wanted |= {p: BY_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
     columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])

@@ -37,6 +37,8 @@ from masking.inference.discovery.next_experiment import NextExperiment, declared
 from masking.inference.discovery.prior import train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.readings import Reading
+from masking.inference.discovery.screening import Screen
+from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.verdict import Key, Scored
 from masking.inference.estimation.identification_data import NOT_LATE, Data
 from masking.lab.records.noise import rounding_steps
@@ -168,7 +170,7 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
     rounded = _rounded(known, chosen.hypothesis)
     answer = verdict.revised(
         verdict.decide(
-            _scored(chosen, known.rig),
+            _scored(chosen, search),
             sure,
             unexplained,
             size,
@@ -206,15 +208,26 @@ def _separating(
         return next_experiment(problem, rivals[0].hypothesis, second.hypothesis, (names[0], names[1]), limits)
 
 
-def _scored(explanation: Explanation, rig: AugmentedModel) -> Scored:
+def _scored(explanation: Explanation, search: SearchResult) -> Scored:
     """Explanation as plain data, with the estimates of its last cause."""
-    estimates, instances = _estimates(rig, explanation), explanation.hypothesis.instances
+    rig, instances = search.problem.rig, explanation.hypothesis.instances
+    estimates = _estimates(rig, explanation)
     usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
     last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
-    if instances:
-        last = (*last, (explanation.last_strength, 1.0))
-    absorbed = tuple(bool(instance.entry.absorbed_by) for instance in instances)
-    return Scored(explanation.kind, explanation.names, explanation.cost, last, absorbed, explanation.unique)
+    last = ((explanation.last_strength, 1.0),) if instances else last
+    absorbed = tuple(_is_absorbed(search, explanation, i) for i in range(len(instances)))
+    return Scored(explanation.kind, explanation.names, explanation.cost, last, absorbed)
+
+
+def _is_absorbed(search: SearchResult, explanation: Explanation, i: int) -> bool:
+    """Whether parameters of the model do what a cause does, beside the others: its law has their form."""
+    instance, others = explanation.hypothesis.instances[i], explanation.without(i)[1]
+    if not instance.entry.absorbed_by:
+        return False
+    with suppress(IntegrationError), threadpool_limits(1):
+        unique = Screen(search.problem, search.base.hypothesis, search.motion, others).unique(instance)
+        return unique < search.problem.rules.unique_fraction
+    return False
 
 
 def _rounded(problem: EstimationProblem, hypothesis: Hypothesis) -> list[tuple[Named, bool]]:

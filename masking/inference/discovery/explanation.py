@@ -41,7 +41,6 @@ class Explanation:
     kind: Kind  # `none`, `parameter` or `effects`
     names: tuple[Key, ...]  # (parameter, '') or (effect, place) of each cause
     hypothesis: Hypothesis  # fitted
-    unique: float = 1.0  # unique fraction, the least part of an effect that parameters could not have
     move: str = "parameters within their priors"  # what suggested it
     unseen: Unseen | None = None  # the hypothesis on a validation record, where it has been simulated there
 
@@ -59,12 +58,16 @@ class Explanation:
 
     @property
     def last_strength(self) -> float:
-        """Deviations by which the parameters of the last effect differ from 0 together, in rms (Wald's test).
+        """Deviations by which what scales the last effect differs from 0, all of it together, in rms (Wald's test).
 
         Factors of a polynomial may be known together, and none by itself. It is 0 where their covariance is not known.
         """
-        values = np.array(self.hypothesis.instances[-1].estimated)
-        covariance = self.hypothesis.covariance[len(self.hypothesis.covariance) - len(values) :][:, -len(values) :]
+        instance = self.hypothesis.instances[-1]
+        scale = instance.entry.factors or instance.entry.scaled
+        own = [i for i, name in enumerate(instance.names) if name in scale] or [*range(len(instance.names))]
+        first = len(self.hypothesis.covariance) - len(instance.names)
+        values = np.array(instance.estimated)[own]
+        covariance = self.hypothesis.covariance[first:, first:][np.ix_(own, own)]
         if not len(values) or not np.isfinite(covariance).all():
             return 0.0
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

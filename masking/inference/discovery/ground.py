@@ -109,23 +109,16 @@ class Ground:
         """Fits that a move suggests whose motion is finite, noted in the trace."""
         return [one for one in noted(self.problem, move, jobs, rival) if one is not None]
 
-    def refit(
-        self, names: tuple[Key, ...], instances: tuple[EffectInstance, ...], like: Explanation, unique: float = 1.0
-    ) -> Job:
+    def refit(self, names: tuple[Key, ...], instances: tuple[EffectInstance, ...], like: Explanation) -> Job:
         """Fit of effects from the parameters and initial states of an explanation."""
-        return partial(self._refitted, names, instances, like, min(like.unique, unique))
+        return partial(self._refitted, names, instances, like)
 
     def _refitted(
-        self,
-        names: tuple[Key, ...],
-        instances: tuple[EffectInstance, ...],
-        like: Explanation,
-        unique: float,
-        rival: float,
+        self, names: tuple[Key, ...], instances: tuple[EffectInstance, ...], like: Explanation, rival: float
     ) -> Explanation:
         known = like.hypothesis
         found = fitting.fit(self.problem, instances, theta=known.theta, start=known.start, rival=rival)
-        return Explanation("effects", names, found, unique)
+        return Explanation("effects", names, found)
 
     def is_noise(self, cost: float) -> bool:
         """Whether a cost is that of noise."""

@@ -141,7 +141,7 @@ class Addition:
         every = (*self.now.hypothesis.instances, *instances)
         found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
         names = (*self.now.names, *(score.candidate.key for score in scores))
-        return Explanation("effects", names, found, min(score.unique for score in scores))
+        return Explanation("effects", names, found)
 
     def _cost(self, instances: Sequence[EffectInstance], at: tuple[Array, Array]) -> float:
         return fitting.cost(self.problem, (*self.now.hypothesis.instances, *instances), *at)

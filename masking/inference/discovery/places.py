@@ -53,6 +53,8 @@ class Place:
         """Whether an effect finds here what it follows: a displacement, a rate, or neither."""
         if effect.directed != self.directed or (effect.attaches != "beside" and not self.has_force):
             return False
+        if effect.is_carried and self.coordinate is None:
+            return False
         if (effect.is_flow and self.has_rate) or (effect.follows & {"d_rate", "d_acc"} and not self.has_rate):
             return False
         return "d" not in effect.follows or self.element.displacement is not None

@@ -46,16 +46,12 @@ class Score:
     candidate: Candidate
     instance: EffectInstance  # with the best shape, and its factors
     gain: float  # of the cost (-2 log likelihood)
-    # unique fraction of its effect on the sensors, which parameters of the rig could not have; of an inertia, that no
-    # one of them could have: equations that are divided by a mass hold it in several
-    unique: float
 
 
 @dataclass(frozen=True)
 class Products:
     """Products of columns, of what candidates do to the sensors."""
 
-    rows: Array  # the columns (r, c), in standard deviations
     gram: Array  # products of the columns (c, c), with what is taken out projected out
     right: Array  # products of the columns with the residual (c,)
     squares: Array  # of the columns before the projection (c,)
@@ -242,19 +238,25 @@ class Screen:
     def _scored(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
         """Scores of instances of candidates; their columns together are at most `MOST_COLUMNS`."""
         made = self.products(jobs)
-        rows, squares = made.rows, made.squares
-        beyond = squares - ((self.possible.T @ rows) ** 2).sum(axis=0)
-        inertias = np.repeat([one.entry.is_inertia for _, one in jobs], [len(part) for part in made.columns])
-        if inertias.any():
+        return [
+            self._score(Score(*job, 0.0), made.gram[np.ix_(part, part)], made.right[part], made.squares[part])
+            for job, part in zip(jobs, made.columns, strict=True)
+        ]
+
+    def unique(self, instance: EffectInstance) -> float:
+        """Part of what an effect does to the sensors that parameters of the rig could not do, in rms.
+
+        Of an inertia, it is what no one of them could do: equations that are divided by a mass hold it in several.
+        """
+        rows = _bounded(self._rows(self._effects([instance])[0][:, :, 1:]))
+        squares = (rows**2).sum(axis=0)
+        if instance.entry.is_inertia:
             others, ones = (part.T @ rows for part in self.single)
-            beyond = np.where(inertias, squares - (others**2).sum(axis=0) - (ones**2).max(axis=0, initial=0.0), beyond)
-        beyond, found = np.maximum(beyond, 0.0), []
-        for (candidate, instance), part in zip(jobs, made.columns, strict=True):
-            total = float(squares[part].sum())
-            own = float(np.sqrt(beyond[part].sum() / total)) if total > 0.0 else 0.0
-            nothing = Score(candidate, instance, 0.0, own)
-            found.append(self._score(nothing, made.gram[np.ix_(part, part)], made.right[part], squares[part]))
-        return found
+            beyond = squares - (others**2).sum(axis=0) - (ones**2).max(axis=0, initial=0.0)
+        else:
+            beyond = squares - ((self.possible.T @ rows) ** 2).sum(axis=0)
+        total = float(squares.sum())
+        return float(np.sqrt(np.maximum(beyond, 0.0).sum() / total)) if total > 0.0 else 0.0
 
     def products(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> Products:
         """Products of the columns of instances of candidates."""
@@ -270,10 +272,10 @@ class Screen:
         # Products of the projected columns, without making these.
         known = self.taken[: len(rows)].T @ rows
         gram, right = rows.T @ rows - known.T @ known, rows.T @ self.left[: len(rows)]
-        return Products(rows, gram, right, np.einsum("ij,ij->j", rows, rows), columns)
+        return Products(gram, right, np.einsum("ij,ij->j", rows, rows), columns)
 
     def _score(self, nothing: Score, gram: Array, right: Array, squares: Array) -> Score:
-        candidate, instance, own = nothing.candidate, nothing.instance, nothing.unique
+        candidate, instance = nothing.candidate, nothing.instance
         diagonal = np.diag(gram)
         if not (diagonal > ROUNDING * squares).any():
             return nothing
@@ -287,7 +289,7 @@ class Screen:
                 instance = instance.with_free_times(min(factor, GROWTH))
             elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
-            return Score(candidate, instance, max(gain, 0.0), own)
+            return Score(candidate, instance, max(gain, 0.0))
         factors = best_factors(gram, right, squares)
         if instance.entry.scaled:  # its one factor scales forces and stiffness together
             if factors[0] <= 0.0:
@@ -305,7 +307,7 @@ class Screen:
                 factors = np.where(box.low >= 0.0, np.maximum(factors, LEAST * np.abs(factors).max()), factors)
             factors = np.clip(factors, box.low, box.high)
             instance = instance.with_values(candidate.factors, factors)
-        return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0), own)
+        return Score(candidate, instance, max(float(2.0 * factors @ right - factors @ gram @ factors), 0.0))
 
     def _spread(self, features: Array, at: Array, initial: IntVector | None = None) -> Array:
         """Responses of the sensors (blocks, sensors, M) to forces (m, M) at columns (M,), or to `initial` states."""

@@ -31,8 +31,8 @@ MOVES = (
     simpler_explanations,
     wrong_parameters,
     one_more_cause,
-    from_afar,
     several_parameters,
+    from_afar,
     pairs_of_causes,
 )
 

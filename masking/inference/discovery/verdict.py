@@ -47,12 +47,12 @@ class Scored:
     # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
     # parameter), and its standard deviation; and the same of all parameters of an effect together
     estimates: tuple[tuple[float, float], ...] = ()
-    absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model could have the form of its law
-    unique: float = 1.0  # fraction of the response of the effects outside of the span of the parameters' responses
+    absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model do as it does
 
-    def is_like_parameter(self, cause: int, rules: DecisionRules) -> bool:
-        """Whether a cause, by its number, is a parameter of the model or has the effect of one."""
-        return self.kind == "parameter" or (self.absorbed[cause] and self.unique < rules.unique_fraction)
+    @property
+    def is_like_parameters(self) -> bool:
+        """Whether its causes are parameters of the model, or do as they do."""
+        return self.kind == "parameter" or all(self.absorbed)
 
     def is_significant(self, rules: DecisionRules) -> bool:
         """Whether a parameter of the last cause differs from its reference by more than its deviation allows."""
@@ -173,7 +173,7 @@ def decide(
     most = rules.small_unexplained_fraction if is_small else rules.unexplained_fraction
     if composite or (not is_complete and (unexplained > most or not chosen.is_significant(rules))):
         return "unknown"
-    if all(chosen.is_like_parameter(i, rules) for i in range(len(chosen.names))):
+    if chosen.is_like_parameters:
         return "parameter"
     return "named" if sure >= rules.named_probability else "ambiguous"
 

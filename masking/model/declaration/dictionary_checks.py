@@ -21,7 +21,7 @@ from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.model.declaration.units import NONE, Dimension, describe, dimension_of
 
 MOST_PARAMETERS = 7
-MOST_STATES = 1
+MOST_STATES = 2  # as the kernels of discovery hold
 MOST_STARTS = 60
 SYMBOLS = {"element": ("d", "d_rate", "t"), "sensor": ("s",), "actuator": ("u",)}
 # Names that would clash in a model with the effect, or in Python.
@@ -136,7 +136,7 @@ class _Checker:
             names = getattr(effect, section)
             if len(names) > most:
                 message = f"{len(names)} {what} are too many"
-                remedy = f"an effect has at most {MOST_PARAMETERS} parameters and {MOST_STATES} state"
+                remedy = f"an effect has at most {MOST_PARAMETERS} parameters and {MOST_STATES} states"
                 yield self._problem(section, message, remedy, at_key=True)
             for name in names:
                 if name in TAKEN:

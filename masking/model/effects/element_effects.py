@@ -52,6 +52,7 @@ _FALLING = "fc + (fs - fc)*exp(-(d_rate/vst)**2)"
 _BENDING = f"d_rate - s0*abs(d_rate)*z/({_FALLING})"  # rate of a bristle
 _WEN = "d_rate - (beta*abs(d_rate)*sign(z) + (1 - beta)*d_rate)*abs(z/zmax)**n"
 _BOUC_WEN = "d_rate - (abs(d_rate)*sign(z) + delta*d_rate)*abs(z/x0)**n"
+_CARRIED = "-(2*pi*nu)**2*z - 2*zeta*2*pi*nu*(w - d_rate)"  # acceleration of a mass that is carried
 _BEYOND = "(1 + tanh(side*(d - edge)/width))"
 _HOLDING = "0.55*mobility*step"  # inverse of the resistance
 _BY_STEP = {"c": f"1/({_HOLDING})", "hold": "1/(1.75*step)"}
@@ -220,6 +221,28 @@ ELEMENTS: tuple[Effect, ...] = (
         family="mass",
         absorbed_by="mass",
         is_linear=True,
+    ),
+    Effect(
+        "attached_oscillator",
+        "A mass m on a spring of its own that is carried along: a resonance that the model has no coordinate for.",
+        f"m*({_CARRIED})",
+        {
+            "m": EffectParameter("F*s**2/D", "mass that is carried", (0.0, 10.0), 0.05, None, NOT_NEGATIVE),
+            "nu": EffectParameter("1/s", "its own frequency where it is carried", (0.1, 400.0), 10.0, None, POSITIVE),
+            "zeta": EffectParameter("1", "its damping ratio", (0.0, 1.0), 0.02, None, NOT_NEGATIVE),
+        },
+        cause="a cable, a bracket or a sensor that sways, a floor or a table that yields, a liquid that sloshes",
+        remedy="clamp it, or let the model hold its motion",
+        source="Den Hartog (1985), Mechanical Vibrations, section 3.2",
+        states={
+            "z": EffectState("w - d_rate", "D", "stretch of its spring", "1e3"),
+            "w": EffectState(_CARRIED, "D/s", "rate of the mass", "1e3"),
+        },
+        trials=(Trial(starts.resonances, ("nu", "zeta")),),
+        nested=("added_mass", "linear_spring", "viscous_damping"),
+        is_linear=True,
+        is_carried=True,
+        positive="duration*nu - 2",
     ),
     _friction(
         "dry_friction",

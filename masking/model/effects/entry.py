@@ -139,6 +139,7 @@ class Effect:
     nested: tuple[str, ...] = ()  # simpler effects that are special cases of it, or nearly so
     absorbed_by: str = ""  # the parameter of a model that would do the same; '' if none would
     is_linear: bool = False  # whether a system with it is linear if it was so without it
+    is_carried: bool = False  # whether a coordinate carries it: it has no meaning between two
     # what it follows at a directed place, and it is tried at such places alone; '' for any other effect
     directed: Directed = ""
     # whether it is a flow of a level, and no force of a motion: tried at places without a rate alone

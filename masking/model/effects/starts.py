@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from masking.model.effects.entry import Span, Start, Starts
 
 # Parts of the travel at which a contact is tried: denser towards the end, where a stop hides in fewer samples. A fit
@@ -19,6 +21,9 @@ STRIBECK_RATE = 0.2  # of the rms rate: the force falls within the motion, not o
 # still show in averages of the readings.
 FEWEST_LEVELS, MOST_LEVELS = 0.6, 24.0
 LEVELS_APART, LEVELS_APART_RELATIVE = 0.15, 0.02  # near enough for the next look around each to overlap
+# Frequencies over that of the motion, near enough that a damped resonance reaches from one to the next.
+RESONANCES = tuple(0.3 * 1.3**i for i in range(15))
+DAMPING_RATIOS = (0.02, 0.15)
 
 
 def edges(span: Span) -> list[Start]:
@@ -77,6 +82,12 @@ def falls(span: Span) -> list[Start]:
 def tones(span: Span) -> list[Start]:
     """Strongest frequencies of the latent forces."""
     return [{"nu": tone} for tone in span.tones]
+
+
+def resonances(span: Span) -> list[Start]:
+    """Frequencies about that of the motion, and those of latent forces, of oscillators that ring and that do not."""
+    own = [part / (2.0 * math.pi * span.time) for part in RESONANCES]
+    return [{"nu": nu, "zeta": zeta} for zeta in DAMPING_RATIOS for nu in (*own, *span.tones)]
 
 
 def pitch(number: int) -> Starts:

@@ -1,14 +1,17 @@
-"""Following: the force of a law with a state along a known motion, whose state settles many times between samples.
+"""Following: the force of a law with states along a known motion, which may settle many times between samples.
 
-The truth is Dahl's friction in closed form: along a straight piece of the motion, z = s + (z0 - s) exp(-|x - x0|/l).
+The truth is Dahl's friction in closed form: along a straight piece of the motion, z = s + (z0 - s) exp(-|x - x0|/l);
+and the frequency response of an oscillator that is carried along.
 """
 
 import numpy as np
 import pytest
 
+from masking.compile.numerics import effect_table
 from masking.control.rig.twin import Twin
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.model.declaration import dictionary_checks
 
 FORCE, LENGTH, RATE = 3.0, 2e-6, 100.0
 MODEL = """
@@ -29,6 +32,10 @@ def rig(tmp_path_factory):
     (folder / "plant.yaml").write_text(PLANT)
     twin = Twin.load(folder / "plant.yaml")
     return AugmentedModel(twin, twin.equation_parameters())
+
+
+def test_a_dictionary_may_have_the_states_that_kernels_hold():
+    assert dictionary_checks.MOST_STATES == effect_table.MOST_STATES
 
 
 def zigzag():
@@ -75,3 +82,20 @@ def test_a_friction_is_drawn_along_a_motion_in_stable_steps(rig):
     sliding = np.abs(rate) > 0.9 * np.abs(rate).max()
     np.testing.assert_allclose(np.median(force[sliding & (rate > 0.0)]), FORCE, rtol=1e-3)
     np.testing.assert_allclose(np.median(force[sliding & (rate < 0.0)]), -FORCE, rtol=1e-3)
+
+
+def carried(nu, m=0.4, zeta=0.1, of=2.0):
+    """Return m s^2 (w^2 + 2 zeta w s)/(s^2 + 2 zeta w s + w^2), the force of a unit of displacement at a frequency."""
+    s, w = 2j * np.pi * of, 2.0 * np.pi * nu
+    return m * s**2 * (w**2 + 2.0 * zeta * w * s) / (s**2 + 2.0 * zeta * w * s + w**2)
+
+
+@pytest.mark.parametrize("nu", [0.2, 1.9, 2.1, 8.0])
+def test_an_oscillator_that_is_carried_along_has_its_frequency_response(rig, nu):
+    t = np.arange(10000) / RATE
+    x, rate = np.sin(4.0 * np.pi * t), 4.0 * np.pi * np.cos(4.0 * np.pi * t)
+    instance = EffectInstance("attached_oscillator", "guide", (0.4, nu, 0.1), (0, 1, 2))
+    force, by_mass, by_nu = rig.along(instance, x, rate, 1.0 / RATE, (0, 1))[-100:].T
+    slope = (carried(nu * 1.0001) - carried(nu)) / 1e-4
+    for made, of in ((force, carried(nu)), (0.4 * by_mass, carried(nu)), (nu * by_nu, slope)):
+        assert np.abs(made - (of * np.exp(4j * np.pi * t[-100:])).imag).max() < 0.01 * max(abs(carried(nu)), abs(of))

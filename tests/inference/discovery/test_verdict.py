@@ -28,8 +28,8 @@ def effect(cost=M, **changes):
     return replace(made, **changes)
 
 
-def spring(cost=M, unique=0.0, **changes):
-    return effect(cost, names=(SPRING,), absorbed=(True,), unique=unique, **changes)
+def spring(cost=M, **changes):
+    return effect(cost, names=(SPRING,), absorbed=(True,), **changes)
 
 
 def parameter(cost=M, **changes):
@@ -120,9 +120,8 @@ def test_a_value_that_may_be_its_reference_is_unknown(make):
 
 def test_a_parameter_is_no_effect():
     assert decide(parameter()) == "parameter"
-    assert decide(spring(unique=0.999 * RULES.unique_fraction)) == "parameter"
-    assert decide(spring(unique=1.001 * RULES.unique_fraction)) == "named"
-    assert decide(effect(unique=0.0)) == "named"  # no parameter has the form of friction
+    assert decide(spring()) == "parameter"
+    assert decide(effect()) == "named"
     both = replace(spring(), names=(SPRING, FRICTION), absorbed=(True, False))
     assert decide(both) == "named"
     assert decide(replace(both, absorbed=(True, True))) == "parameter"

@@ -332,13 +332,13 @@ class TestDictionaries:
              "7:5: dictionary.magnet.parameters: 61 combinations of values to try are too many; try at most 60"),
             ("f0: {unit: F,", "k: {value: 1}\n      f0: {unit: F,",
              "8:7: dictionary.magnet.parameters.k: the parameter 'k' is not used; remove it or use it"),
-            ("    parameters:\n      f0", "    states: {y: {rate: d_rate, unit: D}, z: {rate: d_rate, unit: D}}\n"
-             "    parameters:\n      f0",
-             "7:5: dictionary.magnet.states: 2 states are too many; an effect has at most 7 parameters and 1 state"),
+            ("    parameters:\n      f0", "    states: {" + "".join(f"{z}: {{rate: d_rate, unit: D}}, " for z in "xyz")
+             + "}\n    parameters:\n      f0",
+             "7:5: dictionary.magnet.states: 3 states are too many; an effect has at most 7 parameters and 2 states"),
             ("    parameters:\n      f0", "    parameters:\n" + "".join(f"      p{i}: 1\n" for i in range(5))
              + "      f0", "8:11: dictionary.magnet.parameters.p0: must be a mapping"),
             ("f0: {unit: F,", "".join(f"p{i}: {{value: 1}}\n      " for i in range(6)) + "f0: {unit: F,",
-             "7:5: dictionary.magnet.parameters: 8 parameters are too many; an effect has at most 7 parameters and 1"),
+             "7:5: dictionary.magnet.parameters: 8 parameters are too many; an effect has at most 7 parameters and 2"),
             ("    where: e", "    family: sprigs\n    where: e",
              "5:13: dictionary.magnet.family: there is no family 'sprigs'; did you mean 'springs'?"),
             ("    where: e", "    nested: dry_fricton\n    where: e",

@@ -96,6 +96,17 @@ def test_relaxation_makes_a_standard_linear_solid(spring):
     np.testing.assert_allclose(eigenvalues(model), np.sort_complex(expected), atol=1e-10)
 
 
+def test_an_oscillator_on_the_mass_splits_its_frequency(spring):
+    m, nu, zeta = 0.3, 0.8, 0.02
+    model = spring().attach("attached_oscillator", "spring", m=m, nu=nu, zeta=zeta)
+    w = (
+        2.0 * math.pi * nu
+    )  # Den Hartog (1985), section 3.2: (M s^2 + K)(s^2 + 2 zeta w s + w^2) + m s^2 (2 zeta w s + w^2)
+    own, carried = [1.0, 2.0 * zeta * w, w**2], [2.0 * zeta * w * m, w**2 * m, 0.0, 0.0]
+    expected = np.roots(np.polyadd(np.polymul([M, 0.0, K], own), carried))
+    np.testing.assert_allclose(eigenvalues(model), np.sort_complex(expected), atol=1e-9)
+
+
 def test_what_needs_a_force_of_the_element_is_refused_without(spring):
     elements = {"spring": {"displacement": "x", "acts": {"x": -1}}}
     with pytest.raises(DeclarationError, match="'spring' declares none; give elements"):
