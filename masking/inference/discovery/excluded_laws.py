@@ -39,13 +39,6 @@ def is_beyond_instruments(problem: EstimationProblem, instances: Sequence[Effect
     return any(abs(value) > most * spread for value, spread in pairs)
 
 
-def folds(problem: EstimationProblem, instance: EffectInstance) -> bool:
-    """Whether a law of a sensor reads the same for several values within the readings."""
-    if instance.where != "sensor" or instance.entry.states:
-        return False
-    return bool((np.diff(given(problem, instance, 1.0)) < 0.0).any())
-
-
 def given(problem: EstimationProblem, instance: EffectInstance, reach: float) -> Array:
     """Readings of a law of a sensor, without a state, over values (v,) up to `reach` largest readings on both sides."""
     largest = float(np.abs(problem.record.readings[:, problem.rig.index(instance)]).max())

@@ -1,10 +1,8 @@
 """From afar: laws that the smoothed motion does not show, fitted along the motion of the model that lacks them.
 
-Along a motion that sticks no law has the force that holds it, and where a sensor reads the same for several values,
-such as a magnitude, the motion that is smoothed from its readings is another one. To first order along a wrong motion
-any law may look best, with a shape that is far from its own. So where the fits of what a screen puts first leave much,
-every law that sticks, folds the range of a sensor or has a shape is fitted in a few rounds from each of its starts, and
-those that come nearest to the end.
+Along a motion that sticks no law has the force that holds it. To first order along a wrong motion any law may look
+best, with a shape that is far from its own. So where the fits of what a screen puts first leave much, every law that
+sticks or has a shape is fitted in a few rounds from each of its starts, and those that come nearest to the end.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from masking.inference.discovery import continuation, excluded_laws, fitting
+from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.explanation import Explanation, fitted
 from masking.inference.discovery.fitting import Begun, Hypothesis
@@ -47,12 +45,11 @@ def from_afar(ground: Ground, now: Explanation, table: Sequence[Explanation]) ->
 def _starts(ground: Ground, score: Score) -> Sequence[EffectInstance]:
     """Instances of a candidate from which it is fitted; of one that sticks, with the level that the screen gives."""
     candidate = score.candidate
-    folds = any(excluded_laws.folds(ground.problem, one) for one in candidate.instances)
     if candidate.sticks and not candidate.entry.nested:
         every = [score.instance] if candidate.factors else candidate.instances
         return [in_steps(ground.problem, one, candidate) for one in every]
     is_shaped = bool(candidate.factors) and candidate.has_shape and not candidate.sticks
-    return candidate.instances if folds or is_shaped else ()
+    return candidate.instances if is_shaped else ()
 
 
 def _begun(problem: EstimationProblem, known: Hypothesis, one: EffectInstance, rival: float) -> Hypothesis | None:

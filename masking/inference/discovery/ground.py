@@ -14,6 +14,7 @@ from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.folded_readings import unfolded
 from masking.inference.discovery.motion_features import Kept
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import DecisionRules
@@ -95,6 +96,11 @@ class Ground:
 
     def _screened(self, now: Explanation) -> Seen:
         instances, most = now.hypothesis.instances, self.rules.small_residual * self.size
+        problem, known = unfolded(self.problem, now.hypothesis)
+        if known is not now.hypothesis:
+            motion = smooth(problem, known.theta, known.start)
+            screen = Screen(problem, known, motion, known.instances, taken=True)
+            return screen, screen.scores(self.every)
         screen = self.screen(self.base.hypothesis, instances)
         if instances and now.cost < max(most, screen.total):
             screen = self.screen(now.hypothesis, instances, taken=True)

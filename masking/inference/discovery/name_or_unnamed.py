@@ -26,8 +26,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     that it is likelier, or a little more than noise, or where two act at one place. The integration steps are those of
     the model alone.
     """
-    is_refused, has_names = found.verdict == "unknown", bool(found.explanation.hypothesis.instances)
-    if found.verdict in {"none", "parameter"} or not (is_refused or has_names):
+    is_refused, has_names = found.verdict == "unknown", found.explanation.kind != "none"
+    if found.verdict == "none" or not (is_refused or has_names):
         return replace(found, law=None, none_of_these=0.0)
     rules, size = found.problem.rules, found.record.readings.size
     are_two = share_a_place(found.explanation.names, found.problem.rig)

@@ -12,11 +12,13 @@ from functools import partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.inference.discovery import fitting, verdict
+from masking.inference.discovery import fitting, unseen_data, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.excluded_laws import is_excluded
 from masking.inference.discovery.explanation import Explanation, Job
+from masking.inference.discovery.fitting import Begun
+from masking.inference.discovery.folded_readings import folds
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen
@@ -81,6 +83,8 @@ class _Chosen:
                 continue
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(score)
+        others = [score for score in scores if not _is_among(score, chosen) and score.candidate.key not in now.names]
+        chosen += [score for score in others if _folds(ground, score)]
         if now.names and ground.is_noise(now.cost) and verdict.is_excess(now.cost, ground.size, rules):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * (now.cost - ground.size)]
         keys = {score.candidate.key for score in chosen}
@@ -91,6 +95,11 @@ class _Chosen:
         first = {score.candidate.key: score for score in [*others[::-1], *chosen]}
         chosen += [score for score in others if first[score.candidate.key] is score]
         return cls(chosen, [score for score in others if not _is_among(score, chosen)])
+
+
+def _folds(ground: Ground, score: Score) -> bool:
+    """Whether a law of a sensor reads the same for several values: the motion that its readings show is another one."""
+    return folds(ground.problem, score.instance) and not is_excluded(ground.problem, [score.instance])
 
 
 def _is_among(score: Score, scores: Sequence[Score]) -> bool:
@@ -138,8 +147,10 @@ class Addition:
     def _begun(
         self, scores: Sequence[Score], instances: Sequence[EffectInstance], at: tuple[Array, Array], rival: float
     ) -> Explanation:
-        every = (*self.now.hypothesis.instances, *instances)
-        found = fitting.fit(self.problem, every, theta=at[0], start=at[1], rival=rival)
+        every, (theta, start) = (*self.now.hypothesis.instances, *instances), at
+        if any(folds(self.problem, one) for one in instances):  # the motion so far is another one
+            start = unseen_data.validated(self.problem, Begun(every, theta, start)).start
+        found = fitting.fit(self.problem, every, theta=theta, start=start, rival=rival)
         names = (*self.now.names, *(score.candidate.key for score in scores))
         return Explanation("effects", names, found)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -10,14 +9,15 @@ from functools import partial
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import continuation, excluded_laws, fitting
+from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.fitting import Begun, Hypothesis
+from masking.inference.discovery.folded_readings import first_states
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.initial_states import FIRST_READINGS
 from masking.inference.estimation.simulation import PARTS, STUCK
 
 
-def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float = np.inf) -> Hypothesis:
+def validated(problem: EstimationProblem, hypothesis: Begun, rival: float = np.inf) -> Hypothesis:
     """Hypothesis on a validation record: its initial state alone is fitted, by parts if need be.
 
     Errors as `fitting.fit`.
@@ -26,12 +26,8 @@ def validated(problem: EstimationProblem, hypothesis: Hypothesis, rival: float =
     found, record = fitted(problem), problem.record
     if problem.interval or found.cost < STUCK * record.readings.size:
         return found
-    folded = [problem.rig.index(one) for one in hypothesis.instances if excluded_laws.folds(problem, one)]
-    for sides in itertools.product((1.0, -1.0), repeat=len(folded)):
-        signs = np.ones(record.readings.shape[1])
-        signs[folded] = sides
-        turned = replace(problem, record=replace(record, readings=signs * record.readings))
-        start = turned.first_states(hypothesis.theta)
+    for guess in first_states(problem, hypothesis):
+        start = guess
         with suppress(IntegrationError):
             for part in PARTS:
                 if part * len(record) >= FIRST_READINGS:
