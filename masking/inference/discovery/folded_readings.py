@@ -58,4 +58,3 @@ def unfolded(problem: EstimationProblem, known: Hypothesis) -> tuple[EstimationP
     readings[:, plain] = seen[:, plain]
     there = replace(known, instances=others, residuals=readings - made.simulated)
     return replace(problem, record=replace(problem.record, readings=readings)), there
-
