@@ -32,8 +32,9 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
     """Explanations with one more effect.
 
     The best scores set the mark for the others. Screens expect too much of others, so that where the fits leave more
-    than noise, those that the screen puts beside the best fit are fitted, too. Of a law that does a part of what the
-    best does, other shapes are fitted as well.
+    than noise, those that the screen puts beside the best fit are fitted, too. Laws of sensors that fold are fitted
+    whatever it says, and count where they leave least. Of a law that does a part of what the best does, other shapes
+    are fitted as well.
     """
     if len(now.names) >= ground.rules.most_effects or (now.names and ground.is_composite(now)):
         return []  # one more law would leave it composite
@@ -48,6 +49,10 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
     jobs = [adding.job((score,)) for score in chosen.worth]
     found = ground.noted(move, jobs[:2], now.cost)
     found += ground.noted(move, jobs[2:], min(one.cost for one in (now, *found)))
+    others = [score for score in scores if not _is_among(score, chosen.worth) and score.candidate.key not in now.names]
+    least = min(one.cost for one in (now, *found))
+    folding = ground.noted(move, [adding.job((score,)) for score in others if _folds(ground, score)], least)
+    found += [one for one in folding if one.cost < least]
     if not found:
         return []
     near = min((now, *found), key=lambda one: one.cost)
@@ -83,8 +88,6 @@ class _Chosen:
                 continue
             if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
                 chosen.append(score)
-        others = [score for score in scores if not _is_among(score, chosen) and score.candidate.key not in now.names]
-        chosen += [score for score in others if _folds(ground, score)]
         if now.names and ground.is_noise(now.cost) and verdict.is_excess(now.cost, ground.size, rules):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * (now.cost - ground.size)]
         keys = {score.candidate.key for score in chosen}
