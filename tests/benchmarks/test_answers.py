@@ -13,7 +13,7 @@ from masking.model.declaration import registry
 from masking.model.effects.dictionary import EFFECTS
 from tests.benchmarks import measured
 from tests.benchmarks.answers import __main__ as runner
-from tests.benchmarks.answers import scoring, suites
+from tests.benchmarks.answers import reliability, scoring, suites
 from tests.benchmarks.answers.scoring import Judgement, Line
 from tests.benchmarks.independent import cases as independent
 from tests.benchmarks.problems.drawn import Problem as Drawn
@@ -216,3 +216,24 @@ def test_random_problems_are_judged_by_each_hidden_law():
         False, True, True
     )
     assert suites.judged_problem(nameless, found("unknown")).right
+
+
+def test_answers_are_right_as_often_as_they_say_within_an_interval_of_wilson():
+    lines = [replace(LINE, name=str(i), probability=0.99, right=i < 9) for i in range(10)]
+    lines += [replace(LINE, name="open", verdict="unknown", none=0.7, probability=None)]
+    lines += [replace(LINE, name="nothing", verdict="none", probability=None)]  # it states no probability
+    middle, sure = reliability.bins(lines)
+    assert middle == (pytest.approx(0.7), 1, 1)
+    assert sure == (pytest.approx(0.99), 9, 10)
+    # Newcombe (1998), Stat. Med. 17(8), 857-872, table I, method 3.
+    for right, count, ends in ((81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611))):
+        assert reliability.Bin(0.5, right, count).interval == pytest.approx(ends, abs=5e-5)
+    assert reliability.table(lines)[2:] == [
+        "| quick | 70 % | 1 | 100 % | 21 to 100 % |", "| quick | 99 % | 10 | 90 % | 60 to 98 % |"
+    ]  # fmt: skip
+
+
+def test_the_diagram_of_several_suites_is_drawn(tmp_path):
+    lines = [replace(LINE, suite=suite, probability=0.5) for suite in ("measured", "second")]
+    reliability.diagram(lines, tmp_path / "diagram.png")
+    assert (tmp_path / "diagram.png").read_bytes().startswith(b"\x89PNG")

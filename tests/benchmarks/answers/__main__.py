@@ -1,7 +1,8 @@
 """`python -m tests.benchmarks.answers [SUITE ...] --out FILE`: answers on every suite as JSON lines, and their table.
 
 What is in the file is not run again. `--against` says which answers differ from those of another state, `--without`
-leaves out a move of the search: what it changes is what the move is good for.
+leaves out a move of the search: what it changes is what the move is good for. `--diagram` draws how often answers of
+each probability are right.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 
 from masking.errors import MaskingError
 from masking.inference.discovery import search
-from tests.benchmarks.answers import scoring
+from tests.benchmarks.answers import reliability, scoring
 from tests.benchmarks.answers.scoring import Line
 from tests.benchmarks.answers.suites import SUITES, Problem
 
@@ -61,6 +62,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, metavar="S", help="begin no problem after so many seconds")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="of the answers, one JSON a line")
     parser.add_argument("--against", type=Path, metavar="FILE", help="answers of another state")
+    parser.add_argument("--diagram", type=Path, metavar="FILE", help="of how often answers are right, a picture")
     parser.add_argument("--without", choices=[move.__name__ for move in search.MOVES], help="move that is left out")
     chosen = parser.parse_args()
     search.MOVES = tuple(move for move in search.MOVES if move.__name__ != chosen.without)
@@ -87,7 +89,9 @@ def main() -> int:
                     file.write(json.dumps(asdict(line)) + "\n")
                 print(f"{line.status:8s}{line.suite} {line.name}: {line.error or line.said}; {line.seconds:.0f} s",
                       file=sys.stderr, flush=True)  # fmt: skip
-    print("\n".join(scoring.table(wanted.values())))
+    print("\n".join([*scoring.table(wanted.values()), "", *reliability.table([*wanted.values()])]))
+    if chosen.diagram is not None:
+        reliability.diagram([*wanted.values()], chosen.diagram)
     if chosen.against is not None:
         print("\n".join(["", *scoring.differences(wanted, scoring.read(chosen.against))]))
     return 0
