@@ -44,7 +44,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     left, better = _left(found) if is_refused else 0.0, -np.inf
     if law is not None and _is_as_long(law, found):
         left, better = _left(matched, law), evidence(matched, law) - rules.effect_evidence
-    none = verdict.none_of_these(left, better, shared=are_two)
+    is_noise = found.is_at_noise_floor and verdict.reaches_noise(found.explanation.cost, size, rules)
+    none = verdict.none_of_these(left, better, rest=0.0 if is_noise else _left(found), shared=are_two)
     if law is None and leaves_more and has_rival and found.problem.work.is_cut:  # no rival was tried
         none = max(none, verdict.LIKELIER)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict

@@ -256,6 +256,8 @@ def test_what_names_leave_makes_none_of_them_likelier():
     assert values[0] == verdict.NONE_LEAST
     assert verdict.none_of_these(verdict.NONE_HALF) == pytest.approx(0.5 * (1.0 + verdict.NONE_LEAST))
     assert verdict.none_of_these(0.0, shared=True) == verdict.SHARED
+    assert verdict.none_of_these(0.0, rest=verdict.REST_HALF) == pytest.approx(0.5 * verdict.REST)
+    assert verdict.none_of_these(0.0, rest=1.0) < verdict.REST < verdict.LIKELIER  # a rest alone refuses no name
 
 
 def test_scores_of_probabilities_are_those_of_their_definitions():
