@@ -196,9 +196,9 @@ def none_of_these(left: float, better: float = -np.inf, *, rest: float = 0.0, sh
 
         p = p0 + (1 - p0)/(1 + (l0/l)**s), and at least p1/(1 + (l1/r)**2)
 
-    A law whose shape is off by a tenth leaves a tenth. A closed form is the rival of names by its score. What remains in
-    any case casts a doubt, but no more: no model of a rig is exact. Where names leave a twentieth of the error or more,
-    nearly all were wrong in generated records, and none in measured ones: p1 is between the two.
+    A law whose shape is off by a tenth leaves a tenth. A closed form is the rival of names by its score. What remains
+    in any case casts a doubt, but no more: no model of a rig is exact. Where names leave a twentieth of the error or
+    more, nearly all were wrong in generated records, and none in measured ones: p1 is between the two.
     `python -m tests.benchmarks.answers` says how often answers of each probability are right.
 
     Args:
