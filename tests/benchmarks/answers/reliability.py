@@ -79,5 +79,5 @@ def diagram(lines: Sequence[Line], file: Path) -> None:
         label = f"{WORLDS.get(suite, suite)} ({sum(one.count for one in every)})"
         axes.errorbar([one.said for one in every], parts, reach, marker="o", capsize=3, label=label)
     axes.set(xlabel="stated probability", ylabel="part that is right", xlim=(0, 1.02), ylim=(0, 1.02))
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
     figure.savefig(file, dpi=110)
