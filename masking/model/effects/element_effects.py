@@ -243,6 +243,7 @@ ELEMENTS: tuple[Effect, ...] = (
         is_linear=True,
         is_carried=True,
         positive="duration*nu - 2",
+        family="resonance",
     ),
     _friction(
         "dry_friction",

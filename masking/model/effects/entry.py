@@ -32,8 +32,9 @@ NOT_NEGATIVE: Final[Bounds] = (0.0, None)
 # Effects of one family share a row of the error budget, in this order.
 SATURATION: Final = "saturation"
 FAMILIES: Final = (
-    *("springs", "damping", "friction", "hysteresis", "mass", "backlash", "end stop", "overflow", "periodic force"),
-    *("actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation", "noise", "delay"),
+    *("springs", "damping", "friction", "hysteresis", "mass", "resonance", "backlash", "end stop", "overflow"),
+    *("periodic force", "actuator gains", "actuator dynamics", SATURATION, "sensor errors", "quantisation"),
+    *("noise", "delay"),
 )
 
 
