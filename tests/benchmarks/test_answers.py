@@ -222,7 +222,7 @@ def test_answers_are_right_as_often_as_they_say_within_an_interval_of_wilson():
     lines = [replace(LINE, name=str(i), probability=0.99, right=i < 9) for i in range(10)]
     lines += [replace(LINE, name="open", verdict="unknown", none=0.7, probability=None)]
     lines += [replace(LINE, name="nothing", verdict="none", probability=None)]  # it states no probability
-    middle, sure = reliability.bins(lines)
+    middle, sure = reliability.bins(reliability.stated(lines))
     assert middle == (pytest.approx(0.7), 1, 1)
     assert sure == (pytest.approx(0.99), 9, 10)
     # Newcombe (1998), Stat. Med. 17(8), 857-872, table I, method 3.

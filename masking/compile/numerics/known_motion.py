@@ -110,6 +110,10 @@ def relaxing(h: float, rates: Matrix, weight: Matrix) -> None:
     For eigenvalues m + q and m - q it is f I + g (A - m I): f is the mean of the two integrals, g their difference over
     2 q. Where they are nearly the same, they are taken a ten-thousandth of 1/h apart.
     """
+    if rates[0, 1] == rates[1, 0] == 0.0:  # measured: most effects have one state, and screens follow thousands
+        weight[0, 0], weight[0, 1] = relaxed(h, rates[0, 0]), 0.0
+        weight[1, 0], weight[1, 1] = 0.0, relaxed(h, rates[1, 1])
+        return
     apart, mean = 0.5 * (rates[0, 0] - rates[1, 1]), 0.5 * (rates[0, 0] + rates[1, 1])
     square = apart**2 + rates[0, 1] * rates[1, 0]
     q = max(math.sqrt(abs(square)), ALIKE / h)

@@ -211,19 +211,19 @@ def _separating(
 def _scored(explanation: Explanation, search: SearchResult) -> Scored:
     """Explanation as plain data, with the estimates of its last cause."""
     rig, instances = search.problem.rig, explanation.hypothesis.instances
-    estimates = _estimates(rig, explanation)
-    usual = rig.start[rig.names.index(explanation.names[-1][0])] if explanation.kind == "parameter" else 0.0
-    last = tuple((value - float(usual), std) for value, std in estimates[-1].values()) if estimates else ()
-    last = ((explanation.last_strength, 1.0),) if instances else last
-    absorbed = tuple(_is_absorbed(search, explanation, i) for i in range(len(instances)))
+    last: tuple[tuple[float, float], ...]
+    last = ((explanation.last_strength, 1.0),) if instances else ()
+    if explanation.kind == "parameter":
+        usual = float(rig.start[rig.names.index(explanation.names[-1][0])])
+        last = tuple((value - usual, std) for value, std in _estimates(rig, explanation)[-1].values())
+    may_be = all(one.entry.absorbed_by for one in instances)  # a law that is none speaks for all: no screen is made
+    absorbed = tuple(may_be and _is_absorbed(search, explanation, i) for i in range(len(instances)))
     return Scored(explanation.kind, explanation.names, explanation.cost, last, absorbed)
 
 
 def _is_absorbed(search: SearchResult, explanation: Explanation, i: int) -> bool:
-    """Whether parameters of the model do what a cause does, beside the others: its law has their form."""
+    """Whether parameters of the model do what a cause does, beside the others, whose law has their form."""
     instance, others = explanation.hypothesis.instances[i], explanation.without(i)[1]
-    if not instance.entry.absorbed_by:
-        return False
     with suppress(IntegrationError), threadpool_limits(1):
         unique = Screen(search.problem, search.base.hypothesis, search.motion, others).unique(instance)
         return unique < search.problem.rules.unique_fraction

@@ -46,7 +46,7 @@ def unfolded(problem: EstimationProblem, known: Hypothesis) -> tuple[EstimationP
         return problem, known
     others = tuple(one for one in known.instances if one not in folding)
     made = problem.equations(known.theta, known.start, others, fitting.estimated(others), frozen=True)
-    readings, seen = made.simulated.copy(), problem.record.readings
+    seen, readings = problem.record.readings, problem.record.readings.copy()
     for one in folding:
         i, small = problem.rig.index(one), STEP * float(np.abs(seen).max())
         s, rest = made.simulated[:, i], np.zeros(len(seen))
@@ -54,7 +54,5 @@ def unfolded(problem: EstimationProblem, known: Hypothesis) -> tuple[EstimationP
         slope = (high - low) / (2.0 * small)
         shows = np.abs(slope) > FLAT
         readings[:, i] = s + np.where(shows, (seen[:, i] - at) / np.where(shows, slope, 1.0), 0.0)
-    plain = [i for i in range(seen.shape[1]) if i not in {problem.rig.index(one) for one in folding}]
-    readings[:, plain] = seen[:, plain]
     there = replace(known, instances=others, residuals=readings - made.simulated)
     return replace(problem, record=replace(problem.record, readings=readings)), there

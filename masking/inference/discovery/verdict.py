@@ -45,10 +45,10 @@ class Scored:
     kind: Kind  # 'none': the model with its parameters adjusted; 'parameter': one that is off; or 'effects'
     names: tuple[Key, ...] = ()  # (parameter, '') or (effect, place) of each cause, as they were found
     cost: float = 0.0  # -2 log posterior density up to a constant: squared residuals over noise variances, and priors
-    # of the last cause: each parameter's value less its reference (0 for an effect, the declared value for a
-    # parameter), and its standard deviation; and the same of all parameters of an effect together
+    # of the last cause: a parameter's value less the declared one, with its standard deviation; of an effect, what
+    # scales it all together in deviations, and 1
     estimates: tuple[tuple[float, float], ...] = ()
-    absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model do as it does
+    absorbed: tuple[bool, ...] = ()  # of each cause, whether parameters of the model do as it does, if all may
 
     @property
     def is_like_parameters(self) -> bool:

@@ -1,12 +1,10 @@
 """Reliability: how often answers that are stated with a probability are right, as a table and as a diagram.
 
-Source: Murphy and Winkler (1977), J. R. Stat. Soc. C 26(1), 41-47, for the diagram; Wilson (1927), J. Am. Stat. Assoc.
-22(158), 209-212, for the intervals.
+Source: Murphy and Winkler (1977), J. R. Stat. Soc. C 26(1), 41-47, for the diagram.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -16,9 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tests.benchmarks.answers.scoring import Line
+from tests.benchmarks.discovering.scoring import wilson
 
-EDGES = (0.0, 0.35, 0.65, 0.9, 0.98, 1.0 + 1e-9)  # of the bins of probability
-Z = 1.96  # deviations of a 95 % interval
+EDGES = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)  # of the bins of probability
 WORLDS = {"measured": "measured sets", "second": "second generator", "problems": "random problems"}
 
 
@@ -31,24 +29,24 @@ class Bin(NamedTuple):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Part that is right, with 95 % confidence, by Wilson's score."""
-        part, of = self.right / self.count, Z**2 / self.count
-        middle = (part + 0.5 * of) / (1.0 + of)
-        half = Z * math.sqrt(part * (1.0 - part) / self.count + 0.25 * of / self.count) / (1.0 + of)
-        return middle - half, middle + half
+        """Part that is right, with 95 % confidence."""
+        return wilson(self.right, self.count)
 
 
-def said(line: Line) -> float | None:
-    """Return the probability that an answer states of itself: of its least sure name, or of none of the names."""
-    return line.none if line.verdict == "unknown" else line.probability
+def stated(lines: Iterable[Line]) -> list[tuple[float, bool]]:
+    """Return the probabilities that answers state of themselves, and whether they are right.
+
+    They are those of the least sure name, or of none of the names.
+    """
+    pairs = [(line.none if line.verdict == "unknown" else line.probability, line.right) for line in lines]
+    return [(p, right) for p, right in pairs if p is not None]
 
 
-def bins(lines: Iterable[Line]) -> list[Bin]:
-    """Return the answers by their probability."""
-    pairs = [(p, line.right) for line in lines if (p := said(line)) is not None]
+def bins(pairs: Sequence[tuple[float, bool]]) -> list[Bin]:
+    """Return answers by their probability, given with whether each is right."""
     found = []
     for low, high in pairwise(EDGES):
-        those = [(p, right) for p, right in pairs if low <= p < high]
+        those = [(p, right) for p, right in pairs if low <= p < high or p == high == EDGES[-1]]
         if those:
             found.append(Bin(float(np.mean([p for p, _ in those])), sum(right for _, right in those), len(those)))
     return found
@@ -58,7 +56,7 @@ def table(lines: Sequence[Line]) -> list[str]:
     """Return the lines of a table: for each suite and bin, what is stated, and how often it is right."""
     shown = ["| suite | stated probability | answers | right | with 95 % confidence |", "|---" * 5 + "|"]
     for suite in dict.fromkeys(line.suite for line in lines):
-        for one in bins(line for line in lines if line.suite == suite):
+        for one in bins(stated(line for line in lines if line.suite == suite)):
             low, high = (round(100.0 * end) for end in one.interval)
             cells = (WORLDS.get(suite, suite), f"{100.0 * one.said:.0f} %", one.count,
                      f"{100.0 * one.right / one.count:.0f} %", f"{low} to {high} %")  # fmt: skip
@@ -72,7 +70,7 @@ def diagram(lines: Sequence[Line], file: Path) -> None:
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.6", linestyle=":", label="as often as stated")
     for suite in dict.fromkeys(line.suite for line in lines):
-        every = bins(line for line in lines if line.suite == suite)
+        every = bins(stated(line for line in lines if line.suite == suite))
         parts = [one.right / one.count for one in every]
         ends = np.array([one.interval for one in every]).T
         reach = np.abs(ends - np.array(parts))

@@ -6,7 +6,6 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,11 @@ import numpy as np
 import masking
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.grammar import force
+from tests.benchmarks.answers.reliability import bins
 from tests.benchmarks.laws import records
 from tests.benchmarks.laws.records import NAMES, Case, Rig
 
 NOISE_TIMES, NEAR, SURE = 1.5, 0.05, 0.9
-EDGES = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)  # of the bins of a reliability diagram
 
 
 @dataclass(frozen=True)
@@ -126,13 +125,8 @@ def brier(outcomes: Sequence[Outcome]) -> float:
 
 def reliability(outcomes: Sequence[Outcome]) -> list[tuple[float, float, int]]:
     """Return the mean probability, the part that is right, and the number of the answers in each bin."""
-    found = []
-    for low, high in pairwise(EDGES):
-        those = [one for one in outcomes if low <= one.probability < high or one.probability == high == EDGES[-1]]
-        if those:
-            right = float(np.mean([one.is_right for one in those]))
-            found.append((float(np.mean([one.probability for one in those])), right, len(those)))
-    return found
+    pairs = [(one.probability, one.is_right) for one in outcomes]
+    return [(one.said, one.right / one.count, one.count) for one in bins(pairs)]
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:
