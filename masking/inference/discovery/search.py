@@ -8,6 +8,7 @@ Source: Kass and Raftery (1995), JASA 90(430), 773-795; for what is worth a fit,
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -25,7 +26,9 @@ from masking.inference.discovery.simpler_explanations import simpler_explanation
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.discovery.wrong_parameters import several_parameters, wrong_parameters
 
-MOVES = (
+Move = Callable[[Ground, Explanation, Sequence[Explanation]], list[Explanation]]  # beside one, of those in the table
+
+MOVES: tuple[Move, ...] = (
     richer_laws,
     other_causes,
     simpler_explanations,

@@ -1,8 +1,8 @@
 """`python -m tests.benchmarks.answers [SUITE ...] --out FILE`: answers on every suite as JSON lines, and their table.
 
-What is in the file is not run again. `--against` says which answers differ from those of another state, `--without`
-leaves out a move of the search: what it changes is what the move is good for. `--diagram` draws how often answers of
-each probability are right.
+What is in the file is not run again. `--against` says which answers differ from those of another state. `--without`
+leaves out a move of the search: what it changes is what the move is good for; of problems in which the move suggests
+nothing `--against` has the answers. `--diagram` draws how often answers of each probability are right.
 """
 
 from __future__ import annotations
@@ -14,12 +14,16 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from masking.errors import MaskingError
 from masking.inference.discovery import search
+from masking.inference.discovery.explanation import Explanation
 from tests.benchmarks.answers import reliability, scoring
 from tests.benchmarks.answers.scoring import Line
 from tests.benchmarks.answers.suites import SUITES, Problem
@@ -33,8 +37,32 @@ def suite(text: str) -> Iterator[Problem]:
     return SUITES[name](*([int(count)] if count else []))
 
 
-def run(problem: Problem) -> Line:
-    """Return the answer to a problem; what ends in an error is one, too."""
+@contextmanager
+def moving(moves: Iterable[search.Move]) -> Iterator[set[str]]:
+    """Search with these moves alone, and give the set of those that suggest something."""
+    every, active = search.MOVES, set[str]()
+
+    def noted(move: search.Move, *given: Any) -> list[Explanation]:
+        if made := move(*given):
+            active.add(move.__name__)
+        return made
+
+    search.MOVES = tuple(partial(noted, move) for move in moves)
+    try:
+        yield active
+    finally:
+        search.MOVES = every
+
+
+def run(problem: Problem, moves: Iterable[search.Move]) -> Line:
+    """Return the answer to a problem that a search with some moves gives; what ends in an error is one, too."""
+    with moving(moves) as active:
+        line = answer(problem)
+        return replace(line, moves=tuple(sorted(active)))
+
+
+def answer(problem: Problem) -> Line:
+    """Return the answer to a problem."""
     line, begin = Line(problem.suite, problem.name, problem.truth, ""), time.process_time()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -65,14 +93,14 @@ def main() -> int:
     parser.add_argument("--diagram", type=Path, metavar="FILE", help="of how often answers are right, a picture")
     parser.add_argument("--without", choices=[move.__name__ for move in search.MOVES], help="move that is left out")
     chosen = parser.parse_args()
-    search.MOVES = tuple(move for move in search.MOVES if move.__name__ != chosen.without)
+    moves = [move for move in search.MOVES if move.__name__ != chosen.without]
     try:
         suites = [suite(text) for text in chosen.suites or SUITES]
     except (KeyError, TypeError, ValueError):
         parser.error(f"the suites are {SUITES_HELP}")
     k, n = map(int, chosen.part.split("/"))
     until = time.monotonic() + (chosen.seconds or float("inf"))
-    known = scoring.read(chosen.out)
+    known, others = scoring.read(chosen.out), scoring.read(chosen.against) if chosen.against else {}
     wanted = {}
     for problems in suites:
         for number, problem in enumerate(problems):
@@ -83,8 +111,10 @@ def main() -> int:
                 print(f"{problem.suite} {problem.name}: left out, {problem.missing}", file=sys.stderr)
             elif key in known:
                 wanted[key] = known[key]
+            elif chosen.without and key in others and chosen.without not in others[key].moves:
+                wanted[key] = others[key]
             elif time.monotonic() < until:
-                wanted[key] = line = run(problem)
+                wanted[key] = line = run(problem, moves)
                 with chosen.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(line)) + "\n")
                 print(f"{line.status:8s}{line.suite} {line.name}: {line.error or line.said}; {line.seconds:.0f} s",
@@ -93,7 +123,7 @@ def main() -> int:
     if chosen.diagram is not None:
         reliability.diagram([*wanted.values()], chosen.diagram)
     if chosen.against is not None:
-        print("\n".join(["", *scoring.differences(wanted, scoring.read(chosen.against))]))
+        print("\n".join(["", *scoring.differences(wanted, others)]))
     return 0
 
 

@@ -55,6 +55,7 @@ class Line:
         over_noise: largest error of a sensor over its noise, with what is written.
         is_adjusted_worse: whether adjusted parameters alone leave more than declared ones, over all sensors.
         move: what suggested the explanation.
+        moves: of the search, that suggested something.
         interval: shooting interval in s; None for the whole record.
         seconds: processor time.
         error: message of what was refused, or the end of a traceback.
@@ -83,6 +84,7 @@ class Line:
     over_noise: float | None = None
     is_adjusted_worse: bool = False
     move: str = ""
+    moves: tuple[str, ...] = ()
     interval: float | None = None
     seconds: float = 0.0
     error: str = ""
@@ -164,7 +166,9 @@ def read(path: Path) -> dict[Key, Line]:
             line = Line(**json.loads(text))
         except json.JSONDecodeError:
             continue
-        line = replace(line, causes=tuple((name, on) for name, on in line.causes), false=tuple(line.false))
+        line = replace(
+            line, causes=tuple((name, on) for name, on in line.causes), false=tuple(line.false), moves=tuple(line.moves)
+        )
         found[line.key] = line
     return found
 
