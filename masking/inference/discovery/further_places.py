@@ -17,6 +17,7 @@ from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.places import Place, identifier
 from masking.inference.discovery.problem import EstimationProblem
+from masking.model.declaration import couplings
 from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Element, ModelDeclaration, Parameter, State
@@ -86,7 +87,8 @@ def _with_memory(rig: AugmentedModel, place: Place, time: float) -> LawPlaces:
     dimension = dimension_in(element.displacement, symbols) if symbols and element.displacement else None
     unit, per = ("1" if one is None else describe(one) for one in (dimension, symbols.get("t")))
     follows = Expression(f"({moved})")  # in brackets, it is not the place of a coordinate, which is another one
-    law = Element(displacement=follows, rate=rate, unit=element.unit, acts=element.acts)
+    driven = {one: Expression("0") for one in couplings.driven_states(base)}  # so that each keeps its place
+    law = Element(displacement=follows, rate=rate, unit=element.unit, acts={**driven, **element.acts})
     usual = Parameter(value=tried[len(tried) // 2], unit=per, meaning=f"relaxation time of {place.name}")
     changed = {
         "states": {**base.states, state: State(meaning=f"displacement of {place.name}, relaxed", unit=unit)},

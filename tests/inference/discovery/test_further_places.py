@@ -11,6 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import masking
+from masking.app.workflows import discovery_inputs
+from masking.inference.discovery import further_places
+from masking.inference.discovery.augmented_model import AugmentedModel
 
 NOISE, SAMPLES, RATE = 1e-3, 900, 25.0
 MODELS = {
@@ -116,3 +119,11 @@ def test_its_written_model_reproduces_what_is_promised(found):
         made = masking.simulate(folder / "found" / "plant.yaml", folder / f"{name}.csv", hold="first-order")
         assert made.chi == pytest.approx(promised, rel=0.01)
     assert content["law"]["follows"]["d_rate"] == discovery.law.free.nouns["v"]
+
+
+def test_every_place_of_a_rig_stays_beside_a_law_with_memory(tmp_path):
+    text = "{name: motor, states: {w: {}, p: {}}, parameters: {a: 2}, equations: {w': -a*w, p': w - p}}"
+    (tmp_path / "model.yaml").write_text(text)
+    rig = AugmentedModel(discovery_inputs.rig(tmp_path / "model.yaml", None), ("a",))
+    (one,) = further_places.of(rig, "p", 1.0)
+    assert [place.name for place in one.rig.places] == ["memory_p_place", "w", "p"]
