@@ -3,7 +3,8 @@
 Each begins with the model in `examples/measured`, which an engineer would write. `discover` runs on its own answer
 until it names nothing more; `identify` then fits all parameters to the whole estimation part; `simulate` gives the
 error on the test parts, from an initial state of the first readings of each. Nothing is chosen by a test part. Named
-effects are kept in place of a law without a name, whose tables have no parameters that `identify` could fit.
+effects, of an unknown cause the nearest, are kept in place of a law without a name, whose tables have no parameters
+that `identify` could fit.
 
 Source of the published figures: Champneys, Beintema, Toth, Schoukens and Rogers (2024), arXiv:2405.10779, and the
 sources that it names; Fakhrizadeh Esfahani et al. (2018), arXiv:1705.00178, for Bouc-Wen. Form of the F-16: Noel and
@@ -208,7 +209,7 @@ def rows(case: Case, folder: Path) -> list[str]:
         causes = [cause for cause in found.effects if cause.name in found.twin.dictionary]
         sizes = found.simulation_error.validation
         print(case.name, found.verdict, [(c.name, c.on, c.probability) for c in found.effects], sizes, flush=True)
-        if plant is not None and not causes:
+        if plant is not None and (not causes or found.verdict == "unknown"):
             break
         if not causes and found.law is None:
             break

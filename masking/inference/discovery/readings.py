@@ -18,6 +18,7 @@ from masking.inference.discovery import shooting_intervals, units_after_search, 
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
+from masking.inference.discovery.explanation import nearest
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
@@ -125,10 +126,24 @@ OTHERS = (exchanged_records, shorter_intervals, another_unit, directed_places)
 
 
 def explains_more(again: Discovery, found: Discovery) -> bool:
-    """Whether an answer explains more of unseen data than another one, or the same in a likelier way."""
+    """Whether an answer explains more of unseen data than another one, or no less in a likelier way."""
     rules = found.problem.rules
     after, before = (one.simulation_error.over_noise for one in (again, found))
     if again.is_far_off or not after <= rules.noise_floor * before:
         return False
-    is_known = again.verdict != "unknown" and (found.verdict == "unknown" or found.is_far_off)
-    return is_known or after < rules.much_less * before
+    if again.verdict != "unknown" and (found.verdict == "unknown" or found.is_far_off):
+        return True
+    return after < rules.much_less * before or _is_likelier(again, found)
+
+
+def _is_likelier(again: Discovery, found: Discovery) -> bool:
+    """Whether an answer is likelier than another one by more than a cause needs, of the same record read as long."""
+    if (
+        again.verdict == "unknown"
+        or again.exchanged != found.exchanged
+        or again.problem.interval != found.problem.interval
+    ):
+        return False
+    pair = again.explanation, found.explanation
+    new, old = (one.score(nearest(pair)) for one in pair)
+    return new < old - found.problem.rules.effect_evidence
