@@ -95,12 +95,8 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
 
 def summary(found: Discovery, files: Files | None) -> str:
     """Finding and files in a few lines for the terminal."""
-    said = [discovery_text.sentence(found), discovery_text.unexplained(found)]
-    said += [
-        *discovery_text.weights(found),
-        discovery_text.probability_sentence(found),
-        *discovery_text.location(found),
-    ]
+    said = [discovery_text.sentence(found), discovery_text.unexplained(found), *discovery_text.weights(found)]
+    said += [discovery_text.probability_sentence(found), *discovery_text.location(found)]
     lines = [f"{sentence}." for sentence in (*said, discovery_text.intervals(found)) if sentence]
     table = [("validation error", *found.twin.sensors)]
     what = ("as declared", "adjusted parameters", "with the finding", "noise floor")

@@ -166,6 +166,7 @@ def test_page_says_what_helps(discovered, folder):
         "Dry friction in spring1",
         "of the model error is at spring1",
         "Ljung and Box",
+        "Dry friction in spring1 makes",
         "use leaf springs or air bearings",
         "data:image/png;base64",
         "SHA-256",
