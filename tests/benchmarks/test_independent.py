@@ -83,3 +83,10 @@ def test_what_hides_in_a_record_is_named(effect, tmp_path):
     case = Case(2, effect)
     found = discovered_second(case, tmp_path)()
     assert judged_second(case, found).right, found
+
+
+@pytest.mark.search
+def test_friction_that_falls_with_the_rate_is_named_where_a_drag_leaves_less_than_dry_friction(tmp_path):
+    case = Case(46_001, "stribeck_friction", rate=250.0)
+    found = discovered_second(case, tmp_path)()
+    assert judged_second(case, found).right, found

@@ -10,7 +10,7 @@ import numpy as np
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
-from masking.inference.discovery.explanation import Explanation, ended
+from masking.inference.discovery.explanation import Explanation, Job, ended
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.one_more_cause import in_steps
 
@@ -20,10 +20,20 @@ FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place stic
 
 
 def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations with a law that sticks in the place of a simpler one, where it begins better than it ended."""
-    known, jobs = now.hypothesis, []
+    """Explanations with a law that sticks in the place of a simpler one, where it begins better than it ended.
+
+    Beside what an explanation leaves, simpler laws are those of others with as many causes that do nearly as much.
+    """
     if ground.is_noise(now.cost):
         return []
+    least = ground.base.cost - (1.0 - ground.rules.gain_fraction) * (ground.base.cost - now.cost)
+    alike = [one for one in table if one.kind == "effects" and len(one.names) == len(now.names) and one.cost < least]
+    jobs = [job for one in (now, *(one for one in alike if one is not now)) for job in _richer(ground, one, table)]
+    return ground.noted("a richer law from the values of a simpler one", jobs, now.cost)
+
+
+def _richer(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> Iterator[Job]:
+    known = now.hypothesis
     for i, ((effect, at), instance) in enumerate(zip(now.names, known.instances, strict=True)):
         names, others = now.without(i)
         for one in ground.every:
@@ -31,8 +41,7 @@ def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) 
                 every = [(*others, in_steps(ground.problem, start, one)) for start in _starts(one, instance)]
                 costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
                 if costs and min(costs) < ended(table, (*names, one.key)):
-                    jobs.append(ground.refit((*names, one.key), every[int(np.argmin(costs))], now))
-    return ground.noted("a richer law from the values of a simpler one", jobs, now.cost)
+                    yield ground.refit((*names, one.key), every[int(np.argmin(costs))], now)
 
 
 def _starts(candidate: Candidate, simple: EffectInstance) -> Iterator[EffectInstance]:
