@@ -13,6 +13,7 @@ from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, ended
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.one_more_cause import in_steps
+from masking.inference.discovery.verdict import Key
 
 # Levels of a law that has two, in parts of that of a law with one, which lies between them.
 LEVELS = tuple((part * high, high) for high in (1.0, 1.1, 1.3, 1.5) for part in (0.4, 0.6, 0.8))
@@ -22,26 +23,31 @@ FASTER = (1.0, 8.0)  # times what is tried of a law's motion: where a place stic
 def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:
     """Explanations with a law that sticks in the place of a simpler one, where it begins better than it ended.
 
-    Beside what an explanation leaves, simpler laws are those of others with as many causes that do nearly as much.
+    A simpler law is one of the explanation, or of the best of others with as many causes that do nearly as much.
     """
     if ground.is_noise(now.cost):
         return []
-    least = ground.base.cost - (1.0 - ground.rules.gain_fraction) * (ground.base.cost - now.cost)
+    least, jobs = ground.base.cost - (1.0 - ground.rules.gain_fraction) * (ground.base.cost - now.cost), list[Job]()
     alike = [one for one in table if one.kind == "effects" and len(one.names) == len(now.names) and one.cost < least]
-    jobs = [job for one in (now, *(one for one in alike if one is not now)) for job in _richer(ground, one, table)]
+    seen = set[Key]()
+    for one in (now, *sorted(alike, key=lambda one: one.cost)):
+        for i, key in enumerate(one.names):
+            if key not in seen:
+                jobs += _richer(ground, one, i, table)
+        seen |= {*one.names}
     return ground.noted("a richer law from the values of a simpler one", jobs, now.cost)
 
 
-def _richer(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> Iterator[Job]:
-    known = now.hypothesis
-    for i, ((effect, at), instance) in enumerate(zip(now.names, known.instances, strict=True)):
-        names, others = now.without(i)
-        for one in ground.every:
-            if one.at == at and one.sticks and one.factors and effect in one.entry.nested and one.key not in names:
-                every = [(*others, in_steps(ground.problem, start, one)) for start in _starts(one, instance)]
-                costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
-                if costs and min(costs) < ended(table, (*names, one.key)):
-                    yield ground.refit((*names, one.key), every[int(np.argmin(costs))], now)
+def _richer(ground: Ground, now: Explanation, i: int, table: Sequence[Explanation]) -> Iterator[Job]:
+    """Fits with each richer law in the place of one cause."""
+    known, (effect, at), (names, others) = now.hypothesis, now.names[i], now.without(i)
+    for one in ground.every:
+        if one.at == at and one.sticks and one.factors and effect in one.entry.nested and one.key not in names:
+            starts = _starts(one, known.instances[i])
+            every = [(*others, in_steps(ground.problem, start, one)) for start in starts]
+            costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
+            if costs and min(costs) < ended(table, (*names, one.key)):
+                yield ground.refit((*names, one.key), every[int(np.argmin(costs))], now)
 
 
 def _starts(candidate: Candidate, simple: EffectInstance) -> Iterator[EffectInstance]:
