@@ -37,7 +37,7 @@ def from_afar(ground: Ground, now: Explanation, table: Sequence[Explanation]) ->
     best = dict[Key, Hypothesis]()
     for score, one in sorted(ended, key=lambda pair: pair[1].cost):
         best.setdefault(score.candidate.key, one)
-    near = [*best.items()][: ground.rules.fewest_fits]
+    near = [*best.items()][: ground.rules.few_fits]
     jobs = [ground.refit((key,), one.instances, replace(now, hypothesis=one)) for key, one in near]
     return ground.noted("nearest of all laws and starts", jobs, least)
 

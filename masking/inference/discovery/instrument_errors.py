@@ -73,7 +73,7 @@ def _trial(search: Search) -> _Trial:
         return trial
     wider, alone = with_imperfections(problem), min(verdict.excess_cost(one.cost, size) for one in laws)
     most = size + max(rules.unexplained_fraction, rules.trace_fraction) * alone
-    jobs = [partial(_beside, wider, one) for one in laws[: rules.fewest_fits]]
+    jobs = [partial(_beside, wider, one) for one in laws[: rules.few_fits]]
     for made in noted(wider, "with all instrument errors", jobs, most):
         if made is not None:
             left = verdict.excess_cost(made.cost, size)

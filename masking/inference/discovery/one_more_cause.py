@@ -86,7 +86,7 @@ class _Chosen:
             pays = score.gain > penalty * len(score.candidate.free) + 0.5 * rules.effect_evidence
             if score.candidate.key in now.names or not pays or len(chosen) == rules.most_fits:
                 continue
-            if screen.total - score.gain < most or len(chosen) < rules.fewest_fits:
+            if screen.total - score.gain < most or len(chosen) < rules.few_fits:
                 chosen.append(score)
         if now.names and ground.is_noise(now.cost) and verdict.is_excess(now.cost, ground.size, rules):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * (now.cost - ground.size)]

@@ -22,7 +22,7 @@ def other_causes(ground: Ground, now: Explanation, table: Sequence[Explanation])
             continue
         most = ground.worth(screen, now.cost / screen.every)
         scores = [one for one in screen.scores(ground.every) if one.candidate.key not in now.names]
-        chosen = [one for one in scores if screen.total - one.gain < most][: ground.rules.most_exchanges]
+        chosen = [one for one in scores if screen.total - one.gain < most][: ground.rules.few_fits]
         jobs = [ground.refit((one.candidate.key, *names), (ready(ground.problem, one), *others), now) for one in chosen]
         found += ground.noted("another in the place of a cause", jobs, now.cost)
     return found

@@ -70,7 +70,7 @@ def pairs_of_causes(ground: Ground, now: Explanation, table: Sequence[Explanatio
     chosen = list[Pair]()
     for pair in pairs(screen, scores):
         names = (*now.names, *(score.candidate.key for score in pair.scores))
-        if screen.total - pair.gain - noise > most or len(chosen) == rules.most_exchanges:
+        if screen.total - pair.gain - noise > most or len(chosen) == rules.few_fits:
             break
         if len({*names}) == len(names) and not are_composite(names, ground.problem.rig, rules):
             chosen.append(pair)

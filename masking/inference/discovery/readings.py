@@ -109,7 +109,7 @@ def directed_places(reading: Reading, found: Discovery) -> Iterator[Reading]:
     if every or found.is_at_noise_floor or found.is_hidden or found.problem.work.ends():
         return
     problem = replace(found.problem.under("directed places"), rig=rig, substeps=reading.problem.substeps)
-    part = {"coordinate": problem.rules.directed_fraction}
+    part = {"coordinate": problem.rules.score_fraction}
     wanted = {place.name: part.get(place.directed, 1.0) for place in rig.places if place.directed}
     try:
         with threadpool_limits(1):

@@ -97,12 +97,6 @@ class DecisionRules:
     Why: each round costs a screen and up to eight fits; no record of the benchmark has more than three causes.
     """
 
-    most_exchanges: int = 3
-    """Effects that are tried in the place of each one found earlier.
-
-    Why: limits computing time; on the benchmark the right one was among the first three.
-    """
-
     gain_fraction: float = 0.2
     """Part of the gain of the best explanation that a simpler law may lack, where others are looked for beside it, too.
 
@@ -134,12 +128,6 @@ class DecisionRules:
     off. Its steps of integration are then those that it needs.
     """
 
-    directed_fraction: float = 0.5
-    """Part of the best score from which a force between coordinates is searched.
-
-    Why: gyroscopic forces are two.
-    """
-
     # Hard facts
 
     excluded_deviations: float = 6.0
@@ -156,8 +144,11 @@ class DecisionRules:
 
     # Which candidates are fitted
 
-    fewest_fits: int = 3
-    """Candidates that are fitted in each round at least.
+    few_fits: int = 3
+    """Fits that are made of what scores put first, if it is worth a fit or not: candidates in each round at least.
+
+    As many at most are parameters that are freed by themselves, others in the place of a cause, pairs, and laws that
+    are fitted from afar.
 
     Why: a fit more costs time, a right effect left out costs the answer; on the benchmark it was among the first three
     of the first-order score.
@@ -167,12 +158,6 @@ class DecisionRules:
     """Candidates that are fitted in each round at most.
 
     Why: limits computing time.
-    """
-
-    most_freed: int = 3
-    """Parameters that are freed in the first round at most.
-
-    Why: limits computing time; the score test orders parameters exactly to first order.
     """
 
     fit_ratio: float = 2.5
@@ -203,8 +188,9 @@ class DecisionRules:
     Why: limits computing time; where the first fits leave much, these are the next hope.
     """
 
-    sharpened_fraction: float = 0.5
-    """Part of the best score from which the shape of a candidate is optimised in the screen.
+    score_fraction: float = 0.5
+    """Part of the best score from which the shape of a candidate is optimised in the screen, and one of two forces
+    between coordinates, as gyroscopic ones are, is a reason to search among these.
 
     Why: a score is a squared correlation: half of it is a cosine of 0.71. A shape lies within one step of its grid,
     which gains less than a factor of two.

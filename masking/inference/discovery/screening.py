@@ -193,7 +193,7 @@ class Screen:
             parts = 1.0 + np.linspace(-width, width, 9)
             self._settle([(p.candidate, p.instance.with_free_times(part)) for p in stepped for part in parts], found)
         best = max((score.gain for score in found.values()), default=0.0)
-        near = [p for p in found.values() if p.gain > self.rules.sharpened_fraction * best and p.candidate.has_shape]
+        near = [p for p in found.values() if p.gain > self.rules.score_fraction * best and p.candidate.has_shape]
         sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
         kept = [sharper.get(id(score.candidate), score) for score in found.values()]
         return sorted(kept, key=lambda score: -score.gain)

@@ -21,7 +21,7 @@ def wrong_parameters(ground: Ground, now: Explanation, table: Sequence[Explanati
     if now.names:
         return []
     rules, gains = ground.rules, scores(ground.problem, now.hypothesis)
-    wrong = [int(i) for i in np.argsort(-gains)[: rules.most_freed] if gains[i] > rules.parameter_evidence]
+    wrong = [int(i) for i in np.argsort(-gains)[: rules.few_fits] if gains[i] > rules.parameter_evidence]
     return ground.noted("a parameter off", [partial(_freed, ground.problem, now, [i]) for i in wrong], now.cost)
 
 
