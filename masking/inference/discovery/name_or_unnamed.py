@@ -22,18 +22,16 @@ OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the a
 def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     """Discovery with the probability that no name is right, and with the law without a name where it is not.
 
-    That law is fitted where the names are refused, and as their rival where it could explain what they leave: so much
-    that it is likelier, or a little more than noise, or where two act at one place. The integration steps are those of
-    the model alone.
+    That law is fitted where the names are refused, and as their rival where it could explain what they leave beyond
+    noise, or where two act at one place. The integration steps are those of the model alone.
     """
     is_refused, has_names = found.verdict == "unknown", found.explanation.kind != "none"
     if found.verdict == "none" or not (is_refused or has_names):
         return replace(found, law=None, none_of_these=0.0)
     rules, size = found.problem.rules, found.record.readings.size
     are_two = share_a_place(found.explanation.names, found.problem.rig)
-    worst = max(found.explanation.cost / size, found.simulation_error.over_noise**2)
-    leaves_more = worst > 1.0 + rules.screen_resolution
-    has_rival = not is_refused and (are_two or leaves_more) and _is_explainable(found)
+    is_noise = found.is_at_noise_floor and verdict.reaches_noise(found.explanation.cost, size, rules)
+    has_rival = not is_refused and (are_two or not is_noise) and _is_explainable(found)
     law, matched = None, found
     if has_rival or (is_refused and not found.is_hidden):
         say("fitting a law without a name", 0.97)
@@ -44,9 +42,8 @@ def beside_names(found: Discovery, substeps: int, say: Tell) -> Discovery:
     left, better = _left(found) if is_refused else 0.0, -np.inf
     if law is not None and _is_as_long(law, found):
         left, better = _left(matched, law), evidence(matched, law) - rules.effect_evidence
-    is_noise = found.is_at_noise_floor and verdict.reaches_noise(found.explanation.cost, size, rules)
     none = verdict.none_of_these(left, better, rest=0.0 if is_noise else _left(found), shared=are_two)
-    if law is None and leaves_more and has_rival and found.problem.work.is_cut:  # no rival was tried
+    if law is None and not is_noise and has_rival and found.problem.work.is_cut:  # no rival was tried
         none = max(none, verdict.LIKELIER)
     answer = "unknown" if none > verdict.LIKELIER else found.verdict
     is_written = answer == "unknown" and law is not None and _is_better(law, matched.after)
