@@ -117,6 +117,12 @@ def nearest(explanations: Iterable[Explanation]) -> Hypothesis:
     return fitting.nearest(one.hypothesis for one in explanations)
 
 
+def ahead(one: Explanation, other: Explanation) -> float:
+    """-2 log of the odds of another explanation against one, of the same record."""
+    like = nearest([one, other])
+    return other.score(like) - one.score(like)
+
+
 def in_both(explanations: Sequence[Explanation]) -> list[float]:
     """-2 log evidence of explanations in their record and in unseen data, where all have been simulated there.
 

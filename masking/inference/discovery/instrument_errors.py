@@ -19,7 +19,7 @@ from masking.compile.numerics import decompositions
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.explanation import Explanation, nearest, noted
+from masking.inference.discovery.explanation import Explanation, ahead, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.ground import Tell
 from masking.inference.discovery.problem import EstimationProblem
@@ -51,7 +51,7 @@ def searched(problem: EstimationProblem, tell: Tell) -> SearchResult:
             return again
         found = search.run()
         return again if not _is_complete(found) and again.best.cost < found.best.cost else found
-    is_better = not _is_complete(found) or _is_likelier(again.best, found.best)
+    is_better = not _is_complete(found) or ahead(again.best, found.best) > 0.0
     return again if _is_complete(again) and is_better else found
 
 
@@ -110,11 +110,6 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
         information = decompositions.inverse(covariance[np.ix_(gone, gone)], hermitian=True)
         costs.append(float(values[gone] @ information @ values[gone]))
     return min(costs) < problem.rules.effect_evidence
-
-
-def _is_likelier(one: Explanation, other: Explanation) -> bool:
-    like = nearest([one, other])
-    return one.score(like) < other.score(like)
 
 
 def _is_complete(found: SearchResult) -> bool:

@@ -18,7 +18,7 @@ from masking.inference.discovery import shooting_intervals, units_after_search, 
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
-from masking.inference.discovery.explanation import nearest
+from masking.inference.discovery.explanation import ahead
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
@@ -144,6 +144,4 @@ def _is_likelier(again: Discovery, found: Discovery) -> bool:
         or again.problem.interval != found.problem.interval
     ):
         return False
-    pair = again.explanation, found.explanation
-    new, old = (one.score(nearest(pair)) for one in pair)
-    return new < old - found.problem.rules.effect_evidence
+    return ahead(again.explanation, found.explanation) > found.problem.rules.effect_evidence
