@@ -134,6 +134,10 @@ class Ground:
         """Whether a cost is hardly any of what the model without causes leaves, or is that of noise."""
         return self.is_noise(cost) or verdict.leaves_little(cost, self.base.cost, self.size, self.rules)
 
+    def nearly(self, least: float, since: float) -> float:
+        """Cost below which nearly as much is gained, since a cost, as by the least one."""
+        return since - (1.0 - self.rules.gain_fraction) * (since - least)
+
     def is_composite(self, explanation: Explanation) -> bool:
         """Whether its effects imitate one that the dictionary lacks."""
         return are_composite(explanation.names, self.problem.rig, self.rules)

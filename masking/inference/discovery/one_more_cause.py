@@ -64,7 +64,7 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
         found += ground.noted("one of many that look alike", more, near.cost)
         chosen = wider
     rival = min(one.cost for one in found)
-    least = now.cost - (1.0 - ground.rules.gain_fraction) * (now.cost - rival)
+    least = ground.nearly(rival, now.cost)
     keys = {one.names[-1] for one in found if one.cost < least}
     again = [adding.job((score,)) for score in chosen.variants if score.candidate.key in keys]
     return found + ground.noted("another shape of a simpler cause", again, rival)

@@ -126,22 +126,17 @@ OTHERS = (exchanged_records, shorter_intervals, another_unit, directed_places)
 
 
 def explains_more(again: Discovery, found: Discovery) -> bool:
-    """Whether an answer explains more of unseen data than another one, or no less in a likelier way."""
+    """Whether an answer explains more of unseen data than another one, or no less in a likelier way.
+
+    Likelier is by more than a cause costs, of the same record in intervals as long.
+    """
     rules = found.problem.rules
     after, before = (one.simulation_error.over_noise for one in (again, found))
     if again.is_far_off or not after <= rules.noise_floor * before:
         return False
-    if again.verdict != "unknown" and (found.verdict == "unknown" or found.is_far_off):
+    is_known = again.verdict != "unknown"
+    if is_known and (found.verdict == "unknown" or found.is_far_off):
         return True
-    return after < rules.much_less * before or _is_likelier(again, found)
-
-
-def _is_likelier(again: Discovery, found: Discovery) -> bool:
-    """Whether an answer is likelier than another one by more than a cause needs, of the same record read as long."""
-    if (
-        again.verdict == "unknown"
-        or again.exchanged != found.exchanged
-        or again.problem.interval != found.problem.interval
-    ):
-        return False
-    return ahead(again.explanation, found.explanation) > found.problem.rules.effect_evidence
+    is_alike = again.exchanged == found.exchanged and again.problem.interval == found.problem.interval
+    is_likelier = is_known and is_alike and ahead(again.explanation, found.explanation) > rules.effect_evidence
+    return is_likelier or after < rules.much_less * before

@@ -27,7 +27,7 @@ def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) 
     """
     if ground.is_noise(now.cost):
         return []
-    least, jobs = ground.base.cost - (1.0 - ground.rules.gain_fraction) * (ground.base.cost - now.cost), list[Job]()
+    least, jobs = ground.nearly(now.cost, ground.base.cost), list[Job]()
     alike = [one for one in table if one.kind == "effects" and len(one.names) == len(now.names) and one.cost < least]
     seen = set[Key]()
     for one in (now, *sorted(alike, key=lambda one: one.cost)):

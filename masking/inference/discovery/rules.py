@@ -145,10 +145,10 @@ class DecisionRules:
     # Which candidates are fitted
 
     few_fits: int = 3
-    """Fits that are made of what scores put first, if it is worth a fit or not: candidates in each round at least.
+    """Candidates that are fitted in each round at least, whatever they are worth.
 
-    As many at most are parameters that are freed by themselves, others in the place of a cause, pairs, and laws that
-    are fitted from afar.
+    At most as many parameters are freed by themselves, laws tried in the place of each cause, pairs, and laws from
+    afar.
 
     Why: a fit more costs time, a right effect left out costs the answer; on the benchmark it was among the first three
     of the first-order score.
@@ -189,8 +189,9 @@ class DecisionRules:
     """
 
     score_fraction: float = 0.5
-    """Part of the best score from which the shape of a candidate is optimised in the screen, and one of two forces
-    between coordinates, as gyroscopic ones are, is a reason to search among these.
+    """Part of the best score from which a candidate's shape is optimised in the screen.
+
+    Also that from which a force between coordinates is searched: gyroscopic forces are two.
 
     Why: a score is a squared correlation: half of it is a cosine of 0.71. A shape lies within one step of its grid,
     which gains less than a factor of two.

@@ -101,12 +101,12 @@ class Search:
 
     def _next(self) -> Explanation | None:
         """Explanation to look at: the best, or the simpler one that does nearly as much; None if there is none."""
-        ground, rules = self.ground, self.ground.rules
+        ground = self.ground
         ranked = ground.ranked(self.table)
         best = ranked[0]
         if ground.problem.work.ends():
             return None
-        least = ground.base.cost - (1.0 - rules.gain_fraction) * (ground.base.cost - best.cost)
+        least = ground.nearly(best.cost, ground.base.cost)
         inside = [one for one in ranked if one.cost < least and one.is_inside(best)]
         return next((one for one in (best, *inside[:1]) if self._is_open(one)), None)
 
