@@ -8,6 +8,7 @@ Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,7 @@ import numpy as np
 
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
+from masking.compile.codegen.tangent import along, copied
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.lazy_imports import sympy as sp
@@ -195,6 +197,45 @@ class DesiredDynamics:
                 unwanted = mean if self.regulation.phase == "anti" else graph.sub(rate[i], mean)
                 wanted[i] = graph.sub(wanted[i], graph.mul(coupling, unwanted))
         return Wanted(wanted, *rest)
+
+    def derivatives(
+        self,
+        graph: Graph,
+        time: Node,
+        jets: Sequence[Sequence[Node | None]],
+        p: Sequence[Node],
+        *,
+        regulation: Sequence[Node] = (),
+        memory: Sequence[Node] = (),
+    ) -> list[list[Node]]:
+        """Lower D and its total derivatives along the motion, those of each order (k,).
+
+        `jets` are eta, its rate, and its further derivatives per unit of virtual time (orders, k); of those that the
+        inputs change at once, which are None, the wanted ones are taken. All else is as of `lower`. A ModelError where
+        the virtual system has delays: what they give has no known derivative.
+        """
+        if self.virtual.equations.lags:
+            raise ModelError(
+                f"{self.virtual.name} has delays: a rig whose inputs act through dynamics of their own needs the "
+                "derivatives of the wanted accelerations; leave the delays out, or mask a rig whose inputs are forces"
+            )
+        own, known, found = Graph(), [list(row) for row in jets], list[list[Node]]()
+        rest = (p, regulation, memory)
+        symbols = [own.symbol(f"x_{i}", varying=True) for i in range(1 + sum(map(len, (*jets, *rest))))]
+        left = iter(symbols)
+        now = next(left)
+        *moved, values, held, kept = ([next(left) for _ in part] for part in (*jets, *rest))
+        wanted = self.lower(own, now, moved[0], moved[1], values, regulation=held, memory=kept)
+        moving = {now: own.number(1.0), **dict(zip(kept, wanted.rates, strict=True))}
+        moving |= {x: rate for row, rates in itertools.pairwise(moved) for x, rate in zip(row, rates, strict=True)}
+        every, zero = wanted.accelerations, graph.number(0.0)
+        for order in range(2, len(jets) + 1):
+            given = (zero if x is None else x for row in known for x in row)  # of later ones, nothing is read
+            found.append(copied(own, every, symbols, graph, [time, *given, *p, *regulation, *memory]))
+            if order < len(jets):
+                known[order] = [d if x is None else x for x, d in zip(known[order], found[-1], strict=True)]
+                every = along(own, every, moving)
+        return found
 
     @property
     def _moving(self) -> tuple[int, ...]:

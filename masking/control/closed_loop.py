@@ -14,7 +14,6 @@ from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-from masking.control.actuation import check_actuation
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.errors import ModelError
@@ -160,7 +159,6 @@ class ClosedLoop:
         return control.nlsys(update, output, inputs=0, **names)
 
     def _build(self) -> Module:
-        check_actuation(self.controller.model, self.controller.transform)
         made = module(self)
         made.add_factory("answer", single_step.law_step, "step", len(self.plant.coordinates), len(self.plant.inputs))
         return made
@@ -221,6 +219,8 @@ def module(loop: ClosedLoop) -> Module:
     add("drive(t: float, q, v, p, out)", "out", law.drive)
     add("input_matrix(t: float, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
     add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
+    if law.off:
+        add("off(t: float, q, v, p, out)", "out", law.off)
     by_plant = [*rig.v, *plant.accelerations, *plant.rates, *law.remembered]
     add("plant_derivative(t: float, y, u, p, dy)", "dy", by_plant, plant.health)
     add("derivative(t: float, y, u, p, dy)", "dy", derivatives, health)

@@ -130,6 +130,16 @@ class Instruments:
         seen = [i for i in range(n) if i not in hidden]
         check_sensing(sensing[:, seen], [self.model.coordinates[i] for i in seen], self.sensors)
         check_followed(dynamics, hidden, self.model.coordinates)
+        levels = self.levels(sensing, noise)
+        slope = np.eye(n) if self.driven is None else self.driven
+        command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
+        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
+
+    def levels(self, sensing: Array, noise: float | None) -> Array:
+        """Standard deviation of each reading (sensors,), one for all if given; `sensing` is as `sensing` gives it.
+
+        A ModelError where that of a sensor which reads the rig is not known.
+        """
         weighed = [name for name, row in zip(self.sensors, sensing, strict=True) if row.any()]
         unknown = [name for name in weighed if noise is None and name not in self.noise]
         if unknown:
@@ -137,10 +147,7 @@ class Instruments:
                 f"{self.plant.name}: the noise of {', '.join(unknown)} is not known: declare an effect noise there in "
                 "the plant file, or write controller.observer.noise, in the sensors' units"
             )
-        levels = np.array([self.noise.get(name, 0.0) if noise is None else noise for name in self.sensors])
-        slope = np.eye(n) if self.driven is None else self.driven
-        command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
-        return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
+        return np.array([self.noise.get(name, 0.0) if noise is None else noise for name in self.sensors])
 
     def linear(self) -> tuple[Array, Array]:
         """D [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.

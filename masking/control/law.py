@@ -6,22 +6,43 @@ eta'' = J a + J' v, it solves
     (J B) u = -J a0                                L cancels the rig's own dynamics
     (J B) u = D / time_scale^2 - J' v              G T^-1[D] drives the wanted ones
 
-and adds the two. Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3), for any model affine in its inputs.
+and adds the two. Where the inputs appear first in derivative r > 2 of a virtual coordinate, since they act through
+dynamics of their own, its row is the r-th derivative of eta: the rig is kept on the manifold on which eta'' = D and the
+derivatives of both agree, and is brought there with the bandwidth w,
+
+    sum over k of C(r-2, k) w^(r-2-k) (eta^(k+2) - D^(k) / time_scale^(k+2)) = 0,    k = 0 ... r - 2
+
+in which the derivatives D^(k) are total ones along the motion; of coordinates that the inputs change at once before,
+they are along the wanted one.
+Source: Rijlaarsdam (2008), chapter 6, (6.1)-(6.3), for any model affine in its inputs; Isidori (1995), Nonlinear
+Control Systems, section 5.1, for higher derivatives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.source import Module
+from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
+from masking.control.relative_degree import Derivatives, relative_degrees
+from masking.errors import ModelError
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
+
+APPROACH = (
+    20.0  # times the frequency of the virtual motion: bandwidth with which a rig whose state is known comes to it
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +58,8 @@ class Controller:
         regulation: what is held besides the wanted dynamics, if anything.
         energy_balance: rate at which energy is taken out that the rig has gained beyond them, and the frequency of the
             motion, in radians, both per unit of virtual time; None where it is not.
+        actuator_bandwidth: with which the rig is brought to the wanted accelerations, rad/s, where its inputs act
+            through dynamics of their own.
     """
 
     model: Model
@@ -46,6 +69,53 @@ class Controller:
     transform_parameters: Mapping[str, float]
     regulation: schema.Regulation | None = None
     energy_balance: tuple[float, float] | None = None
+    actuator_bandwidth: float = 0.0
+
+    @cached_property
+    def degrees(self) -> tuple[int, ...]:
+        """Derivative of each virtual coordinate in which an input appears first (k,); errors as `relative_degrees`."""
+        structure = self.structure()
+        key = module_store.key({"degrees": {name: structure[name] for name in ("model", "virtual", "transform")}})
+        return tuple(module_store.load(key, self._with_degrees).meta["degrees"])
+
+    def _with_degrees(self) -> Module:
+        """Module without functions that says the degrees: they are found once for all values of parameters."""
+        return Module(self.model.name, {"kind": "degrees", "degrees": relative_degrees(self.model, self.transform)})
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether the inputs act on each acceleration at once."""
+        return max(self.degrees, default=2) == 2
+
+    def determined(self) -> Controller:
+        """Itself; a ModelError where inputs act through dynamics of their own, and the rig moves in more ways.
+
+        That is one, too, where a bandwidth is given and they do not.
+        """
+        if self.is_direct and self.actuator_bandwidth:
+            raise ModelError(
+                f"controller.actuator_bandwidth: the inputs of {self.model.name} change accelerations at once; leave "
+                "it out"
+            )
+        left = 2 * len(self.model.coordinates) + len(self.model.states) - sum(self.degrees)
+        if left and not self.is_direct:
+            raise ModelError(
+                f"{self.model.name}: {self._first}, and the rig has {left} more state"
+                f"{'s' * (left > 1)}, whose motion the virtual system would not determine; add virtual coordinates, or "
+                "actuators that accelerate each virtual coordinate at once"
+            )
+        return self
+
+    @property
+    def _first(self) -> str:
+        pairs = zip(self.virtual.coordinates, self.degrees, strict=True)
+        return f"an input appears first in derivative {', '.join(f'{degree} of {name}' for name, degree in pairs)}"
+
+    @property
+    def approach(self) -> str:
+        """Degrees and bandwidth in words; '' where the inputs act on each acceleration at once."""
+        words = f"{self._first}: wanted accelerations are approached with {self.actuator_bandwidth:.3g} rad/s"
+        return "" if self.is_direct else words
 
     @property
     def desired(self) -> DesiredDynamics:
@@ -67,6 +137,7 @@ class Controller:
         """Parameter array of the control law: model, virtual system, transform, lengths, time scale."""
         own = [self.transform_parameters[name] for name in self.transform.parameters]
         rest = [*self.desired.values(), *(self.energy_balance or ())]
+        rest += [] if self.is_direct else [self.actuator_bandwidth]
         return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], rest])
 
     def structure(self) -> dict[str, object]:
@@ -88,7 +159,8 @@ class ControlLaw:
     `given` are the rig accelerations under the inputs, `driven` the part of them that is due to the inputs;
     `remembered` are the rates of the virtual system's internal states, per second, `lagged` what its delayed
     expressions are now, and `delays` by how many seconds they are delayed; `conditions` are those of its events, and
-    then the values that jump.
+    then the values that jump; `off` is how far derivatives of the virtual coordinates are from those of the wanted
+    motion which the inputs do not change at once.
     """
 
     eta: list[Node]
@@ -105,6 +177,7 @@ class ControlLaw:
     lagged: list[Node]
     delays: list[Node]
     conditions: list[Node]
+    off: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, homing: Homing | None = None) -> ControlLaw:
@@ -131,7 +204,16 @@ class ControlLaw:
         if homing is not None:
             wanted = homing.lower(graph, rig, jacobian, wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
-        matrix = product(graph, jacobian, gain)
+        matrix, off = product(graph, jacobian, gain), list[Node]()
+        if not controller.is_direct:
+            higher = _Higher.of(controller, graph, rig, p)
+            jets: list[Sequence[Node | None]] = [mapped.eta, rate, *higher.jets()]
+            orders = higher.per_second(controller.desired.derivatives(graph, time, jets, p.virtual, **given_d))
+            if homing is not None:
+                orders = homing.derivatives(graph, rig, mapped.rate, orders)
+            for i, row in higher.rows(orders):
+                unwanted[i], wanted[i], matrix[i] = row.unwanted, row.wanted, row.by_inputs
+                off += row.off
         cancel, drive, decoupling = decouple(graph, matrix, unwanted, wanted)
 
         inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
@@ -140,7 +222,66 @@ class ControlLaw:
         health = graph.mul(inertia, decoupling)
         motion = (mapped.eta, rate, desired, cancel, drive, inputs, gain, health, given, driven)
         delays = [graph.mul(d, p.time_scale) for d in wanted_d.delays]
-        return cls(*motion, remembered, wanted_d.lagged, delays, wanted_d.conditions)
+        return cls(*motion, remembered, wanted_d.lagged, delays, wanted_d.conditions, off)
+
+
+class _Row(NamedTuple):
+    """What a virtual coordinate asks of the inputs whose inputs appear in a higher derivative than the second."""
+
+    unwanted: Node  # what the rig does by itself, to be cancelled
+    wanted: Node
+    by_inputs: list[Node]  # (inputs,)
+    off: list[Node]  # see `ControlLaw.off`
+
+
+@dataclass(frozen=True)
+class _Higher:
+    """Virtual coordinates whose inputs appear in a higher derivative than the second."""
+
+    graph: Graph
+    degrees: tuple[int, ...]
+    known: Derivatives  # of the virtual coordinates along the motion of the rig
+    values: list[Node]  # of the symbols of these
+    scales: list[Node]  # powers of the time scale, from the first on
+    bandwidth: list[Node]
+
+    @classmethod
+    def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, p: ControllerParameters) -> _Higher:
+        degrees = controller.degrees
+        values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths]
+        scales = [*itertools.accumulate([p.time_scale] * max(degrees), graph.mul)]
+        known = Derivatives(controller.model, controller.transform)
+        return cls(graph, degrees, known, values, scales, p.bandwidth)
+
+    def jets(self) -> list[list[Node | None]]:
+        """Derivatives of the virtual coordinates per unit of virtual time, from the second on; see `derivatives`."""
+        found = list[list[Node | None]]()
+        for order in range(2, max(self.degrees)):
+            own = self.known.within(self.graph, self.known.of_order(order), self.values)
+            scaled = [self.graph.mul(x, self.scales[order - 1]) for x in own]
+            found.append([x if order < degree else None for x, degree in zip(scaled, self.degrees, strict=True)])
+        return found
+
+    def per_second(self, desired: Sequence[Sequence[Node]]) -> list[list[Node]]:
+        """D and its derivatives, which are per unit of virtual time (orders, k), per second."""
+        return [[self.graph.div(d, size) for d in row] for row, size in zip(desired, self.scales[1:], strict=True)]
+
+    def rows(self, wanted: Sequence[Sequence[Node]]) -> Iterator[tuple[int, _Row]]:
+        """Rows of virtual coordinates, by their numbers, from D and its derivatives per second (orders, k)."""
+        graph, one = self.graph, self.graph.number(1.0)
+        for i, degree in enumerate(self.degrees):
+            more = degree - 2
+            if not more:
+                continue
+            every = [*(self.known.of_order(k)[i] for k in range(2, degree + 1)), *self.known.by_inputs(degree)[i]]
+            nodes = self.known.within(graph, every, self.values)
+            own, by_inputs = nodes[: more + 1], nodes[more + 1 :]
+            virtual = [order[i] for order in wanted[: more + 1]]
+            powers = [*itertools.accumulate([one, *self.bandwidth * more], graph.mul)][::-1]
+            weights = [graph.mul(graph.number(float(math.comb(more, k))), power) for k, power in enumerate(powers)]
+            off = [graph.sub(a, b) for a, b in zip(own[:-1], virtual[:-1], strict=True)]
+            unwanted = graph.apply("neg", dot(graph, weights, own))
+            yield i, _Row(unwanted, dot(graph, weights, virtual), by_inputs, off)
 
 
 @dataclass(frozen=True)
@@ -181,6 +322,25 @@ class Homing:
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
         """Wanted virtual accelerations (k,), replaced before the release by those of homing, with J (k, n)."""
+        accelerations = self._accelerations(graph, rig)
+        return self._before(graph, [dot(graph, row, accelerations) for row in jacobian], wanted)
+
+    def derivatives(
+        self, graph: Graph, rig: RigSymbols, rate: Sequence[Node], wanted: Sequence[Sequence[Node]]
+    ) -> list[list[Node]]:
+        """Wanted accelerations and their derivatives (orders, k), replaced likewise; `rate` is d eta/dt (k,)."""
+        rates = (graph.number(1.0), *rig.v, *self._accelerations(graph, rig))
+        moving, found = dict(zip((rig.t, *rig.q, *rig.v), rates, strict=True)), list[list[Node]]()
+        for order in wanted:
+            rate = along(graph, rate, moving)
+            found.append(self._before(graph, rate, order))
+        return found
+
+    def _before(self, graph: Graph, homing: Sequence[Node], wanted: Sequence[Node]) -> list[Node]:
+        is_before = graph.apply("lt", self.since, graph.number(0.0))
+        return [graph.apply("where", is_before, h, w) for h, w in zip(homing, wanted, strict=True)]
+
+    def _accelerations(self, graph: Graph, rig: RigSymbols) -> list[Node]:
         number, mul = graph.number, graph.mul
         one = number(1.0)
         moving = mul(number(MOVING_PART), self.time)
@@ -199,9 +359,7 @@ class Homing:
             slower = graph.sub(mul(way, speed), v)
             pull = graph.add(mul(mul(a, a), behind), mul(mul(number(2.0), a), slower))
             accelerations.append(graph.add(mul(way, bend), pull))
-        is_before = graph.apply("lt", self.since, number(0.0))
-        rows = zip(jacobian, wanted, strict=True)
-        return [graph.apply("where", is_before, dot(graph, row, accelerations), w) for row, w in rows]
+        return accelerations
 
 
 @dataclass(frozen=True)
@@ -215,6 +373,7 @@ class ControllerParameters:
     time_scale: Node
     regulation: list[Node]
     energy_balance: list[Node]
+    bandwidth: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph) -> ControllerParameters:
@@ -231,11 +390,12 @@ class ControllerParameters:
             graph.symbol("time_scale", varying=False),
             make("r", ("energy", "rate", "coupling")) if controller.regulation else [],
             make("e", ("rate", "frequency")) if controller.energy_balance is not None else [],
+            [] if controller.is_direct else make("w", ("actuators",)),
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:
         """For each parameter's text how it is read from the array `p`."""
-        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
+        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance, *self.bandwidth]
         nodes = [*self.model, *self.virtual, *self.transform, *scaled]
         return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
 
@@ -243,4 +403,4 @@ class ControllerParameters:
     def count(self) -> int:
         """Length of the array."""
         parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation, self.energy_balance)
-        return sum(map(len, parts)) + 1
+        return sum(map(len, parts)) + 1 + len(self.bandwidth)

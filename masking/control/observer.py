@@ -33,6 +33,10 @@ NOISE_PART = 0.02
 # A bandwidth that makes too much noise is lowered by this factor until it does not.
 LOWERED = 0.9
 SLOWEST = 1e-3  # of the fastest bandwidth
+TOO_NOISY = (
+    f"the sensors are too noisy for an observer: their noise alone would use {NOISE_PART:.0%} of an actuator at any "
+    "bandwidth; check the noise and the limits of the plant"
+)
 
 
 @dataclass(frozen=True)
@@ -77,14 +81,82 @@ class Plan:
 
 
 @dataclass(frozen=True)
+class WholePlan:
+    """What an observer of a rig whose inputs act through dynamics of their own is designed for: the model at rest.
+
+    A disturbance adds to its inputs: there, it changes as slowly as what it stands for.
+    """
+
+    dynamics: Array  # d [q, v, s] / dt = dynamics [q, v, s] (states, states)
+    driven: Array  # the same per unit of each input (states, inputs)
+    sensing: Array  # readings per unit of [q, v, s] (sensors, states)
+    command: Array  # commands per unit of [q, v, s] (actuators, states), in parts of their largest value
+    allocated: Array  # commands per unit of each input (actuators, inputs), likewise
+    noise: Array  # standard deviation of each reading (sensors,)
+    period: float  # time between samples, s
+    delay: int  # samples between a reading and the first effect of the command that answers it
+    coordinates: int  # number n of coordinates
+
+    @property
+    def fastest(self) -> float:
+        """Largest bandwidth that the rule chooses, as `Plan.fastest`."""
+        return FASTEST_PART / self.late
+
+    @property
+    def late(self) -> float:
+        """Samples of delay and hold, s."""
+        return self.period * (1 + self.delay)
+
+    def steady(self, order: int, bandwidth: float) -> _Steady:
+        """Steady filter in which the last derivative of the disturbance is driven by white noise.
+
+        Its density is such that what it makes of the readings is as large as their noise at the bandwidth.
+        """
+        many, inputs, order = len(self.dynamics), self.driven.shape[1], max(order, 1)
+        size = many + order * inputs
+        flow = np.zeros((size, size))
+        flow[:many, :many], flow[:many, many : many + inputs] = self.dynamics, self.driven
+        flow[many : size - inputs, many + inputs :] = np.eye((order - 1) * inputs)
+        moved = np.linalg.solve(1j * bandwidth * np.eye(many) - self.dynamics, self.driven)
+        deviation = np.maximum(self.noise, 1e-3 * max(float(self.noise.max()), 1e-9))
+        least = 1.0 / np.maximum(np.linalg.norm(self.sensing @ moved / deviation[:, None], axis=0), 1e-300)
+        driven = np.concatenate([np.zeros(size - inputs), (least * bandwidth**order) ** 2 * self.period])
+        step, noise = discretised(flow, driven, self.period)
+        unit = np.concatenate([np.abs(moved) @ least, *(least * bandwidth**k for k in range(order))])
+        unit = np.maximum(unit, 1e-300)
+        reading = np.hstack([self.sensing, np.zeros((len(self.sensing), order * inputs))]) * unit / deviation[:, None]
+        scaled = step * unit / unit[:, None]
+        try:
+            gain = steady_filter(scaled, noise / np.outer(unit, unit), reading).gain
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise ModelError(
+                f"the sensors do not tell the state of the rig and what disturbs its inputs ({error})"
+            ) from error
+        return _Steady(gain, (np.eye(size) - gain @ reading) @ scaled, unit, deviation)
+
+    def command_noise(self, order: int, bandwidth: float) -> Array:
+        """Noise in each command, in parts of its limit (actuators,)."""
+        found, order = self.steady(order, bandwidth), max(order, 1)
+        driven = found.gain @ np.diag((self.noise / found.deviation) ** 2) @ found.gain.T
+        noise = linalg.solve_discrete_lyapunov(found.error, driven) * np.outer(found.unit, found.unit)
+        late = (self.delay + 0.5) * self.period
+        by = np.hstack([self.command, *(-(late**k) * self.allocated for k in range(order))])
+        return np.asarray(np.sqrt(np.maximum(np.diag(by @ noise @ by.T), 0.0)))
+
+
+@dataclass(frozen=True)
 class Differences:
     """Positions as the sensors tell them, velocities as their differences; nothing is predicted."""
 
     order = 0
 
-    def gain(self, plan: Plan, offset: int) -> Array:
+    def gain(self, plan: Plan | WholePlan, offset: int) -> Array:
         """Coordinates per unit of reading (n, sensors); a ModelError where one has no sensor."""
         del offset
+        if isinstance(plan, WholePlan):
+            raise ModelError(
+                "differences do not tell the internal states through which the inputs act; take 'observer: disturbance'"
+            )
         if plan.unseen:
             raise ModelError(
                 "differences need a sensor for every coordinate, passive ones included; declare one, or take "
@@ -92,7 +164,7 @@ class Differences:
             )
         return np.asarray(np.linalg.pinv(plan.sensing[:, : plan.coordinates]), dtype=np.float64)
 
-    def bandwidths(self, plan: Plan) -> Array:
+    def bandwidths(self, plan: Plan | WholePlan) -> Array:
         """Infinite bandwidths (n,): nothing is filtered."""
         return np.full(plan.coordinates, np.inf)
 
@@ -116,11 +188,16 @@ class Kalman:
         if self.order not in {0, 1, 2}:
             raise ModelError(f"observer.order {self.order}: allowed are 0, 1 (a constant disturbance) and 2 (a line)")
 
-    def gain(self, plan: Plan, offset: int) -> Array:
-        """Steady Kalman gain (2 n + offset + order n, sensors): correction of [q, v, s, d, ...] per unit of reading.
+    def gain(self, plan: Plan | WholePlan, offset: int) -> Array:
+        """Steady Kalman gain (2 n + offset + order d, sensors): correction of [q, v, s, d, ...] per unit of reading.
 
-        The `offset` internal states s are not corrected.
+        Of the `offset` internal states s, those of a rig whose inputs act through them are corrected.
         """
+        if isinstance(plan, WholePlan):
+            whole = plan.steady(self.order, float(self.bandwidths(plan)[0]))
+            gain, own = whole.gain * whole.unit[:, None] / whole.deviation, len(plan.dynamics)
+            others = np.zeros((2 * plan.coordinates + offset - own, len(plan.sensing)))
+            return np.concatenate([gain[:own], others, gain[own : own + self.order * plan.driven.shape[1]]])
         seen, n, sensors = plan.seen, plan.coordinates, len(plan.sensing)
         found = _steady(plan.of_seen(), self.order, self.bandwidths(plan)[seen])
         steady = np.zeros((2 + self.order, n, sensors))
@@ -128,7 +205,7 @@ class Kalman:
         steady[:, seen] = gain.reshape(2 + self.order, len(seen), sensors)
         return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
-    def bandwidths(self, plan: Plan) -> Array:
+    def bandwidths(self, plan: Plan | WholePlan) -> Array:
         """Bandwidth for each coordinate, rad/s (n,); 0 for one without a sensor.
 
         The rule: as fast as the sampling allows, 0.7 rate / (1 + delay), so that the phase that is lost at the
@@ -145,6 +222,13 @@ class Kalman:
                     "lower it, or raise controller.rate"
                 )
             return np.broadcast_to(np.asarray(self.bandwidth, dtype=float), (plan.coordinates,)).copy()
+        if isinstance(plan, WholePlan):
+            speed = plan.fastest
+            while plan.noise.any() and plan.command_noise(self.order, speed).max() > NOISE_PART:
+                speed *= LOWERED
+                if speed < SLOWEST * plan.fastest:
+                    raise ModelError(TOO_NOISY)
+            return np.full(plan.coordinates, speed)
         if plan.unseen:
             found = np.zeros(plan.coordinates)
             found[plan.seen] = self.bandwidths(plan.of_seen())
@@ -157,10 +241,7 @@ class Kalman:
             if not noisy.any():
                 return found
             found = np.where(noisy, LOWERED * found, found)
-        raise ModelError(
-            "the sensors are too noisy for an observer: their noise alone would use "
-            f"{NOISE_PART:.0%} of an actuator at any bandwidth; check the noise and the limits of the plant"
-        )
+        raise ModelError(TOO_NOISY)
 
 
 Observer = Differences | Kalman

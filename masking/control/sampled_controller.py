@@ -6,6 +6,7 @@ actuators, limits. It is compiled whole, alone to run against a rig, and togethe
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,12 +21,12 @@ from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
-from masking.control.actuation import check_actuation
+from masking.compile.numerics.newton import STEP, jacobian
 from masking.control.blocks import dot
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
-from masking.control.observer import Differences, Observer
+from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan
 from masking.control.rig.twin import Twin
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
@@ -34,6 +35,7 @@ from masking.model.modelling.lowering import LoweredEquations
 
 # An offset follows the readings with this many time constants over the rest.
 SETTLED = 5.0
+HALVINGS = 8  # of the logarithm of the range in which an actuator bandwidth is sought
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class SampledController:
         return Sizes(
             n, own + remembered + lags + is_balanced, len(model.inputs), len(self.instruments.actuators),
             self.observer.order, k if is_balanced else 0, resting, remembered, lags, self._kept,
-            len(happening["events"]), targets,
+            len(happening["events"]), targets, not self.controller.is_direct,
         )  # fmt: skip
 
     @cached_property
@@ -111,8 +113,65 @@ class SampledController:
 
         A ModelError where it is faster than the sampling allows, or the noise or a limit is not known.
         """
-        plan = self.instruments.plan(self.rate, self.noise if self.has_model else 1.0)
-        return np.ascontiguousarray(self.observer.gain(plan, self.sizes.states - 2 * self.sizes.coordinates))
+        return np.ascontiguousarray(self.observer.gain(self.plan, self.sizes.states - 2 * self.sizes.coordinates))
+
+    @cached_property
+    def plan(self) -> Plan | WholePlan:
+        """What the observer is designed for; errors as `gain`."""
+        noise = self.noise if self.has_model else 1.0
+        direct = self.controller.is_direct
+        return self.instruments.plan(self.rate, noise) if direct else self._whole_plan(noise)
+
+    def as_fast_as_observed(self) -> SampledController:
+        """Same with an actuator bandwidth, where one counts, as high as the bandwidth of its observer.
+
+        What the noise of the readings makes of the commands grows with both.
+        """
+        if self.controller.is_direct or not self.has_model:
+            return self
+        fastest = self.plan.fastest
+        slow, fast, found = SLOWEST * fastest, fastest, self
+        for _ in range(HALVINGS):
+            now = math.sqrt(slow * fast)
+            made = replace(self, controller=replace(self.controller, actuator_bandwidth=now))
+            with contextlib.suppress(ModelError):  # too much noise for any observer
+                if made.observer.bandwidths(made.plan).min() >= now:
+                    slow, found = now, made
+                    continue
+            fast = now
+        return found
+
+    def _whole_plan(self, noise: float | None) -> WholePlan:
+        """Plan of an observer that follows the internal states of the rig as well, from the compiled functions."""
+        sizes, n, m, p = self.sizes, self.sizes.coordinates, self.sizes.inputs, self.values()
+        own, kernels = 2 * n + len(self.controller.model.states), self.kernels
+        rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
+        rest[2 * n : own] = [state.initial for state in self.controller.model.declaration.states.values()]
+        rest[sizes.memory] = self.remembered
+        law = getattr(kernels, self.feed.bare("law(").removesuffix("("))
+
+        def rates(x: Array, u: Array) -> Array:
+            dy = np.empty(sizes.states)
+            kernels.rate(0.0, np.concatenate([x, rest[own:]]), u, p, dy)
+            return dy[:own].copy()
+
+        def readings(x: Array) -> Array:
+            found = np.empty(len(self.instruments.sensors))
+            kernels.measure(0.0, np.concatenate([x, rest[own:]]), p, found)
+            return found.copy()
+
+        def commands(x: Array) -> Array:
+            u, r, g = np.empty(m), np.empty(n), np.empty(n)
+            law(0.0, 0.0, np.concatenate([x, rest[own:]]), np.zeros(n), p, u, r, g)
+            return self.instruments.allocation_inverse @ u
+
+        x, off, lengths = rest[:own], np.zeros(m), self.controller.model.lengths
+        steps = np.concatenate([STEP * lengths, self.rate * STEP * lengths, np.full(own - 2 * n, STEP)])
+        largest, sensing = self.limits[:, [LARGEST]], jacobian(readings, x, steps)
+        dynamics, driven = jacobian(lambda y: rates(y, off), x, steps), jacobian(lambda u: rates(x, u), off, np.ones(m))
+        by = jacobian(commands, x, steps) / largest, self.instruments.allocation_inverse / largest
+        levels = self.instruments.levels(sensing, noise)
+        return WholePlan(dynamics, driven, sensing, *by, levels, 1.0 / self.rate, self.delay, n)
 
     @cached_property
     def limits(self) -> Array:
@@ -147,7 +206,6 @@ class SampledController:
         return Kernels(module_store.load(module_store.key({"sampled": self.structure()}), self._build))
 
     def _build(self) -> Module:
-        check_actuation(self.controller.model, self.controller.transform)
         meta = {"kind": "controller", "coordinates": list(self.controller.model.coordinates)}
         module = Module(f"{self.instruments.plant.name}, masked as {self.controller.virtual.name}", meta)
         self.add_to(module)
@@ -187,7 +245,7 @@ class SampledController:
         q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
         internal = [state.initial for state in self.controller.model.declaration.states.values()]
         internal += [*self.remembered, *[0.0] * sizes.lags, *[0.0] * (self.controller.energy_balance is not None)]
-        estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * n)])
+        estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * sizes.disturbed)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
         self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
         if self.homing or not self.has_model:  # before homing, the rig is where it is without power
@@ -371,7 +429,6 @@ class SampledLoop:
 
     def _build(self) -> Module:
         controller = self.sampled.controller
-        check_actuation(controller.model, controller.transform)
         meta = {"kind": "sampled loop", **self.twin.state_kinds}
         module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
         self.twin.add_to(module)

@@ -34,6 +34,7 @@ from tests.benchmarks import (
     many,
     masking_error_table,
     official,
+    rths,
     rules,
     step,
     wishes,
@@ -202,6 +203,12 @@ def masking_errors() -> str:
 def official_benchmarks(*names: str) -> str:
     """Return the table of measured benchmarks in their official form."""
     return official.table(names)
+
+
+@slow_value
+def rths_benchmark() -> str:
+    """Return the table of the public benchmark of hybrid simulation, with the nominal plants."""
+    return "\n".join(rths.table())
 
 
 @slow_value

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import sympy as sp
 
+from masking.control.law import Controller
 from masking.lab.runs import batch_plan, experiment_card
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry, schema
 from masking.model.effects import EFFECTS, Effect, EffectParameter, own
+from masking.model.modelling.equations import Equations
 from masking.model.modelling.model import Model, load_model
 from masking.reports.text import aligned
 
@@ -152,7 +155,7 @@ def plant(declaration: schema.PlantDeclaration) -> Description:
 
 def experiment(subject: Experiment) -> Description:
     """Describe an experiment: what moves as what, and the blocks T, D, L and G of its control law."""
-    d, controller = subject.declaration, subject.law
+    d, controller = subject.declaration, subject.acting_law
     rig, virtual, transform = controller.model, controller.virtual, controller.transform
     e, written = rig.equations, virtual.equations.written
     lines = [*_head(d), experiment_card.in_words(subject.assembly)]
@@ -160,23 +163,15 @@ def experiment(subject: Experiment) -> Description:
     known = virtual.equations.definitions  # inputs that are no expressions are polynomials, piece by piece
     series = {known[name]: sp.Symbol(f"{name}(t)") for name, source in d.inputs.items() if source.expression is None}
     wanted = [written(a).subs(series) for a in virtual.equations.accelerations]
-    still = dict.fromkeys(e.symbols.u, 0)
-    free = [a.subs(still) for a in e.accelerations]
-    gain = sp.Matrix(e.accelerations).jacobian(e.symbols.u)
     blocks = {
         "T: virtual coordinates": dict(zip(virtual.coordinates, transform.expressions, strict=True)),
         "D: wanted accelerations": dict(zip([f"{c}''" for c in virtual.coordinates], wanted, strict=True)),
-        "L: cancelled accelerations": dict(zip([f"{c}''" for c in rig.coordinates], free, strict=True)),
-        "G: inverse of the accelerations per input": {
-            f"d{c}''/d{u}": gain[i, j]
-            for i, c in enumerate(rig.coordinates)
-            for j, u in enumerate(rig.inputs)
-            if gain[i, j] != 0
-        },
+        **(_direct(e) if controller.is_direct else _higher(controller)),
     }
     happening = [(n, f"{one.when.text} crosses 0", one.written) for n, one in virtual.declaration.events.items()]
     zero = subject.passive.zero_dynamics if subject.passive else None
     lines += [str(zero), ""] if zero else []
+    lines += [controller.approach, ""] if controller.approach else []
     lines += _table("events of the virtual system", happening)
     for title, equations in blocks.items():
         lines += [title, *(line for name, value in equations.items() for line in _equation(name, value)), ""]
@@ -187,6 +182,34 @@ def experiment(subject: Experiment) -> Description:
         "blocks": {title[0]: {n: str(x) for n, x in equations.items()} for title, equations in blocks.items()},
     }
     return Description("\n".join(lines).rstrip(), content)
+
+
+Block = Mapping[str, Mapping[str, sp.Expr]]  # an equation by what it gives, for each title
+
+
+def _direct(e: Equations) -> Block:
+    """Blocks L and G of a rig whose inputs change accelerations at once."""
+    still, gain = dict.fromkeys(e.symbols.u, 0), sp.Matrix(e.accelerations).jacobian(e.symbols.u)
+    free = {f"{c}''": a.subs(still) for c, a in zip(e.coordinates, e.accelerations, strict=True)}
+    entries = itertools.product(enumerate(e.coordinates), enumerate(e.symbols.u))
+    by = {f"d{c}''/d{u}": gain[i, j] for (i, c), (j, u) in entries if gain[i, j] != 0}
+    return {"L: cancelled accelerations": free, "G: inverse of the accelerations per input": by}
+
+
+def _higher(controller: Controller) -> Block:
+    """Blocks L and G of another rig: derivatives of the virtual coordinates in which inputs appear first."""
+    e, free, by = controller.model.equations, dict[str, sp.Expr](), dict[str, sp.Expr]()
+    s = e.symbols
+    states, rates = (s.t, *s.q, *s.v, *s.s), (sp.Integer(1), *s.v, *e.accelerations, *e.rates)
+    mapped = zip(controller.virtual.coordinates, controller.transform.expressions, controller.degrees, strict=True)
+    for name, eta, degree in mapped:
+        value = eta
+        for _ in range(degree):
+            value = sp.Add(*(sp.diff(value, x) * rate for x, rate in zip(states, rates, strict=True)))
+        label = name + "'" * degree
+        free[label] = value.subs(dict.fromkeys(s.u, 0))
+        by |= {f"d{label}/d{u}": slope for u in s.u if (slope := sp.diff(value, u)) != 0}
+    return {"L: cancelled derivatives": free, "G: inverse of the derivatives per input": by}
 
 
 def _head(declaration: schema.Declaration) -> list[str]:

@@ -5,9 +5,11 @@ Source: Griewank and Walther, Evaluating Derivatives (2008), chapter 3.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph_values import Rules, function_of
 from masking.compile.codegen.printers import needed
 
 # For each operation the derivative with respect to each of its arguments, given the node itself and its arguments; None
@@ -78,36 +80,48 @@ SWITCHES: dict[str, Callable[[Graph, tuple[Node, ...]], tuple[Node, Node, Node]]
 
 
 def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) -> list[list[Node]]:
-    """D node / d symbol for each node (rows) and symbol (columns), added to the graph.
-
-    At a switch, such as the corner of `abs` or the step of `sign`, they are those of one side. A stair (`floor`) counts
-    as the line through it.
-    """
-    order = needed(graph, nodes)
-    zero = graph.number(0.0)
-    partial: dict[Node, tuple[Node | None, ...]] = {}
-    columns = []
-    for symbol in symbols:
-        tangent: dict[Node, Node] = {symbol: graph.number(1.0)}
-        for node in order:
-            name, *given = graph.operations[node]
-            if name in {"symbol", "number"}:
-                continue
-            arguments = tuple(int(a) for a in given)
-            if not any(a in tangent for a in arguments):
-                continue
-            if name in SWITCHES:
-                condition, first, second = SWITCHES[str(name)](graph, arguments)
-                total = graph.apply("where", condition, tangent.get(first, zero), tangent.get(second, zero))
-            else:
-                if node not in partial:
-                    partial[node] = RULES[str(name)](graph, node, arguments)
-                pairs = zip(arguments, partial[node], strict=True)
-                total = graph.total([graph.mul(by, tangent[a]) for a, by in pairs if by is not None and a in tangent])
-            if not graph.is_number(total, 0.0):
-                tangent[node] = total
-        columns.append([tangent.get(node, zero) for node in nodes])
+    """D node / d symbol for each node (rows) and symbol (columns), added to the graph; see `along`."""
+    one, order, partial = graph.number(1.0), needed(graph, nodes), dict[Node, tuple[Node | None, ...]]()
+    columns = [_along(graph, nodes, {symbol: one}, order, partial) for symbol in symbols]
     return [list(row) for row in zip(*columns, strict=True)] if columns else [[] for _ in nodes]
+
+
+def along(graph: Graph, nodes: Sequence[Node], rates: Mapping[Node, Node]) -> list[Node]:
+    """Rate of each node where other nodes change at given rates, added to the graph.
+
+    At a switch, such as the corner of `abs` or the step of `sign`, it is that of one side. A stair (`floor`) counts as
+    the line through it.
+    """
+    return _along(graph, nodes, rates, needed(graph, nodes), {})
+
+
+def _along(
+    graph: Graph,
+    nodes: Sequence[Node],
+    rates: Mapping[Node, Node],
+    order: Sequence[Node],
+    partial: dict[Node, tuple[Node | None, ...]],
+) -> list[Node]:
+    """Rates of nodes, as `along`; `order` are the nodes that they need, `partial` is filled with their derivatives."""
+    zero, tangent = graph.number(0.0), dict(rates)
+    for node in order:
+        name, *given = graph.operations[node]
+        if node in rates or name in {"symbol", "number"}:
+            continue
+        arguments = tuple(int(a) for a in given)
+        if not any(a in tangent for a in arguments):
+            continue
+        if name in SWITCHES:
+            condition, first, second = SWITCHES[str(name)](graph, arguments)
+            total = graph.apply("where", condition, tangent.get(first, zero), tangent.get(second, zero))
+        else:
+            if node not in partial:
+                partial[node] = RULES[str(name)](graph, node, arguments)
+            pairs = zip(arguments, partial[node], strict=True)
+            total = graph.total([graph.mul(by, tangent[a]) for a, by in pairs if by is not None and a in tangent])
+        if not graph.is_number(total, 0.0):
+            tangent[node] = total
+    return [tangent.get(node, zero) for node in nodes]
 
 
 def jacobian(
@@ -116,3 +130,12 @@ def jacobian(
     """D node / d symbol, added to the graph, as entries `name[row, column]` of a matrix with columns of symbols."""
     rows = derivatives(graph, nodes, symbols)
     return [(f"{name}[{i}, {c}]", node) for i, row in enumerate(rows) for c, node in zip(columns, row, strict=True)]
+
+
+def copied(
+    graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node], to: Graph, values: Sequence[Node]
+) -> list[Node]:
+    """Nodes of a graph in another one, in which its symbols are given nodes."""
+    rules: Rules = {name: partial(to.apply, name) for name in (*RULES, *SWITCHES)}
+    rules = {**rules, "number": to.number, "square": lambda x: to.mul(x, x)}
+    return function_of(graph, nodes, {}, rules, "node", variables=symbols)(values)

@@ -28,6 +28,12 @@ class Sizes:
     events: int = 0  # of the virtual system
     # for each value that jumps in them, the index of its event and that of the state in [q, v, s]
     targets: tuple[tuple[int, int], ...] = ()
+    at_inputs: bool = False  # whether a disturbance adds to the inputs, and not to the accelerations
+
+    @property
+    def disturbed(self) -> int:
+        """Number of accelerations, or of inputs, to which a disturbance adds."""
+        return self.inputs if self.at_inputs else self.coordinates
 
     @property
     def memory(self) -> slice:
@@ -38,7 +44,7 @@ class Sizes:
     @property
     def estimate(self) -> int:
         """Length of the estimate z = [q, v, s, d, d', ...]."""
-        return self.states + self.order * self.coordinates
+        return self.states + self.order * self.disturbed
 
     @property
     def power(self) -> slice:

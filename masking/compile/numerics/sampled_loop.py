@@ -45,11 +45,12 @@ class Disturbed(NamedTuple):
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of the controller's model, with the disturbance that was estimated.
 
-    Returns `predict(t, z, u, p, h, k, y)`, which moves the estimate z over h under held inputs by the classical
-    Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .) and `y` are work
-    space.
+    Returns `predict(t, z, u, p, h, k, y, w)`, which moves the estimate z over h under held inputs by the classical
+    Runge-Kutta method; the disturbance is taken where it will be in the middle of the step. `k` (4, .), `y` and `w` are
+    work space.
     """
-    n, size, order = sizes.coordinates, sizes.states, sizes.order
+    n, size, m, many = sizes.coordinates, sizes.states, sizes.inputs, sizes.disturbed
+    order, added = (0, sizes.order) if sizes.at_inputs else (sizes.order, 0)  # of what accelerates, and adds to inputs
 
     @compiled
     def slope(t, stage, y, u, known, dy):
@@ -65,11 +66,19 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     advance = classical_step(slope, size)
 
     @compiled
-    def step(t, z, u, p, h, k, y):
-        advance(t, z, u, Disturbed(p, z, h), h, k, y)
-        if order > 1:
-            for i in range(n):
-                z[size + i] += h * z[size + n + i]
+    def step(t, z, u, p, h, k, y, w):
+        if added > 0:
+            for i in range(m):
+                w[i] = u[i] + z[size + i]
+            if added > 1:
+                for i in range(m):
+                    w[i] += 0.5 * h * z[size + m + i]
+            advance(t, z, w, Disturbed(p, z, h), h, k, y)
+        else:
+            advance(t, z, u, Disturbed(p, z, h), h, k, y)
+        if order + added > 1:
+            for i in range(many):
+                z[size + i] += h * z[size + many + i]
 
     return step
 
@@ -94,7 +103,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
 
     Returns `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
     """
-    n, size, m, order = sizes.coordinates, sizes.states, sizes.inputs, sizes.order
+    n, size, m = sizes.coordinates, sizes.states, sizes.inputs
+    order, added = (0, sizes.order) if sizes.at_inputs else (sizes.order, 0)  # as in `predict`
     remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
     first, last = sizes.memory.start, sizes.memory.stop
     saved, spare = (rows.BEFORE, rows.MEMORY) if remembers else (rows.STATE, rows.STATE)
@@ -187,6 +197,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
         law(t + 0.5 * h, since, y, d, p, u1, r1, g1)
         for i in range(m):
             u[i] = 4.0 / 3.0 * u1[i] - (u0[i] + u2[i]) / 6.0
+            u[i] -= z[size + i] if added > 0 else 0.0
+            u[i] -= 0.5 * h * z[size + m + i] if added > 1 else 0.0
         return health
 
     return held
@@ -278,7 +290,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     def move(t, z, u, past, p, h, work):
         if remembers:
             copy(z, work[rows.BEFORE], length)
-        step(t, z, u, p, h, work[rows.SLOPES : rows.STAGE], work[rows.STAGE])
+        step(t, z, u, p, h, work[rows.SLOPES : rows.STAGE], work[rows.STAGE], work[rows.DISTURBANCE])
         if remembers:
             follow(t, h, work[rows.BEFORE], z, past, p, work[rows.MEMORY :])
             notice(t + h, z, past, p, work[rows.MEMORY])

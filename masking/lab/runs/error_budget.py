@@ -237,7 +237,7 @@ class _Bench:
         observer, sampled = self.experiment.observer, self.experiment.sampled
         if isinstance(observer, Differences) or self.delay is not None:
             return observer
-        speeds = observer.bandwidths(sampled.instruments.plan(sampled.rate, sampled.noise))
+        speeds = observer.bandwidths(sampled.plan)
         return replace(observer, bandwidth=tuple(float(speed) for speed in speeds))
 
     def row(

@@ -13,12 +13,11 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.control import coordinate_match
-from masking.control.actuation import check_actuation
 from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
-from masking.control.law import Controller
+from masking.control.law import APPROACH, Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController, SampledLoop
@@ -121,14 +120,23 @@ class Experiment:
         transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
         balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
-        return Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate, balance)
+        law = Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate, balance)
+        fast = settings.actuator_bandwidth or (0.0 if law.is_direct else APPROACH * self._frequency / self.time_scale)
+        return replace(law, actuator_bandwidth=fast).determined()
+
+    @property
+    def acting_law(self) -> Controller:
+        """Control law with the actuator bandwidth of a run."""
+        return self.law if self.law.is_direct or not self.has_observer else self.sampled.controller
 
     @property
     def _frequency(self) -> float:
         """Frequency of the virtual motion, in radians per unit of its time: 1 where its scales say so."""
         if self.virtual.is_dimensionless or self.virtual.units.is_plain:
             return 1.0
-        return record_rate.fastest(self.virtual, self.virtual.initial_state({})) or 1.0
+        own, given = {*self.virtual.coordinates, *self.virtual.states}, self.declaration.initial.items()
+        start = self.virtual.initial_state({name: x for name, x in given if name.rstrip("'") in own})
+        return record_rate.fastest(self.virtual, start) or 1.0
 
     @cached_property
     def inputs(self) -> VirtualInputs:
@@ -167,10 +175,9 @@ class Experiment:
     @cached_property
     def observer(self) -> Observer:
         """Observer of a sampled controller."""
-        settings = self.observer_settings
-        if settings.kind == "differences":
-            return Differences()
-        return Kalman(0 if settings.kind == "kalman" else settings.order, settings.bandwidth)
+        kind, order = self.observer_settings.kind, self.observer_settings.order
+        known = Kalman(0 if kind == "kalman" else order, self.observer_settings.bandwidth)
+        return Differences() if kind == "differences" else known
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -224,7 +231,8 @@ class Experiment:
                 "a controller that reads sensors begins with a rig at rest, but the initial state moves: give no "
                 "initial velocities, or take controller.observer exact, which places a simulated rig in that state"
             )
-        return replace(made, end=state[:n])
+        placed = replace(made, end=state[:n])
+        return placed if settings.actuator_bandwidth else placed.as_fast_as_observed()
 
     @cached_property
     def sampled_loop(self) -> SampledLoop:
@@ -252,17 +260,16 @@ class Experiment:
         declaration, rate = self.declaration, self.declaration.controller.rate
         if declaration.stop is None:
             return None
-        initial = self.virtual_start
-        step = 1.0 / self.rows_per_unit if rate is None else self.every / (rate * self.time_scale)
-        return StopCondition.of(declaration.stop, self.virtual, initial, step=step, duration=declaration.duration)
+        step = self.every / (rate * self.time_scale) if rate else 1.0 / self.rows_per_unit
+        start, duration = self.virtual_start, declaration.duration
+        return StopCondition.of(declaration.stop, self.virtual, start, step=step, duration=duration)
 
     @cached_property
     def rows_per_unit(self) -> float:
         """Rows per unit of virtual time of a record."""
         declared = self.declaration.record.rate if self.declaration.record else self.declaration.controller.rate
-        if declared is not None:
-            return declared * self.time_scale
-        return record_rate.rows_per_unit(self.virtual, self.virtual_start)
+        own = None if declared is None else declared * self.time_scale
+        return record_rate.rows_per_unit(self.virtual, self.virtual_start) if own is None else own
 
     @property
     def samples(self) -> int:
@@ -291,7 +298,7 @@ class Experiment:
     def _passive(self, rig: Model, transform: Transform, lengths: Array) -> Passive | None:
         eta, parameters = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
         held = Held(rig, transform, parameters, lengths, eta)
-        return Passive(held, self.declaration.initial) if transform.passive else None
+        return Passive(held, self.declaration.initial) if transform.passive and self.law.is_direct else None
 
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
@@ -321,8 +328,7 @@ class Experiment:
         """Refuse what can be refused without running.
 
         Raises:
-            MaskingError: a model is wrong, the controller's is of another rig, the rig's inputs cannot accelerate every
-                virtual coordinate, or no rig position gives the initial state.
+            MaskingError: a model is wrong or of another rig, or the rig cannot be driven, or begin, as it is wanted.
         """
         for model in (self.plant, self.law.model, self.virtual):
             model.validate()
@@ -334,7 +340,6 @@ class Experiment:
             raise DeclarationError(problems)
         self.match.check_units()
         _ = self.instruments, self.loop if not self.has_observer else None
-        check_actuation(self.law.model, self.law.transform)
         _ = self.passive.initial() if self.passive else self.virtual_start
         if self.has_observer:
             _ = self.sampled.gain

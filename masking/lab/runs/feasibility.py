@@ -211,8 +211,10 @@ class Motion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the controller's model does not have, and which limits cannot be compared."""
-        power, notes = self.experiment.assembly.plant.limits.power, self._unknown()
+        """How inputs act, what the controller's model does not have, and which limits cannot be compared."""
+        power, subject = self.experiment.assembly.plant.limits.power, self.experiment
+        how = subject.acting_law.approach
+        notes = (*([how] if how else []), *self._unknown())
         live = [name for name, source in self.experiment.declaration.inputs.items() if source.is_live]
         notes = (*notes, f"without {', '.join(live)}, which is known in a run only") if live else notes
         if power is None or power.heating is not None:

@@ -40,14 +40,15 @@ class RowLayout:
         actuators = {name: ports[name] for name in sampled.instruments.actuators}
         coordinates = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
         states = [*coordinates, *(f"state {i}" for i in range(1, sizes.states - len(coordinates) + 1))]
-        disturbed = model.coordinates[: sizes.coordinates] if sizes.order else ()
+        what = "what adds to {}" if sizes.at_inputs else "acceleration of {} that the model lacks"
+        disturbed = (model.inputs if sizes.at_inputs else model.coordinates) if sizes.order else ()
         pushes = range(sampled.feed.lasting(sampled.values()).size)
         found = {
             "sensor": {n: (s.unit, s.meaning) for n, s in plant.sensors.items()},
             "input": {n: (a.unit, a.meaning) for n, a in actuators.items()},
             "power": {n: ("W", f"mean power of {n}") for n in actuators},
             "estimate": {n: ("SI", f"estimate of {n}") for n in states},
-            "disturbance": {n: ("SI", f"acceleration of {n} that the model lacks") for n in disturbed},
+            "disturbance": {n: ("SI", what.format(n)) for n in disturbed},
             "demanded": {n: (a.unit, f"demanded of {n}") for n, a in actuators.items()},
             "lasting": {str(i): ("SI", "what lasted of a push at the release") for i in pushes},
         }
@@ -98,7 +99,7 @@ def samples_after(experiment: Experiment, sampled: SampledController) -> int:
 def known(controller: SampledStep, lasting: Array) -> Known:
     """State of a controller in rows, in the order of `RowLayout`; `lasting` (1, pushes) is changed in place."""
     sizes, state = controller.sampled.sizes, controller.state
-    states = sizes.states + (sizes.coordinates if sizes.order else 0)
+    states = sizes.states + (sizes.disturbed if sizes.order else 0)
     columns = controller.power, state[:states], controller.demanded, lasting[0]
     return Known(controller.estimate, columns, controller.sampled.before)
 

@@ -64,7 +64,7 @@ def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
     entry: dict[str, Any] = {"kind": kind, "delay": sampled.delay}
     if sampled.has_model:
         known = sampled.instruments
-        plan = known.plan(sampled.rate, sampled.noise)
+        plan = sampled.plan
         speeds = sampled.observer.bandwidths(plan)
         entry |= {"order": sampled.observer.order, "fastest": plan.fastest}
         entry["noise"] = dict(zip(known.sensors, plan.noise, strict=True))

@@ -17,7 +17,7 @@ import numpy as np
 from masking.compile.codegen.compiled_functions import InPieces, Kernels, steps_between
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.kernel_arguments import Recorded, Rig, Samples, States, Unit
-from masking.compile.numerics.newton import root
+from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import Controller
@@ -30,6 +30,7 @@ Progress = Callable[[float], None]
 
 PIECES = 100
 STEPS_AT_A_SWITCH = 2**16  # of a sample: what is lost is 1e-5 of what the plant makes of a step in one sample
+MANIFOLD = 1e-13  # of the size of each, that derivatives of virtual coordinates are off by at the start
 MOST_AT_SWITCHES = 2**24  # in all samples: some seconds
 CHUNK: Final = 2**16  # rows after which an integrator with step size control begins anew, in whatever chunks it runs
 
@@ -251,7 +252,7 @@ def twin_chunks(
         if end > 0 and (end % span == 0 or end == samples):
             states, memories, readings, demanded, applied = out
             estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-            disturbances = memories[:, sizes.states : sizes.states + sizes.coordinates] if sizes.order else None
+            disturbances = memories[:, sizes.states : sizes.states + sizes.disturbed] if sizes.order else None
             yield TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
 
 
@@ -319,9 +320,42 @@ def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, 
 
 
 def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
-    """State of a closed loop whose virtual system is in a state: the rig's (2 n,), then `ClosedLoop.internal`."""
+    """State of a closed loop whose virtual system is in a state: the rig's (2 n,), then `ClosedLoop.internal`.
+
+    Where the inputs act through dynamics of their own, it is the nearest in which the rig has the wanted accelerations;
+    a ModelError where there is none.
+    """
     internal = [state.initial for state in loop.plant.declaration.states.values()]
-    return np.concatenate([rig, internal, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
+    begun = np.concatenate([rig, internal])
+    moving = begun if loop.controller.is_direct else _accelerating(loop, virtual_state, begun)
+    return np.concatenate([moving, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
+
+
+def _accelerating(loop: ClosedLoop, virtual_state: Array, begun: Array) -> Array:
+    """State of the rig (states,) with a virtual state and the accelerations that are wanted there; see `loop_state`."""
+    k, n, p = len(loop.controller.virtual.coordinates), len(loop.plant.coordinates), loop.values()
+    mapped, off = np.empty(2 * k), np.empty(sum(loop.controller.degrees) - 2 * k)
+    remembered = virtual_state[2 * k :]
+
+    def residual(x: Array) -> Array:
+        q, rest = x[:n].copy(), np.concatenate([x[n:], remembered])
+        loop.kernels.transform(0.0, q, rest, p, mapped)
+        loop.kernels.off(0.0, q, rest, p, off)
+        return np.concatenate([mapped - virtual_state[: 2 * k], off])
+
+    def system(x: Array) -> tuple[Array, Array]:
+        value, slope = residual(x), jacobian(residual, x, STEP * np.maximum(np.abs(x), sizes))
+        scale = np.maximum(np.abs(slope) @ np.maximum(np.abs(x), sizes), 1e-300)  # rows are of any unit
+        return value / scale, slope / scale[:, None]
+
+    sizes = np.concatenate([np.resize(loop.match.lengths, 2 * n), np.ones(len(begun) - 2 * n)])
+    try:
+        return root(system, begun, error=MANIFOLD).at
+    except RootError as error:
+        raise ModelError(
+            f"{loop.plant.name} has the wanted accelerations in no state near the initial one; start elsewhere, or "
+            "give its internal states another initial value"
+        ) from error
 
 
 def _map(loop: Mapped, q: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 _FOLDERS: dict[str, tuple[str, ...]] = {
     "model": ("models",),
     "plant": ("plants",),
-    "experiment": tuple(f"examples/{shown}" for shown in ("oscillators", "clocks", "discs", "carts")),
+    "experiment": tuple(f"examples/{shown}" for shown in ("oscillators", "clocks", "discs", "carts", "actuators")),
     "dictionary": ("dictionaries",),
     "batch": ("examples/batches",),
 }

@@ -253,6 +253,9 @@ class ControllerSettings(Block):
     `homing` is the time in s in which it brings the rig from rest to the initial state; without it, a simulated rig
     is placed there. In `rest` s before that, it measures the offsets of the sensors. `energy_balance` is the rate at
     which it takes out energy that the rig gains beyond what the virtual system gives it, per unit of virtual time.
+    `actuator_bandwidth`, in rad/s, is that with which a rig whose inputs act through dynamics of their own is brought
+    to the wanted accelerations; by default it is that of the observer, and twenty times the fastest frequency of the
+    virtual motion without one.
     `external` says what becomes of forces that are not in the model: rejected, or felt by the virtual system through an
     input from a force sensor or from the disturbance observer. `effects` is how strong the controller takes noise and
     delay of the plant to be, where that differs from what the experiment gives its plant.
@@ -267,6 +270,7 @@ class ControllerSettings(Block):
     rest: Positive | None = None
     regulate: Regulation | None = None
     energy_balance: Positive | None = None
+    actuator_bandwidth: Positive | None = None
     external: Literal["rejected", "felt"] = "rejected"
 
 

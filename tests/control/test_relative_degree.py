@@ -1,0 +1,334 @@
+"""Rigs whose inputs act through dynamics of their own: degrees by hand, and motions beside those of scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from masking import Experiment
+from masking.control.blocks import Transform
+from masking.control.relative_degree import relative_degrees
+from masking.errors import ActuationError, ModelError
+from masking.model.declaration import schema
+from masking.model.modelling.model import Model
+
+EXACT = 1e-8
+
+
+def rig(motion, states=()):
+    content = {"name": "rig", "coordinates": dict.fromkeys(motion, ""), "inputs": {"u": ""}}
+    content |= {"states": {name: "" for name, _ in states}} if states else {}
+    content["equations"] = {f"{c}''": right for c, right in motion.items()} | {f"{n}'": r for n, r in states}
+    return Model(schema.ModelDeclaration.model_validate(content))
+
+
+def one(name):
+    content = {"name": "wanted", "coordinates": {name: ""}, "equations": {f"{name}''": f"-{name}"}}
+    return Model(schema.ModelDeclaration.model_validate(content))
+
+
+DEGREES = {  # by hand
+    "force": (rig({"b": "u - b"}), 2),
+    "spring": (rig({"a": "u - (a - b)", "b": "a - b"}), 4),
+    "damper": (rig({"a": "u - (a' - b')", "b": "a' - b'"}), 3),
+    "two springs": (rig({"a": "u - (a - c)", "c": "a - 2*c + b", "b": "c - b"}), 6),
+    "lagged force": (rig({"b": "i - b"}, [("i", "u - i")]), 3),
+    "two lags": (rig({"b": "i - b"}, [("i", "j - i"), ("j", "u - j")]), 4),
+    "force and lagged force": (rig({"b": "i + 2*u - b"}, [("i", "u - i")]), 2),
+}
+
+
+@pytest.mark.parametrize("kind", DEGREES)
+def test_degrees(kind):
+    model, degree = DEGREES[kind]
+    assert relative_degrees(model, Transform(model, one("b"), schema.Transform())) == (degree,)
+
+
+def test_what_an_input_never_reaches_is_said():
+    model = rig({"a": "u - a", "b": "-b**3"})
+    with pytest.raises(ActuationError, match=r"An input appears first never in b$"):
+        relative_degrees(model, Transform(model, one("b"), schema.Transform()))
+
+
+def test_rates_to_the_second_power_of_an_input_are_refused():
+    model = rig({"b": "i - b"}, [("i", "u**2 - i")])
+    with pytest.raises(ModelError, match="the rate of i is not affine in the inputs"):
+        relative_degrees(model, Transform(model, one("b"), schema.Transform()))
+
+
+# Ideal rigs in continuous time. What is wanted is one equation with several parameters, so that a rig is compiled once.
+
+WANTED = """
+    name: wanted
+    coordinates: {x: {unit: m, initial: 0.01, initial_velocity: 0.05}}
+    parameters:
+      a: {value: 0, unit: 1/s**2}
+      b: {value: 0, unit: 1/m**2/s**2}
+      c: {value: 0, unit: 1/s}
+      d: {value: 0, unit: m/s**2}
+      f: {value: 0, unit: m/s**2}
+      w: {value: 7, unit: rad/s}
+      l: {value: 0.02, unit: m}
+    equations: {x'': -a*x - b*x**3 - c*((x/l)**2 - 1)*x' - d*sin(x/l) + f*cos(w*t)}
+"""
+KINDS = {
+    "Van der Pol": {"a": 40, "c": 4},
+    "Duffing": {"a": -20, "b": 3e5, "f": 0.4},
+    "pendulum": {"d": 0.8},
+}
+
+
+def wanted(t, y, *, a=0, b=0, c=0, d=0, f=0):
+    x, v = y
+    turn = c * ((x / 0.02) ** 2 - 1) * v + d * np.sin(x / 0.02)
+    return [v, -a * x - b * x**3 - turn + f * np.cos(7 * t)]
+
+
+RIGS = {
+    "voice coil driven by voltage": """
+        coordinates: {x: {unit: m}}
+        states: {i: {meaning: current, unit: A}}
+        inputs: {u: {unit: V}}
+        parameters:
+          m: {value: 0.5, unit: kg}
+          k: {value: 200, unit: N/m}
+          b: {value: 1.5, unit: N*s/m}
+          K: {value: 8, unit: N/A}
+          R: {value: 4, unit: ohm}
+          L: {value: 0.02, unit: H}
+        equations: {x'': (K*i - k*x - b*x')/m, i': (u - R*i - K*x')/L}
+    """,
+    "force behind a current loop that lags": """
+        coordinates: {x: {unit: m}}
+        states: {i: {meaning: current, unit: A}}
+        inputs: {u: {unit: A}}
+        parameters:
+          m: {value: 0.5, unit: kg}
+          k: {value: 200, unit: N/m}
+          K: {value: 8, unit: N/A}
+          tau: {value: 0.01, unit: s}
+        equations: {x'': (K*i - k*x)/m, i': (u - i)/tau}
+    """,
+    "hydraulic cylinder": """
+        coordinates: {x: {unit: m}}
+        states:
+          f: {meaning: force of the actuator, unit: N}
+          q: {meaning: flow, unit: N/s}
+          r: {meaning: rate of the flow, unit: N/s**2}
+        inputs: {u: {unit: m}}
+        parameters:
+          m: {value: 29.13, unit: kg}
+          k: {value: 1190e3, unit: N/m}
+          c: {value: 114.2, unit: N*s/m}
+          a2: {value: 4.2297e6, unit: N/m}
+          a3: {value: 3.3, unit: 1/s}
+          b1: {value: 425, unit: 1/s}
+          b2: {value: 9.9976e4, unit: 1/s**2}
+          g: {value: 2.1283e13, unit: N/m/s**3}
+        equations:
+          x'': (f - k*x - c*x')/m
+          f': q - a3*f - a2*x'
+          q': r
+          r': g*(u - x) - b1*r - b2*q
+    """,
+    "mass behind a hardening spring": """
+        coordinates: {x: {unit: m}, y: {unit: m}}
+        inputs: {u: {unit: N}}
+        parameters:
+          m: {value: 0.5, unit: kg}
+          k: {value: 200, unit: N/m}
+          h: {value: 3e4, unit: N/m**3}
+          b: {value: 1.5, unit: N*s/m}
+        equations:
+          x'': (-k*(x - y) - h*(x - y)**3 - b*x')/m
+          y'': (u - k*(y - x) - h*(y - x)**3 - b*y')/m
+    """,
+}
+ORDERS = dict(zip(RIGS, (3, 3, 5, 4), strict=True))
+
+
+def written(tmp_path, model, virtual=WANTED, **sections):
+    (tmp_path / "model.yaml").write_text("name: rig\n" + "\n".join(line[8:] for line in model.splitlines()))
+    (tmp_path / "wanted.yaml").write_text("\n".join(line[4:] for line in virtual.splitlines()))
+    (tmp_path / "plant.yaml").write_text("name: rig\nmodel: model.yaml\n")
+    (tmp_path / "run.yaml").write_text("name: run\nplant: plant.yaml\nvirtual: wanted.yaml\nduration: 5\n")
+    found = Experiment.load(tmp_path / "run.yaml")
+    return found.changed(**sections) if sections else found
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_ideal_rigs_move_as_scipy_integrates_what_is_wanted(tmp_path, name):
+    written(tmp_path, RIGS[name])
+    for changes in KINDS.values():
+        experiment = Experiment.load(tmp_path / "run.yaml", changes=changes)
+        assert experiment.law.degrees == (ORDERS[name],)
+        made = experiment.run()
+        settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15, "t_eval": made.t}
+        x = solve_ivp(lambda t, y, p=changes: wanted(t, y, **p), (0, 5), [0.01, 0.05], **settings).y[0]
+        assert np.linalg.norm(made["rig.x"] - x) <= EXACT * np.linalg.norm(x)
+        assert made.manifest["masking_error"]["x"] <= EXACT
+
+
+ARM = """
+        coordinates: {a: {unit: rad}, b: {unit: rad}, p: {unit: rad}, q: {unit: rad}}
+        inputs: {T1: {unit: N*m}, T2: {unit: N*m}}
+        parameters:
+          m: {value: 0.8, unit: kg}
+          l: {value: 0.3, unit: m}
+          g: {value: 9.81, unit: m/s**2}
+          J: {value: 0.01, unit: kg*m**2}
+          k: {value: 60, unit: N*m}
+        lagrangian: >-
+          m*l**2*(a'**2 + (a' + b')**2/2 + a'*(a' + b')*cos(b)) + m*g*l*(2*cos(a) + cos(a + b))
+          + J*(p'**2 + q'**2)/2 - k*((p - a)**2 + (q - b)**2)/2
+        forces: {p: T1, q: T2}
+"""
+MIXED = """
+        coordinates: {a: {unit: rad}, b: {unit: rad}}
+        states: {i: {unit: A, meaning: current}}
+        inputs: {u: {unit: V}, F: {unit: N*m}}
+        parameters:
+          m: {value: 0.5, unit: kg*m**2}
+          k: {value: 200, unit: N*m}
+          K: {value: 8, unit: N*m/A}
+          R: {value: 4, unit: ohm}
+          L: {value: 0.02, unit: H}
+        equations:
+          a'': (K*i - k*(a - b))/m
+          b'': (F - k*(b - a) + 0.2*K*i)/m
+          i': (u - R*i - K*(a' - b'))/L
+"""
+COUPLED = """
+    name: coupled
+    coordinates: {a: {unit: rad, initial: 0.5}, b: {unit: rad, initial: -0.3, initial_velocity: 1}}
+    parameters:
+      w: {value: 5, unit: rad/s}
+      c: {value: 4, unit: 1/s**2}
+      h: {value: 30, unit: 1/s**2}
+      v: {value: 1, unit: 1/s}
+    equations:
+      a'': -w**2*a - c*(a - b) - h*a**3
+      b'': -2*w**2*sin(b) - c*(b - a) - v*(b**2 - 0.3)*b'
+"""
+
+
+@pytest.mark.parametrize(("model", "degrees"), [(ARM, (4, 4)), (MIXED, (3, 2))], ids=["arm", "mixed"])
+def test_several_coordinates_with_degrees_of_their_own(tmp_path, model, degrees):
+    experiment = written(tmp_path, model, COUPLED)
+    assert experiment.law.degrees == degrees
+    made = experiment.run()
+
+    def rates(t, y):
+        a, b, va, vb = y
+        away = -50 * np.sin(b) - 4 * (b - a) - (b**2 - 0.3) * vb
+        return [va, vb, -25 * a - 4 * (a - b) - 30 * a**3, away]
+
+    settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "t_eval": made.t}
+    found = solve_ivp(rates, (0, 5), [0.5, -0.3, 0, 1], **settings).y
+    for name, x in zip("ab", found, strict=False):
+        assert np.linalg.norm(made[f"rig.{name}"] - x) <= EXACT * np.linalg.norm(x)
+
+
+def test_the_rig_comes_to_the_wanted_accelerations_with_the_bandwidth(tmp_path):
+    """A current that is off decays at the bandwidth, for a virtual system without damping: e' = -w e by hand."""
+    experiment = written(tmp_path, RIGS["voice coil driven by voltage"], controller={"actuator_bandwidth": 30})
+    loop, state = experiment.loop, np.array([0.004, -0.03, 0.2])
+    p, dy, u = loop.values(), np.empty(3), np.zeros(1)
+
+    def off(y):
+        out = np.empty(1)
+        loop.kernels.off(0.0, y[:1].copy(), y[1:].copy(), p, out)
+        return out[0]
+
+    loop.kernels.derivative(0.0, state, u, p, dy)
+    step = 1e-6
+    slope = (off(state + step * dy) - off(state - step * dy)) / (2 * step)
+    assert off(state) == pytest.approx((8 * 0.2 - 200 * 0.004 + 1.5 * 0.03) / 0.5, rel=1e-12)  # wanted is 0
+    assert slope == pytest.approx(-30 * off(state), rel=1e-6)
+
+
+def test_motion_that_is_left_over_is_refused(tmp_path):
+    damper = """
+        coordinates: {x: {unit: m}, y: {unit: m}}
+        inputs: {u: {unit: N}}
+        parameters: {m: {value: 0.5, unit: kg}, b: {value: 1.5, unit: N*s/m}}
+        equations: {x'': -b*(x' - y')/m, y'': (u - b*(y' - x'))/m}
+    """
+    with pytest.raises(ModelError, match="first in derivative 3 of x, and the rig has 1 more state, whose motion"):
+        written(tmp_path, damper).validate()
+
+
+SENSING = """
+        name: rig
+        model: model.yaml
+        sensors: {encoder: {measures: x, gain: {value: 1000, unit: mm/m}, unit: mm}}
+        limits: {inputs: {u: {max: 24, unit: V}}}
+        effects:
+          noise: {effect: noise, at: encoder, parameters: {sigma: 0.001}}
+          steps: {effect: quantisation, at: encoder, parameters: {step: 0.001}}
+          delay: {effect: delay, parameters: {samples: 1}}
+"""
+
+
+NEGLECTED = """
+name: coil without inductance
+coordinates: {x: {unit: m}}
+inputs: {u: {unit: V}}
+parameters:
+  m: {value: 0.5, unit: kg}
+  k: {value: 200, unit: N/m}
+  b: {value: 1.5, unit: N*s/m}
+  K: {value: 8, unit: N/A}
+  R: {value: 4, unit: ohm}
+equations: {x'': (K*(u - K*x')/R - k*x - b*x')/m}
+"""
+
+
+def test_a_voice_coil_is_masked_from_its_encoder(tmp_path):
+    """At 1 kHz, with a sample of delay, and with an inductance, a resistance and a motor constant that are 5 % off.
+
+    A controller that neglects the inductance, whose time constant is 5 ms, is at least five times worse.
+    """
+    written(tmp_path, RIGS["voice coil driven by voltage"])
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in SENSING.splitlines()))
+    settings = {"rate": "1 kHz", "homing": 1}
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["Van der Pol"])
+    exact = found.changed(controller=settings, initial={"x": 0.01, "x'": 0}).run()
+    wrong = {"L": 0.021, "R": 4.2, "K": 7.6}
+    off = found.changed(controller=settings | {"parameters": wrong}, initial={"x": 0.01, "x'": 0}).run()
+    assert exact.manifest["masking_error"]["x"] <= 0.03
+    assert off.manifest["masking_error"]["x"] <= 0.03
+    (tmp_path / "slow.yaml").write_text(NEGLECTED)
+    neglected = found.changed(controller=settings | {"model": "slow.yaml"}, initial={"x": 0.01, "x'": 0}).run()
+    assert neglected.manifest["masking_error"]["x"] >= 5 * exact.manifest["masking_error"]["x"]
+
+
+def test_a_bandwidth_without_dynamics_of_actuators_is_refused(tmp_path):
+    mass = """
+        coordinates: {x: {unit: m}}
+        inputs: {u: {unit: N}}
+        parameters: {m: {value: 1, unit: kg}}
+        equations: {x'': u/m}
+    """
+    found = written(tmp_path, mass, controller={"actuator_bandwidth": 30})
+    with pytest.raises(ModelError, match="actuator_bandwidth: the inputs of rig change accelerations at once"):
+        found.validate()
+
+
+def test_differences_do_not_tell_a_current(tmp_path):
+    written(tmp_path, RIGS["voice coil driven by voltage"])
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in SENSING.splitlines()))
+    settings = {"rate": "1 kHz", "observer": "differences"}
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["pendulum"])
+    with pytest.raises(ModelError, match="differences do not tell the internal states through which the inputs act"):
+        found.changed(controller=settings, initial={"x": 0.01, "x'": 0}).validate()
+
+
+def test_delays_of_the_virtual_system_have_no_derivative(tmp_path):
+    late = WANTED.replace("    equations: {x'': -a*x ", "    equations:\n      x'': -a*delay(x, tau) ").replace(
+        "w*t)}", "w*t)"
+    )
+    late = late.replace("parameters:", "parameters:\n      tau: {value: 0.1, unit: s}")
+    with pytest.raises(ModelError, match="wanted has delays: a rig whose inputs act through dynamics of their own"):
+        written(tmp_path, RIGS["voice coil driven by voltage"], late).run()
