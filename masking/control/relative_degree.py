@@ -59,11 +59,13 @@ class Derivatives:
         rates = (graph.number(1.0), *v, *free.accelerations, *free.rates)
         self._drift: Mapping[Node, Node] = dict(zip((t, *q, *v, *z), rates, strict=True))
         slopes = derivatives(graph, [*driven.accelerations, *driven.rates], u)
-        for name, row in zip((*s.v, *s.s), slopes, strict=True):
-            if {*needed(graph, row)} & {*u}:
+        changed = (*(f"acceleration of {c}" for c in model.coordinates), *(f"rate of {name}" for name in model.states))
+        for what, row in zip(changed, slopes, strict=True):
+            if bad := {*needed(graph, row)} & {*u}:
+                names = ", ".join(str(s.u[u.index(node)]) for node in sorted(bad))
                 raise ModelError(
-                    f"{model.name}: the rate of {name} is not affine in the inputs; masking needs equations in which "
-                    "each input appears to the first power, times anything but an input"
+                    f"{model.name}: the {what} is not affine in {names}; masking needs equations in which each input "
+                    "appears to the first power, times anything but an input"
                 )
         self._pushes = [dict(zip((*v, *z), column, strict=True)) for column in zip(*slopes, strict=True)]
         self._known = [transform.lower(graph, placed, moving, own).rate]

@@ -75,6 +75,9 @@ ALONE = {
     "stopped_mass",
     "relaxing_mass",
     "bristled_mass",
+    "building",
+    "cart_by_voltage",
+    "storey",
 }  # no systems of the rig's three coordinates
 VIRTUAL = [
     name

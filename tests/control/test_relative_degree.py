@@ -53,7 +53,7 @@ def test_what_an_input_never_reaches_is_said():
 
 def test_rates_to_the_second_power_of_an_input_are_refused():
     model = rig({"b": "i - b"}, [("i", "u**2 - i")])
-    with pytest.raises(ModelError, match="the rate of i is not affine in the inputs"):
+    with pytest.raises(ModelError, match="the rate of i is not affine in u"):
         relative_degrees(model, Transform(model, one("b"), schema.Transform()))
 
 

@@ -191,11 +191,14 @@ def test_every_packaged_model_has_a_place_at_each_coordinate(name):
 
 
 UNITS = {
+    "building": {"x1": "N"},
     "cart": {"x": "N"},
+    "cart_by_voltage": {"x": "N"},
     "cart_pendulum": {"x": "N", "th": "N*m"},
     "light_cart": {"x": "N"},
     "pendula": {"th1": "N*m", "th2": "N*m", "x": "N"},
     "setup_lagrangian": {"x1": "N", "x2": "N", "x3": "N"},
+    "storey": {"x1": "N"},
 }
 
 
