@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -34,15 +34,14 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
+from masking.control.blocks import Cancellation, DesiredDynamics, Transform, Wanted, decouple, dot, product
 from masking.control.relative_degree import Derivatives, relative_degrees
 from masking.errors import ModelError
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
 
-APPROACH = (
-    20.0  # times the frequency of the virtual motion: bandwidth with which a rig whose state is known comes to it
-)
+# Times the frequency of the virtual motion: the bandwidth with which a rig whose state is known comes to it.
+APPROACH = 20.0
 
 
 @dataclass(frozen=True)
@@ -90,12 +89,17 @@ class Controller:
     def determined(self) -> Controller:
         """Itself; a ModelError where inputs act through dynamics of their own, and the rig moves in more ways.
 
-        That is one, too, where a bandwidth is given and they do not.
+        So are an energy balance for such a rig, and a bandwidth for another one.
         """
         if self.is_direct and self.actuator_bandwidth:
             raise ModelError(
                 f"controller.actuator_bandwidth: the inputs of {self.model.name} change accelerations at once; leave "
                 "it out"
+            )
+        if not self.is_direct and self.energy_balance is not None:
+            raise ModelError(
+                f"controller.energy_balance: {self.model.name}: {self._first}, and an energy is balanced where inputs "
+                "change accelerations at once; leave it out"
             )
         left = 2 * len(self.model.coordinates) + len(self.model.states) - sum(self.degrees)
         if left and not self.is_direct:
@@ -210,7 +214,9 @@ class ControlLaw:
             jets: list[Sequence[Node | None]] = [mapped.eta, rate, *higher.jets()]
             orders = higher.per_second(controller.desired.derivatives(graph, time, jets, p.virtual, **given_d))
             if homing is not None:
-                orders = homing.derivatives(graph, rig, mapped.rate, orders)
+                wanted_there = partial(controller.desired.lower, graph, graph.number(0.0), p=p.virtual, **given_d)
+                ends = _ends(controller, graph, homing, p, wanted_there)
+                orders = homing.derivatives(graph, rig.t, [mapped.eta, mapped.rate], ends, orders)
             for i, row in higher.rows(orders):
                 unwanted[i], wanted[i], matrix[i] = row.unwanted, row.wanted, row.by_inputs
                 off += row.off
@@ -307,6 +313,9 @@ MOVING_PART = 0.7
 SETTLING = 60.0
 
 
+Ends = tuple[list[Node], list[Node], list[Node]]  # eta where homing begins and ends, and its acceleration there (k,)
+
+
 @dataclass(frozen=True)
 class Homing:
     """How the rig is brought from where it stands to its initial state: along a smooth reference, critically damped.
@@ -326,15 +335,47 @@ class Homing:
         return self._before(graph, [dot(graph, row, accelerations) for row in jacobian], wanted)
 
     def derivatives(
-        self, graph: Graph, rig: RigSymbols, rate: Sequence[Node], wanted: Sequence[Sequence[Node]]
+        self, graph: Graph, t: Node, jets: Sequence[list[Node]], ends: Ends, wanted: Sequence[Sequence[Node]]
     ) -> list[list[Node]]:
-        """Wanted accelerations and their derivatives (orders, k), replaced likewise; `rate` is d eta/dt (k,)."""
-        rates = (graph.number(1.0), *rig.v, *self._accelerations(graph, rig))
-        moving, found = dict(zip((rig.t, *rig.q, *rig.v), rates, strict=True)), list[list[Node]]()
-        for order in wanted:
-            rate = along(graph, rate, moving)
-            found.append(self._before(graph, rate, order))
+        """Wanted accelerations and their derivatives (orders, k), replaced before the release by those of homing.
+
+        The virtual coordinates follow a reference that is accelerated at the release as it is wanted there: their
+        accelerations change no faster than the dynamics of the actuators allow. `jets` are eta and its rate.
+        """
+        number, mul = graph.number, graph.mul
+        x, last = self._moved(graph, t), mul(number(1.0 - MOVING_PART), self.time)
+        path = _smoothstep(graph, x)
+        s = graph.apply("max", number(0.0), graph.div(graph.add(t, last), last))
+        left = graph.sub(number(1.0), s)  # of s^3 (1 - s)^2/2, where it ends only the second derivative is not 0, but 1
+        swing = mul(mul(number(0.5), mul(last, last)), mul(mul(s, mul(s, s)), mul(left, left)))
+        reference = [
+            graph.add(graph.add(start, mul(graph.sub(end, start), path)), mul(first, swing))
+            for start, end, first in zip(*ends, strict=True)
+        ]
+        paths, known, found = [reference], [*jets], list[list[Node]]()
+        while len(paths) < len(wanted) + 2:
+            paths.append(along(graph, paths[-1], {t: number(1.0)}))
+        a = graph.div(number(SETTLING), self.time)
+        for order, later in enumerate(wanted):
+            rows = zip(paths[order + 2], *paths[order : order + 2], *known[order : order + 2], strict=True)
+            known.append(
+                [
+                    graph.add(e2, self._pull(graph, a, graph.sub(e0, n0), graph.sub(e1, n1)))
+                    for e2, e0, e1, n0, n1 in rows
+                ]
+            )
+            found.append(self._before(graph, known[-1], later))
         return found
+
+    @staticmethod
+    def _pull(graph: Graph, a: Node, behind: Node, slower: Node) -> Node:
+        return graph.add(graph.mul(graph.mul(a, a), behind), graph.mul(graph.mul(graph.number(2.0), a), slower))
+
+    def _moved(self, graph: Graph, t: Node) -> Node:
+        """Part of the moving part of the homing phase that is over."""
+        moving = graph.mul(graph.number(MOVING_PART), self.time)
+        part = graph.apply("max", graph.number(0.0), graph.div(graph.add(t, self.time), moving))
+        return graph.apply("min", graph.number(1.0), part)
 
     def _before(self, graph: Graph, homing: Sequence[Node], wanted: Sequence[Node]) -> list[Node]:
         is_before = graph.apply("lt", self.since, graph.number(0.0))
@@ -343,11 +384,9 @@ class Homing:
     def _accelerations(self, graph: Graph, rig: RigSymbols) -> list[Node]:
         number, mul = graph.number, graph.mul
         one = number(1.0)
-        moving = mul(number(MOVING_PART), self.time)
-        part = graph.apply("max", number(0.0), graph.div(graph.add(rig.t, self.time), moving))
-        x = graph.apply("min", one, part)
+        moving, x = mul(number(MOVING_PART), self.time), self._moved(graph, rig.t)
         rest = graph.sub(one, x)  # all derivatives of the smoothstep vanish with x and with 1 - x
-        path = mul(mul(x, mul(x, x)), graph.add(number(10.0), mul(x, graph.sub(mul(number(6.0), x), number(15.0)))))
+        path = _smoothstep(graph, x)
         speed = graph.div(mul(number(30.0), mul(mul(x, x), mul(rest, rest))), moving)
         bend = mul(number(60.0), mul(mul(x, rest), graph.sub(rest, x)))
         bend = graph.div(bend, mul(moving, moving))
@@ -357,9 +396,27 @@ class Homing:
             way = graph.sub(end, start)
             behind = graph.sub(graph.add(start, mul(way, path)), q)
             slower = graph.sub(mul(way, speed), v)
-            pull = graph.add(mul(mul(a, a), behind), mul(mul(number(2.0), a), slower))
-            accelerations.append(graph.add(mul(way, bend), pull))
+            accelerations.append(graph.add(mul(way, bend), self._pull(graph, a, behind, slower)))
         return accelerations
+
+
+def _ends(
+    controller: Controller, graph: Graph, homing: Homing, p: ControllerParameters, wanted: Callable[..., Wanted]
+) -> Ends:
+    """Ends of a homing phase in virtual coordinates; `wanted` lowers D at the release for `eta` and `rate`."""
+
+    def mapped(place: Sequence[Node]) -> list[Node]:
+        scaled = [graph.div(q, length) for q, length in zip(place, p.lengths, strict=True)]
+        return controller.transform.lower(graph, scaled, [graph.number(0.0)] * len(scaled), p.transform).eta
+
+    end, squared = mapped(homing.end), graph.mul(p.time_scale, p.time_scale)
+    first = wanted(eta=end, rate=[graph.number(0.0)] * len(end)).accelerations
+    return mapped(homing.start), end, [graph.div(d, squared) for d in first]
+
+
+def _smoothstep(graph: Graph, x: Node) -> Node:
+    mul, number = graph.mul, graph.number
+    return mul(mul(x, mul(x, x)), graph.add(number(10.0), mul(x, graph.sub(mul(number(6.0), x), number(15.0)))))
 
 
 @dataclass(frozen=True)

@@ -143,6 +143,11 @@ class SampledController:
 
     def _whole_plan(self, noise: float | None) -> WholePlan:
         """Plan of an observer that follows the internal states of the rig as well, from the compiled functions."""
+        if self.feed.pushes:
+            raise ModelError(
+                f"inputs: a push is found from the acceleration that it makes, and {self.controller.approach}; read it "
+                "with a force sensor, such as 'F: {sensor: force}'"
+            )
         sizes, n, m, p = self.sizes, self.sizes.coordinates, self.sizes.inputs, self.values()
         own, kernels = 2 * n + len(self.controller.model.states), self.kernels
         rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
