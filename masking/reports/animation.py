@@ -166,7 +166,9 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
     declared = (manifest.get("declarations") or {}).get(key)
     try:
         model = schema.ModelDeclaration.model_validate(declared)
-        if not model.drawing or tuple(model.coordinates) != names:
+        moved = {*model.coordinates, *model.states}
+        drawn = {name for shape in model.drawing for _, x in shape.formulas for name in x.names & moved}
+        if not drawn or not drawn <= {*names} <= moved:
             return system_drawing.generic(title, names, reach)
         if prefix == "virtual":
             values = manifest["parameters"]

@@ -138,11 +138,12 @@ def test_the_code_of_a_page_computes_the_same_numbers(tmp_path):
 def test_packaged_drawings_move_with_every_coordinate(name):
     model = registry.load_model(name)
     values = Units.of(model).parameter_values({}, dimensionless=False)
-    drawing = Drawing(model.name, "", tuple(model.coordinates), model.drawing, values)
-    rest = drawing.numbers(0.0, [0.0] * len(model.coordinates))
-    for i in range(len(model.coordinates)):
-        moved = drawing.numbers(0.0, [0.001 * (j == i) for j in range(len(model.coordinates))])
-        assert moved != rest
+    used = {name for shape in model.drawing for _, x in shape.formulas for name in x.names}
+    names = (*model.coordinates, *(name for name in model.states if name in used))
+    drawing = Drawing(model.name, "", names, model.drawing, values)
+    rest = drawing.numbers(0.0, [0.0] * len(names))
+    for i in range(len(names)):
+        assert drawing.numbers(0.0, [0.001 * (j == i) for j in range(len(names))]) != rest
 
 
 def test_the_set_up_the_discs_and_the_pendula_are_drawn():

@@ -178,15 +178,16 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
 
 
 def _drawing(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
-    """Check that each shape is of one kind, and is placed by coordinates and parameters."""
+    """Check that each shape is of one kind, and is placed by coordinates, internal states and parameters."""
     coordinates = [*model.coordinates, *lost]
     for i, shape in enumerate(model.drawing):
         if len(shape.kinds) != 1:
             message = f"a shape is of one kind, not {_joined(shape.kinds, 'and') or 'none'}"
             yield problem_at(model, f"drawing.{i}", message, f"write one of {', '.join(shape.KINDS)}")
         for _, expression in shape.formulas:
-            known = [*velocities(coordinates), *model.inputs, *model.definitions, *model.states]
-            yield from check_symbols(expression, [*coordinates, *model.parameters, "t"], coordinates, known)
+            known = [*velocities(coordinates), *model.inputs, *model.definitions]
+            allowed = [*coordinates, *model.states, *model.parameters, "t"]
+            yield from check_symbols(expression, allowed, coordinates, known)
             for step in expression.steps:
                 if step.operation in TABLES:
                     yield expression.problem(step, "a drawing takes no tables", "write the curve as an expression")

@@ -128,6 +128,17 @@ def test_a_controller_with_a_force_from_a_file_has_it_as_a_table(homing, tmp_pat
 
 
 @needs_gcc
+@pytest.mark.parametrize("name", ["coil_van_der_pol", "storey_in_building"])
+def test_a_controller_of_a_rig_with_actuator_dynamics_in_c_gives_the_commands_of_the_kernel(name, tmp_path):
+    experiment = Experiment.load(name)
+    unit = CompiledUnit(tmp_path, sampled_unit(experiment.sampled, "controller", 0.02))
+    _, ours, (exported,) = by_kernel(experiment, experiment.sampled.before + 4000, others=[unit], missed={300})
+    assert np.max(np.abs(exported - ours)) <= EXACT * np.max(np.abs(ours))
+    assert np.ptp(ours[-1500:]) > 0.1 * np.max(np.abs(ours))
+    assert unit.status == 0
+
+
+@needs_gcc
 def test_the_loop_of_a_controller_in_float_differs_by_what_rounding_does(tmp_path):
     # Friction and hysteresis of the rig magnify it: readings that change by half a unit in the last place do as much.
     ulp, generator = float(np.finfo(np.float32).eps), np.random.default_rng(4)
