@@ -232,7 +232,7 @@ class ControlLaw:
 
 
 class _Row(NamedTuple):
-    """What a virtual coordinate asks of the inputs whose inputs appear in a higher derivative than the second."""
+    """What a virtual coordinate asks of the inputs that appear in a higher derivative of it than the second."""
 
     unwanted: Node  # what the rig does by itself, to be cancelled
     wanted: Node
@@ -242,7 +242,7 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True)
 class _Higher:
-    """Virtual coordinates whose inputs appear in a higher derivative than the second."""
+    """Virtual coordinates with inputs that appear in a higher derivative than the second."""
 
     graph: Graph
     degrees: tuple[int, ...]
