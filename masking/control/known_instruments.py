@@ -206,7 +206,7 @@ class Instruments:
         """Coordinates (n,) at which the model rests without inputs; a ModelError where there are none near 0."""
         model, n = self.model, len(self.model.coordinates)
         inputs, p = np.zeros(len(model.inputs)), model.values()
-        internal = [s.initial for s in model.declaration.states.values()]
+        internal = model.first_internal
         out = np.empty(2 * n + len(internal))
 
         def accelerations(q: Array) -> Array:

@@ -151,7 +151,7 @@ class SampledController:
         sizes, n, m, p = self.sizes, self.sizes.coordinates, self.sizes.inputs, self.values()
         own, kernels = 2 * n + len(self.controller.model.states), self.kernels
         rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
-        rest[2 * n : own] = [state.initial for state in self.controller.model.declaration.states.values()]
+        rest[2 * n : own] = self.controller.model.first_internal
         rest[sizes.memory] = self.remembered
         law = getattr(kernels, self.feed.bare("law(").removesuffix("("))
 
@@ -248,8 +248,8 @@ class SampledController:
         """How a controller begins on a rig at rest, which reads (sensors,) first, and is held where it is."""
         sizes, n = self.sizes, self.sizes.coordinates
         q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
-        internal = [state.initial for state in self.controller.model.declaration.states.values()]
-        internal += [*self.remembered, *[0.0] * sizes.lags, *[0.0] * (self.controller.energy_balance is not None)]
+        unused = [0.0] * (sizes.lags + (self.controller.energy_balance is not None))
+        internal = [*self.controller.model.first_internal, *self.remembered, *unused]
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * sizes.disturbed)])
         p, inputs = self.values(q), np.empty(sizes.inputs)
         self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)

@@ -199,7 +199,7 @@ class Held:
         q, slope = self.placed(z)
         rows = slope[: len(self.eta)]
         v = np.linalg.lstsq(slope, np.concatenate([np.zeros(len(self.eta)), rates]), rcond=None)[0]
-        internal = [state.initial for state in plant.declaration.states.values()]
+        internal = plant.first_internal
         p, out = plant.values(), np.empty(2 * n + len(internal))
 
         def rig(u: Array) -> Array:

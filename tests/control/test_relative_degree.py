@@ -281,6 +281,20 @@ def test_a_propeller_pushes_with_the_square_of_a_speed_that_lags(tmp_path):
     assert np.linalg.norm(made["rig.x"] - x) <= EXACT * np.linalg.norm(x)
 
 
+def test_internal_states_begin_in_their_units(tmp_path):
+    """A force of 2 N that fades, declared in mN: the rig is moved by it, and the controller cancels that."""
+    fading = """
+        coordinates: {x: {unit: m}}
+        states: {f: {meaning: force that fades, unit: mN, initial: 2000}}
+        inputs: {u: {unit: N}}
+        parameters: {m: {value: 0.5, unit: kg}, tau: {value: 1, unit: s}}
+        equations: {x'': (u + f)/m, f': -f/tau}
+    """
+    made = written(tmp_path, fading).run()
+    assert made.manifest["masking_error"]["x"] <= EXACT
+    np.testing.assert_allclose(made["input.u"], -2 * np.exp(-made.t), rtol=1e-6)  # what is wanted is 0
+
+
 def test_motion_that_is_left_over_is_refused(tmp_path):
     damper = """
         coordinates: {x: {unit: m}, y: {unit: m}}

@@ -367,10 +367,8 @@ class Twin:
 
     def rest(self, coordinates: Array) -> Array:
         """State (states,) at rest in given coordinates (n,), with internal states as declared."""
-        units, n = self.model.units.conversions, len(coordinates)
-        internal = [z.initial * units[z.unit].factor for z in self.model.declaration.states.values()]
-        zeros = np.zeros(n + len(self.chain_states))
-        return np.concatenate([coordinates, zeros[:n], internal, zeros[n:]])
+        n, zeros = len(coordinates), np.zeros(len(coordinates) + len(self.chain_states))
+        return np.concatenate([coordinates, zeros[:n], self.model.first_internal, zeros[n:]])
 
     def structure(self) -> dict[str, object]:
         """All that the compiled functions depend on, apart from values."""

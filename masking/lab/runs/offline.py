@@ -325,8 +325,7 @@ def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
     Where the inputs act through dynamics of their own, it is the nearest in which the rig has the wanted accelerations;
     a ModelError where there is none.
     """
-    internal = [state.initial for state in loop.plant.declaration.states.values()]
-    begun = np.concatenate([rig, internal])
+    begun = np.concatenate([rig, loop.plant.first_internal])
     moving = begun if loop.controller.is_direct else _accelerating(loop, virtual_state, begun)
     return np.concatenate([moving, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
 

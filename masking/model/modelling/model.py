@@ -328,9 +328,15 @@ class Model:
             size = self._size(coordinate.unit)
             positions.append(value * size)
             velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
-        internal = [given.get(n, z.initial) * self._size(z.unit) for n, z in self.declaration.states.items()]
+        states = zip(self.declaration.states.items(), self.first_internal, strict=True)
+        internal = [given[n] * self._size(z.unit) if n in given else first for (n, z), first in states]
         parts = [*positions, *velocities, *internal]
         return np.array(np.broadcast_arrays(*parts) if any(map(np.ndim, parts)) else parts, dtype=float).T
+
+    @property
+    def first_internal(self) -> np.ndarray:
+        """Declared initial values of the internal states, in SI units or in the declared scales (k,)."""
+        return np.array([z.initial * self._size(z.unit) for z in self.declaration.states.values()])
 
     @property
     def lengths(self) -> np.ndarray:
