@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Cancellation, DesiredDynamics, Transform, Wanted, decouple, dot, product
+from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
 from masking.control.relative_degree import Derivatives, relative_degrees
 from masking.errors import ModelError
 from masking.model.declaration import schema
@@ -214,8 +214,7 @@ class ControlLaw:
             jets: list[Sequence[Node | None]] = [mapped.eta, rate, *higher.jets()]
             orders = higher.per_second(controller.desired.derivatives(graph, time, jets, p.virtual, **given_d))
             if homing is not None:
-                wanted_there = partial(controller.desired.lower, graph, graph.number(0.0), p=p.virtual, **given_d)
-                ends = _ends(controller, graph, homing, p, wanted_there)
+                ends = _ends(controller, graph, homing, p, rig.memory)
                 orders = homing.derivatives(graph, rig.t, [mapped.eta, mapped.rate], ends, orders)
             for i, row in higher.rows(orders):
                 unwanted[i], wanted[i], matrix[i] = row.unwanted, row.wanted, row.by_inputs
@@ -401,16 +400,17 @@ class Homing:
 
 
 def _ends(
-    controller: Controller, graph: Graph, homing: Homing, p: ControllerParameters, wanted: Callable[..., Wanted]
+    controller: Controller, graph: Graph, homing: Homing, p: ControllerParameters, memory: Sequence[Node]
 ) -> Ends:
-    """Ends of a homing phase in virtual coordinates; `wanted` lowers D at the release for `eta` and `rate`."""
+    """Ends of a homing phase in virtual coordinates, with internal states of the virtual system."""
 
     def mapped(place: Sequence[Node]) -> list[Node]:
         scaled = [graph.div(q, length) for q, length in zip(place, p.lengths, strict=True)]
         return controller.transform.lower(graph, scaled, [graph.number(0.0)] * len(scaled), p.transform).eta
 
-    end, squared = mapped(homing.end), graph.mul(p.time_scale, p.time_scale)
-    first = wanted(eta=end, rate=[graph.number(0.0)] * len(end)).accelerations
+    end, squared, zero = mapped(homing.end), graph.mul(p.time_scale, p.time_scale), graph.number(0.0)
+    given = {"regulation": p.regulation, "memory": memory}
+    first = controller.desired.lower(graph, zero, end, [zero] * len(end), p.virtual, **given).accelerations
     return mapped(homing.start), end, [graph.div(d, squared) for d in first]
 
 

@@ -33,14 +33,27 @@ NOISE_PART = 0.02
 # A bandwidth that makes too much noise is lowered by this factor until it does not.
 LOWERED = 0.9
 SLOWEST = 1e-3  # of the fastest bandwidth
-TOO_NOISY = (
-    f"the sensors are too noisy for an observer: their noise alone would use {NOISE_PART:.0%} of an actuator at any "
-    "bandwidth; check the noise and the limits of the plant"
-)
+
+
+class _Late:
+    """Times of a controller that acts some samples after it reads."""
+
+    period: float
+    delay: int
+
+    @property
+    def fastest(self) -> float:
+        """Largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
+        return FASTEST_PART / self.late
+
+    @property
+    def late(self) -> float:
+        """Samples of delay and hold, s."""
+        return self.period * (1 + self.delay)
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(_Late):
     """What an observer is designed for."""
 
     dynamics: Array  # (2 n, 2 n), d [q, v] / dt = dynamics [q, v] of the model at rest
@@ -69,19 +82,18 @@ class Plan:
         """Number n of coordinates."""
         return len(self.dynamics) // 2
 
-    @property
-    def fastest(self) -> float:
-        """Largest bandwidth that the rule chooses, rad/s: 0.7 of the rate over (1 + delay) samples."""
-        return FASTEST_PART / self.late
-
-    @property
-    def late(self) -> float:
-        """Samples of delay and hold, s."""
-        return self.period * (1 + self.delay)
+    def command_noise(self, order: int, bandwidths: Array) -> Array:
+        """Most noise in a command from the estimate of each coordinate, in parts of its limit (n,)."""
+        n, noise = self.coordinates, _steady(self, order, bandwidths).noise(self.noise)
+        late = (self.delay + 0.5) * self.period
+        # What is cancelled: the model's own accelerations, and the disturbance where it will be when the command acts.
+        cancelled = np.hstack([self.dynamics[n:], *(late**k * np.eye(n) for k in range(order))])
+        spread = np.sqrt(np.maximum(np.diag(cancelled @ noise @ cancelled.T), 0.0))
+        return np.asarray((np.abs(self.command) * spread).max(axis=0))
 
 
 @dataclass(frozen=True)
-class WholePlan:
+class WholePlan(_Late):
     """What an observer of a rig whose inputs act through dynamics of their own is designed for: the model at rest.
 
     A disturbance adds to its inputs: there, it changes as slowly as what it stands for.
@@ -97,16 +109,6 @@ class WholePlan:
     delay: int  # samples between a reading and the first effect of the command that answers it
     coordinates: int  # number n of coordinates
 
-    @property
-    def fastest(self) -> float:
-        """Largest bandwidth that the rule chooses, as `Plan.fastest`."""
-        return FASTEST_PART / self.late
-
-    @property
-    def late(self) -> float:
-        """Samples of delay and hold, s."""
-        return self.period * (1 + self.delay)
-
     def steady(self, order: int, bandwidth: float) -> _Steady:
         """Steady filter in which the last derivative of the disturbance is driven by white noise.
 
@@ -118,30 +120,23 @@ class WholePlan:
         flow[:many, :many], flow[:many, many : many + inputs] = self.dynamics, self.driven
         flow[many : size - inputs, many + inputs :] = np.eye((order - 1) * inputs)
         moved = np.linalg.solve(1j * bandwidth * np.eye(many) - self.dynamics, self.driven)
-        deviation = np.maximum(self.noise, 1e-3 * max(float(self.noise.max()), 1e-9))
+        deviation = _deviations(self.noise)
         least = 1.0 / np.maximum(np.linalg.norm(self.sensing @ moved / deviation[:, None], axis=0), 1e-300)
         driven = np.concatenate([np.zeros(size - inputs), (least * bandwidth**order) ** 2 * self.period])
-        step, noise = discretised(flow, driven, self.period)
         unit = np.concatenate([np.abs(moved) @ least, *(least * bandwidth**k for k in range(order))])
-        unit = np.maximum(unit, 1e-300)
-        reading = np.hstack([self.sensing, np.zeros((len(self.sensing), order * inputs))]) * unit / deviation[:, None]
-        scaled = step * unit / unit[:, None]
         try:
-            gain = steady_filter(scaled, noise / np.outer(unit, unit), reading).gain
+            return _Steady.of(flow, driven, self.sensing, self.period, (np.maximum(unit, 1e-300), deviation))
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ModelError(
                 f"the sensors do not tell the state of the rig and what disturbs its inputs ({error})"
             ) from error
-        return _Steady(gain, (np.eye(size) - gain @ reading) @ scaled, unit, deviation)
 
-    def command_noise(self, order: int, bandwidth: float) -> Array:
-        """Noise in each command, in parts of its limit (actuators,)."""
-        found, order = self.steady(order, bandwidth), max(order, 1)
-        driven = found.gain @ np.diag((self.noise / found.deviation) ** 2) @ found.gain.T
-        noise = linalg.solve_discrete_lyapunov(found.error, driven) * np.outer(found.unit, found.unit)
+    def command_noise(self, order: int, bandwidths: Array) -> Array:
+        """Most noise in a command, in parts of its limit, for each coordinate, which have one bandwidth (n,)."""
+        noise, order = self.steady(order, float(bandwidths[0])).noise(self.noise), max(order, 1)
         late = (self.delay + 0.5) * self.period
         by = np.hstack([self.command, *(-(late**k) * self.allocated for k in range(order))])
-        return np.asarray(np.sqrt(np.maximum(np.diag(by @ noise @ by.T), 0.0)))
+        return np.full(self.coordinates, np.sqrt(max(float(np.diag(by @ noise @ by.T).max()), 0.0)))
 
 
 @dataclass(frozen=True)
@@ -194,15 +189,13 @@ class Kalman:
         Of the `offset` internal states s, those of a rig whose inputs act through them are corrected.
         """
         if isinstance(plan, WholePlan):
-            whole = plan.steady(self.order, float(self.bandwidths(plan)[0]))
-            gain, own = whole.gain * whole.unit[:, None] / whole.deviation, len(plan.dynamics)
+            gain, own = plan.steady(self.order, float(self.bandwidths(plan)[0])).correction, len(plan.dynamics)
             others = np.zeros((2 * plan.coordinates + offset - own, len(plan.sensing)))
             return np.concatenate([gain[:own], others, gain[own : own + self.order * plan.driven.shape[1]]])
         seen, n, sensors = plan.seen, plan.coordinates, len(plan.sensing)
         found = _steady(plan.of_seen(), self.order, self.bandwidths(plan)[seen])
         steady = np.zeros((2 + self.order, n, sensors))
-        gain = found.gain * found.unit[:, None] / found.deviation
-        steady[:, seen] = gain.reshape(2 + self.order, len(seen), sensors)
+        steady[:, seen] = found.correction.reshape(2 + self.order, len(seen), sensors)
         return np.concatenate([*steady[:2], np.zeros((offset, sensors)), *steady[2:]])
 
     def bandwidths(self, plan: Plan | WholePlan) -> Array:
@@ -222,14 +215,7 @@ class Kalman:
                     "lower it, or raise controller.rate"
                 )
             return np.broadcast_to(np.asarray(self.bandwidth, dtype=float), (plan.coordinates,)).copy()
-        if isinstance(plan, WholePlan):
-            speed = plan.fastest
-            while plan.noise.any() and plan.command_noise(self.order, speed).max() > NOISE_PART:
-                speed *= LOWERED
-                if speed < SLOWEST * plan.fastest:
-                    raise ModelError(TOO_NOISY)
-            return np.full(plan.coordinates, speed)
-        if plan.unseen:
+        if isinstance(plan, Plan) and plan.unseen:
             found = np.zeros(plan.coordinates)
             found[plan.seen] = self.bandwidths(plan.of_seen())
             return found
@@ -237,11 +223,14 @@ class Kalman:
         if not plan.noise.any():
             return found
         while found.min() > SLOWEST * plan.fastest:
-            noisy = _command_noise(plan, self.order, found).max(axis=0) > NOISE_PART
+            noisy = plan.command_noise(self.order, found) > NOISE_PART
             if not noisy.any():
                 return found
             found = np.where(noisy, LOWERED * found, found)
-        raise ModelError(TOO_NOISY)
+        raise ModelError(
+            "the sensors are too noisy for an observer: their noise alone would use "
+            f"{NOISE_PART:.0%} of an actuator at any bandwidth; check the noise and the limits of the plant"
+        )
 
 
 Observer = Differences | Kalman
@@ -256,6 +245,31 @@ class _Steady:
     unit: Array
     deviation: Array
 
+    @classmethod
+    def of(cls, flow: Array, driven: Array, sensing: Array, period: float, sizes: tuple[Array, Array]) -> _Steady:
+        """Filter of a flow driven by white noise of some density, by readings of its first states.
+
+        `sizes` are the units of the states, and the deviations of the readings. A ValueError where these do not
+        determine the state.
+        """
+        unit, deviation = sizes
+        step, noise = discretised(flow, driven, period)
+        reading = np.hstack([sensing, np.zeros((len(sensing), len(flow) - sensing.shape[1]))])
+        scaled_step = step * unit / unit[:, None]
+        scaled_reading = reading * unit / deviation[:, None]
+        gain = steady_filter(scaled_step, noise / np.outer(unit, unit), scaled_reading).gain
+        return cls(gain, (np.eye(len(flow)) - gain @ scaled_reading) @ scaled_step, unit, deviation)
+
+    @property
+    def correction(self) -> Array:
+        """Correction of the state per unit of reading (states, sensors)."""
+        return self.gain * self.unit[:, None] / self.deviation
+
+    def noise(self, levels: Array) -> Array:
+        """Covariance of the state (states, states) that noise of the readings makes, by its deviations (sensors,)."""
+        driven = self.gain @ np.diag((levels / self.deviation) ** 2) @ self.gain.T
+        return np.asarray(linalg.solve_discrete_lyapunov(self.error, driven) * np.outer(self.unit, self.unit))
+
 
 def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
     n, h = plan.coordinates, plan.period
@@ -264,33 +278,19 @@ def _steady(plan: Plan, order: int, bandwidth: Array) -> _Steady:
     flow[: 2 * n, : 2 * n] = plan.dynamics
     flow[n : size - n, 2 * n :] = np.eye(order * n)
     inverse = np.linalg.pinv(plan.sensing[:, :n])
-    smallest = 1e-3 * max(float(plan.noise.max()), 1e-9)  # a sensor without noise counts as nearly without
-    variance = np.maximum(plan.noise, smallest) ** 2
+    variance = _deviations(plan.noise) ** 2
     measured = np.diag(inverse @ np.diag(variance) @ inverse.T)
     # A discrete measurement of variance R at each sample is a continuous one of density R h.
     density = bandwidth ** (2 * (2 + order)) * measured * h
     driven = np.concatenate([np.zeros(size - n), density])
-    step, noise = discretised(flow, driven, h)
-    reading = np.hstack([plan.sensing, np.zeros((len(plan.sensing), order * n))])
     # In units in which readings and coordinates are of order one, so that the equation is well scaled.
     unit = np.concatenate([bandwidth**k * np.sqrt(measured) for k in range(2 + order)])
-    scaled_step = step * unit / unit[:, None]
-    scaled_reading = reading * unit / np.sqrt(variance)[:, None]
-    gain = steady_filter(scaled_step, noise / np.outer(unit, unit), scaled_reading).gain
-    return _Steady(gain, (np.eye(size) - gain @ scaled_reading) @ scaled_step, unit, np.sqrt(variance))
+    return _Steady.of(flow, driven, plan.sensing, h, (unit, np.sqrt(variance)))
 
 
-def _command_noise(plan: Plan, order: int, bandwidth: Array) -> Array:
-    """Noise in each command from each coordinate's estimate, in parts of its limit (actuators, n)."""
-    n = plan.coordinates
-    found = _steady(plan, order, bandwidth)
-    driven = found.gain @ np.diag((plan.noise / found.deviation) ** 2) @ found.gain.T
-    noise = linalg.solve_discrete_lyapunov(found.error, driven) * np.outer(found.unit, found.unit)
-    late = (plan.delay + 0.5) * plan.period
-    # What is cancelled: the model's own accelerations, and the disturbance where it will be when the command acts.
-    cancelled = np.hstack([plan.dynamics[n:], *(late**k * np.eye(n) for k in range(order))])
-    spread = np.sqrt(np.maximum(np.diag(cancelled @ noise @ cancelled.T), 0.0))
-    return np.abs(plan.command) * spread
+def _deviations(noise: Array) -> Array:
+    """Deviations of readings (sensors,); a sensor without noise counts as nearly without."""
+    return np.maximum(noise, 1e-3 * max(float(noise.max()), 1e-9))
 
 
 def check_rate(rate: float, dynamics: Array) -> None:
