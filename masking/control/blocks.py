@@ -272,15 +272,12 @@ class Cancellation:
     The rig is a = a0(t, q, v) + B(t, q) u. L solves B L = -a0 (6.1), and G is the inverse of B (6.3).
     """
 
-    model: Model
+    model: Model  # affine in its inputs
 
     def lower(
         self, graph: Graph, time: Node, q: Sequence[Node], v: Sequence[Node], p: Sequence[Node]
     ) -> tuple[list[Node], list[list[Node]], Node]:
-        """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end.
-
-        A ModelError where an acceleration is not affine in the inputs.
-        """
+        """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end."""
         s = self.model.equations.symbols
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
         mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]

@@ -34,6 +34,7 @@ class Blocks:
         L: inputs that cancel the rig's own dynamics (m,), in the inputs' units (6.1).
         drive: G T^-1[D], inputs that drive the wanted dynamics (m,).
         G: inputs per rig acceleration (m, n) (6.3).
+        u: inputs (m,): L + drive. Of an input that acts nonlinearly, these two and G are of what it does, not of it.
     """
 
     T: Array
@@ -42,11 +43,7 @@ class Blocks:
     L: Array
     drive: Array
     G: Array
-
-    @property
-    def u(self) -> Array:
-        """Inputs (m,): L + G T^-1[D]."""
-        return self.L + self.drive
+    u: Array
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,8 @@ class ClosedLoop:
             getattr(kernels, name)(float(t), np.asarray(q, float), np.asarray(v, float), p, out)
             return out
 
-        mapped = block("transform", 2 * k)
+        mapped, u = block("transform", 2 * k), np.empty(m)
+        kernels.step(float(t), np.asarray(q, float), np.asarray(v, float), u, p)
         return Blocks(
             T=mapped[:k],
             rate=mapped[k:],
@@ -130,6 +128,7 @@ class ClosedLoop:
             L=block("cancel", m),
             drive=block("drive", m),
             G=np.asarray(np.linalg.pinv(block("input_matrix", n * m).reshape(n, m)), dtype=np.float64),
+            u=u,
         )
 
     def to_control(self) -> control.NonlinearIOSystem:
@@ -180,7 +179,7 @@ def module(loop: ClosedLoop) -> Module:
     seen = loop.match.view.lower(graph, rig.q, rig.v, [])
     law = ControlLaw.of(controller, graph, replace(rig, q=seen.eta, v=seen.rate))
     known = dict(zip((s.t, *s.q, *s.v, *s.s), (rig.t, *rig.q, *rig.v, *internal.values()), strict=True))
-    fed = known | dict(zip(s.u, law.inputs, strict=True))
+    fed = known | dict(zip(s.u, law.acting, strict=True))
     driven = LoweredEquations.of(loop.plant.equations, graph, known=fed)
     plant = LoweredEquations.of(loop.plant.equations, graph, known=known)
 
@@ -204,6 +203,7 @@ def module(loop: ClosedLoop) -> Module:
         "targets": list(targets),
         "inputs": list(loop.plant.inputs),
         "virtual": list(controller.virtual.coordinates),
+        "unsolved": controller.curves.unsolved,
         # The virtual system by itself is integrated by Taylor series: two methods that agree check each other.
         "method": "runge_kutta",
     }
@@ -218,7 +218,7 @@ def module(loop: ClosedLoop) -> Module:
     add("cancel(t: float, q, v, p, out)", "out", law.cancel)
     add("drive(t: float, q, v, p, out)", "out", law.drive)
     add("input_matrix(t: float, q, v, p, out)", "out", [x for row in law.input_matrix for x in row])
-    add("step(t: float, q, v, u, p)", "u", law.inputs, law.health)
+    add("step(t: float, q, v, u, p)", "u", law.acting, law.health)
     if law.off:
         add("off(t: float, q, v, p, out)", "out", law.off)
     by_plant = [*rig.v, *plant.accelerations, *plant.rates, *law.remembered]

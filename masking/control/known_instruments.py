@@ -11,6 +11,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
 from masking.compile.numerics.newton import STEP, equilibrium, jacobian
+from masking.control.input_curves import Branch, InputCurves
 from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.control.rig.allocation import allocation
 from masking.control.rig.twin import Twin
@@ -32,6 +33,7 @@ class Instruments:
     delay: int  # samples between a reading and the first effect of the command that answers it
     # slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each
     driven: Array | None = None
+    per_unit: Array | float = 1.0  # input per unit of what it does (m,)
 
     def __post_init__(self) -> None:
         wrapping = [name for name, sensor in self.plant.sensors.items() if sensor.wraps]
@@ -132,7 +134,13 @@ class Instruments:
         check_followed(dynamics, hidden, self.model.coordinates)
         levels = self.levels(sensing, noise)
         slope = np.eye(n) if self.driven is None else self.driven
-        command = self.allocation_inverse @ np.linalg.pinv(slope @ driven) @ slope / self.limits()[:, [LARGEST]]
+        command = (
+            self.allocation_inverse
+            * self.per_unit
+            @ np.linalg.pinv(slope @ driven)
+            @ slope
+            / self.limits()[:, [LARGEST]]
+        )
         return Plan(dynamics, sensing, command, levels, 1.0 / rate, self.delay, hidden)
 
     def levels(self, sensing: Array, noise: float | None) -> Array:
@@ -150,13 +158,13 @@ class Instruments:
         return np.array([self.noise.get(name, 0.0) if noise is None else noise for name in self.sensors])
 
     def linear(self) -> tuple[Array, Array]:
-        """D [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at rest.
+        """D [q, v]/dt per [q, v] (2 n, 2 n), and accelerations per input (n, inputs), of the model at its place.
 
         Damping is that of velocities at which the model passes rest in oscillations of a unit of length: the slope of
         dry friction at rest is that of its smoothed sign, far beyond its mean over a motion.
         """
         model, n = self.model, len(self.model.coordinates)
-        p, internal = model.values(), np.zeros(len(model.declaration.states))
+        p, internal, place = model.values(), np.zeros(len(model.declaration.states)), self.model.first_place
 
         def slope(q: Array, v: Array, u: Array) -> Array:
             out = np.empty(2 * n + len(internal))
@@ -164,28 +172,29 @@ class Instruments:
             return out[: 2 * n]
 
         still, off = np.zeros(n), np.zeros(len(model.inputs))
-        by_place = jacobian(lambda q: slope(q, still, off), still, STEP * model.lengths)
+        by_place = jacobian(lambda q: slope(q, still, off), place, STEP * model.lengths)
         fastest = float(np.sqrt(np.abs(np.linalg.eigvals(by_place[n:])).max())) or 1.0
-        by_rate = jacobian(lambda v: slope(still, v, off), still, fastest * model.lengths)
-        driven = jacobian(lambda u: slope(still, still, u), off, np.ones(len(off)))
+        by_rate = jacobian(lambda v: slope(place, v, off), still, fastest * model.lengths)
+        driven = jacobian(lambda u: slope(place, still, u), off, np.ones(len(off)))
         return np.hstack([by_place, by_rate]), driven[n:]
 
     def sensing(self) -> Array:
-        """Readings per unit of [q, v] (sensors, 2 n) at rest."""
+        """Readings per unit of [q, v] (sensors, 2 n) at rest at the model's place."""
         names = [*self.model.coordinates, *(f"{c}'" for c in self.model.coordinates)]
         steps = STEP * np.tile(self.model.lengths, 2)
         found = np.empty((len(self.sensors), len(names)))
-        values = self.model.parameter_values() | dict.fromkeys(names, 0.0)
+        place = dict(zip(names, [*self.model.first_place, *np.zeros(len(self.model.coordinates))], strict=True))
+        values = self.model.parameter_values() | place
         for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
             for i, (name, step) in enumerate(zip(names, steps, strict=True)):
-                up, down = (self._measured(sensor, values | {name: by}) for by in (step, -step))
+                up, down = (self._measured(sensor, values | {name: place[name] + by}) for by in (step, -step))
                 found[k, i] = gain * (up - down) / (2.0 * step)
         return found
 
     def positions(self, readings: Array) -> Array:
         """Coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
         inverse = np.linalg.pinv(self.sensing()[:, : len(self.model.coordinates)])
-        q = np.zeros(len(self.model.coordinates))
+        q = self.model.first_place
         for _ in range(20):
             q = q + inverse @ (readings - self.readings(q))
         return q
@@ -220,3 +229,15 @@ class Instruments:
                 f"{model.name} does not rest near its zero without inputs, where controller.rest measures the sensors' "
                 "offsets; leave rest out"
             ) from error
+
+
+def branches(twin: Twin, model: Model) -> tuple[Branch, ...]:
+    """Branch of the curve of each input of a model that acts nonlinearly, within the limits of a rig; often none.
+
+    A ModelError where a limit is not known, or the curve turns within it.
+    """
+    curves = InputCurves(model)
+    if not curves.names:
+        return ()
+    known = Instruments(twin.declaration, model, twin.kernels.meta["factors"], {}, 0)
+    return curves.branches(np.abs(known.allocation) @ known.limits()[:, LARGEST])

@@ -35,8 +35,10 @@ from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
+from masking.control.input_curves import Branch, InputCurves
 from masking.control.relative_degree import Derivatives, relative_degrees
 from masking.errors import ModelError
+from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
 
@@ -59,6 +61,7 @@ class Controller:
             motion, in radians, both per unit of virtual time; None where it is not.
         actuator_bandwidth: with which the rig is brought to the wanted accelerations, rad/s, where its inputs act
             through dynamics of their own.
+        branches: of the curves of inputs that act nonlinearly.
     """
 
     model: Model
@@ -69,6 +72,17 @@ class Controller:
     regulation: schema.Regulation | None = None
     energy_balance: tuple[float, float] | None = None
     actuator_bandwidth: float = 0.0
+    branches: tuple[Branch, ...] = ()
+
+    @property
+    def per_unit(self) -> Array:
+        """Input per unit of what it does (m,): 1, and over the branch of one that acts nonlinearly its mean."""
+        return self.curves.per_unit(self.branches)
+
+    @cached_property
+    def curves(self) -> InputCurves:
+        """Curves of inputs that act nonlinearly."""
+        return InputCurves(self.model)
 
     @cached_property
     def degrees(self) -> tuple[int, ...]:
@@ -121,6 +135,12 @@ class Controller:
         words = f"{self._first}: wanted accelerations are approached with {self.actuator_bandwidth:.3g} rad/s"
         return "" if self.is_direct else words
 
+    def known(self, rig: RigSymbols, p: ControllerParameters) -> dict[sp.Symbol, Node]:
+        """Nodes of the symbols of the model of the rig, but for the inputs."""
+        s = self.model.equations.symbols
+        nodes = (rig.t, *rig.q, *rig.v, *rig.s, *p.model)
+        return dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), nodes, strict=True))
+
     @property
     def desired(self) -> DesiredDynamics:
         """Block D."""
@@ -142,6 +162,7 @@ class Controller:
         own = [self.transform_parameters[name] for name in self.transform.parameters]
         rest = [*self.desired.values(), *(self.energy_balance or ())]
         rest += [] if self.is_direct else [self.actuator_bandwidth]
+        rest += [end for branch in self.branches for end in branch]
         return np.concatenate([self.model.values(), self.virtual.values(), own, self.lengths, [self.time_scale], rest])
 
     def structure(self) -> dict[str, object]:
@@ -164,7 +185,7 @@ class ControlLaw:
     `remembered` are the rates of the virtual system's internal states, per second, `lagged` what its delayed
     expressions are now, and `delays` by how many seconds they are delayed; `conditions` are those of its events, and
     then the values that jump; `off` is how far derivatives of the virtual coordinates are from those of the wanted
-    motion which the inputs do not change at once.
+    motion which the inputs do not change at once. An input that acts nonlinearly is what it does, but in `acting`.
     """
 
     eta: list[Node]
@@ -173,6 +194,7 @@ class ControlLaw:
     cancel: list[Node]
     drive: list[Node]
     inputs: list[Node]
+    acting: list[Node]
     input_matrix: list[list[Node]]
     health: Node
     given: list[Node]
@@ -197,7 +219,7 @@ class ControlLaw:
         wanted_d = controller.desired.lower(graph, time, mapped.eta, rate, p.virtual, **given_d)  # D
         desired, remembered = wanted_d.accelerations, [graph.div(r, p.time_scale) for r in wanted_d.rates]
         state = [*rig.v, *rig.s]
-        free, gain, inertia = Cancellation(controller.model).lower(graph, rig.t, rig.q, state, p.model)  # L, G
+        free, gain, inertia = Cancellation(controller.model.affine).lower(graph, rig.t, rig.q, state, p.model)  # L, G
         if rig.disturbance:
             free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
@@ -222,10 +244,12 @@ class ControlLaw:
         cancel, drive, decoupling = decouple(graph, matrix, unwanted, wanted)
 
         inputs = [graph.add(a, b) for a, b in zip(cancel, drive, strict=True)]  # L + G T^-1[D]
+        known = controller.known(rig, p)
+        acting = controller.curves.solved(graph, known, inputs, p.branches)
         driven = [dot(graph, row, inputs) for row in gain]
         given = [graph.add(a, b) for a, b in zip(free, driven, strict=True)]
         health = graph.mul(inertia, decoupling)
-        motion = (mapped.eta, rate, desired, cancel, drive, inputs, gain, health, given, driven)
+        motion = (mapped.eta, rate, desired, cancel, drive, inputs, acting, gain, health, given, driven)
         delays = [graph.mul(d, p.time_scale) for d in wanted_d.delays]
         return cls(*motion, remembered, wanted_d.lagged, delays, wanted_d.conditions, off)
 
@@ -255,7 +279,7 @@ class _Higher:
         degrees = controller.degrees
         values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths]
         scales = [*itertools.accumulate([p.time_scale] * max(degrees), graph.mul)]
-        known = Derivatives(controller.model, controller.transform)
+        known = Derivatives(controller.model.affine, controller.transform)
         return cls(graph, degrees, known, values, scales, p.bandwidth)
 
     def jets(self) -> list[list[Node | None]]:
@@ -431,6 +455,7 @@ class ControllerParameters:
     regulation: list[Node]
     energy_balance: list[Node]
     bandwidth: list[Node]
+    branches: list[Node]
 
     @classmethod
     def of(cls, controller: Controller, graph: Graph) -> ControllerParameters:
@@ -448,16 +473,17 @@ class ControllerParameters:
             make("r", ("energy", "rate", "coupling")) if controller.regulation else [],
             make("e", ("rate", "frequency")) if controller.energy_balance is not None else [],
             [] if controller.is_direct else make("w", ("actuators",)),
+            make("b", tuple(f"{name}_{end}" for name in controller.curves.names for end in ("low", "high"))),
         )
 
     def loads(self, graph: Graph) -> dict[str, str]:
         """For each parameter's text how it is read from the array `p`."""
-        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance, *self.bandwidth]
-        nodes = [*self.model, *self.virtual, *self.transform, *scaled]
+        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
+        nodes = [*self.model, *self.virtual, *self.transform, *scaled, *self.bandwidth, *self.branches]
         return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
 
     @property
     def count(self) -> int:
         """Length of the array."""
         parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation, self.energy_balance)
-        return sum(map(len, parts)) + 1 + len(self.bandwidth)
+        return sum(map(len, parts)) + 1 + len(self.bandwidth) + len(self.branches)

@@ -14,7 +14,6 @@ import numpy as np
 
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.graph_values import ARRAYS, function_of
-from masking.compile.codegen.printers import needed
 from masking.compile.codegen.tangent import along, copied, derivatives
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Transform
@@ -31,11 +30,8 @@ class Derivatives:
     """Derivatives of virtual coordinates along the motion of a rig, in a graph of their own.
 
     Args:
-        model: of the rig.
+        model: of the rig, affine in its inputs.
         transform: the virtual coordinates by those of the rig.
-
-    Raises:
-        ModelError: the rate of an internal state is not affine in the inputs.
     """
 
     def __init__(self, model: Model, transform: Transform) -> None:
@@ -59,14 +55,6 @@ class Derivatives:
         rates = (graph.number(1.0), *v, *free.accelerations, *free.rates)
         self._drift: Mapping[Node, Node] = dict(zip((t, *q, *v, *z), rates, strict=True))
         slopes = derivatives(graph, [*driven.accelerations, *driven.rates], u)
-        changed = (*(f"acceleration of {c}" for c in model.coordinates), *(f"rate of {name}" for name in model.states))
-        for what, row in zip(changed, slopes, strict=True):
-            if bad := {*needed(graph, row)} & {*u}:
-                names = ", ".join(str(s.u[u.index(node)]) for node in sorted(bad))
-                raise ModelError(
-                    f"{model.name}: the {what} is not affine in {names}; masking needs equations in which each input "
-                    "appears to the first power, times anything but an input"
-                )
         self._pushes = [dict(zip((*v, *z), column, strict=True)) for column in zip(*slopes, strict=True)]
         self._known = [transform.lower(graph, placed, moving, own).rate]
 
@@ -104,9 +92,10 @@ def relative_degrees(model: Model, transform: Transform) -> tuple[int, ...]:
 
     Raises:
         ActuationError: the inputs do not; it names the virtual coordinates that cannot be masked.
-        ModelError: the transform is not invertible, or an input does not appear to the first power.
+        ModelError: the transform is not invertible, or an input acts by more than one curve.
     """
     _check_invertible(model, transform)
+    model = model.affine
     known = Derivatives(model, transform)
     direct, many = known.slopes(2), len(transform.virtual.coordinates)
     if _rank(direct) == many:

@@ -150,6 +150,7 @@ class SampledController:
             )
         sizes, n, m, p = self.sizes, self.sizes.coordinates, self.sizes.inputs, self.values()
         own, kernels = 2 * n + len(self.controller.model.states), self.kernels
+        allocated = self.instruments.allocation_inverse * self.controller.per_unit
         rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
         rest[2 * n : own] = self.controller.model.first_internal
         rest[sizes.memory] = self.remembered
@@ -168,13 +169,13 @@ class SampledController:
         def commands(x: Array) -> Array:
             u, r, g = np.empty(m), np.empty(n), np.empty(n)
             law(0.0, 0.0, np.concatenate([x, rest[own:]]), np.zeros(n), p, u, r, g)
-            return self.instruments.allocation_inverse @ u
+            return allocated @ u
 
         x, off, lengths = rest[:own], np.zeros(m), self.controller.model.lengths
         steps = np.concatenate([STEP * lengths, self.rate * STEP * lengths, np.full(own - 2 * n, STEP)])
         largest, sensing = self.limits[:, [LARGEST]], jacobian(readings, x, steps)
         dynamics, driven = jacobian(lambda y: rates(y, off), x, steps), jacobian(lambda u: rates(x, u), off, np.ones(m))
-        by = jacobian(commands, x, steps) / largest, self.instruments.allocation_inverse / largest
+        by = jacobian(commands, x, steps) / largest, allocated / largest
         levels = self.instruments.levels(sensing, noise)
         return WholePlan(dynamics, driven, sensing, *by, levels, 1.0 / self.rate, self.delay, n)
 
@@ -211,7 +212,8 @@ class SampledController:
         return Kernels(module_store.load(module_store.key({"sampled": self.structure()}), self._build))
 
     def _build(self) -> Module:
-        meta = {"kind": "controller", "coordinates": list(self.controller.model.coordinates)}
+        model, unsolved = self.controller.model, self.controller.curves.unsolved
+        meta = {"kind": "controller", "coordinates": list(model.coordinates), "unsolved": unsolved}
         module = Module(f"{self.instruments.plant.name}, masked as {self.controller.virtual.name}", meta)
         self.add_to(module)
         module.add_factory("answer", single_step.sampled_step, "control", self.sizes, work=self.work)
@@ -251,17 +253,17 @@ class SampledController:
         unused = [0.0] * (sizes.lags + (self.controller.energy_balance is not None))
         internal = [*self.controller.model.first_internal, *self.remembered, *unused]
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * sizes.disturbed)])
-        p, inputs = self.values(q), np.empty(sizes.inputs)
-        self.kernels.still(-self.homing, estimate[: sizes.states].copy(), p, inputs)
-        if self.homing or not self.has_model:  # before homing, the rig is where it is without power
-            inputs[:] = 0.0
-        largest = self.limits[:, LARGEST]
-        command = np.clip(self.instruments.allocation_inverse @ inputs, -largest, largest)
-        acting = self.instruments.allocation @ command
+        p, inputs, y, time = self.values(q), np.empty(sizes.inputs), estimate[: sizes.states].copy(), -self.homing
+        command, largest = np.zeros(sizes.actuators), self.limits[:, LARGEST]
+        if not self.homing and self.has_model:  # before homing, the rig is where it is without power
+            self.kernels.still(time, y, p, inputs)
+            self.kernels.allocate(time, y, inputs, p, command)
+            command = np.clip(command, -largest, largest)
+        self.kernels.wire(time, y, command, p, inputs)
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
         kept = (np.zeros(sizes.balance.stop - sizes.balance.start), self._standing(q), self._past())
-        return Beginning(np.concatenate([estimate, power, estimate, *kept, np.tile(acting, self.delay)]), p, command)
+        return Beginning(np.concatenate([estimate, power, estimate, *kept, np.tile(inputs, self.delay)]), p, command)
 
     def _past(self) -> Array:
         """Memory of delayed expressions before the release, as `Sizes.past` says."""
@@ -299,7 +301,7 @@ class _Lowered:
 
     def __init__(self, sampled: SampledController) -> None:
         controller, instruments = sampled.controller, sampled.instruments
-        equations = controller.model.equations
+        equations = controller.model.affine.equations
         self.graph, self.loads = Graph(), dict[str, str]()
         n, channels, inputs = (len(equations.coordinates), len(instruments.actuators), len(controller.model.inputs))
         self._count, self.is_live = n, sampled.feed.is_live
@@ -344,8 +346,10 @@ class _Lowered:
         self.forces = sampled.feed.forces(self.graph, controller, known, disturbance)
         measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
-        self.commands = [dot(self.graph, row, u) for row in allocation]
-        self.inputs = [dot(self.graph, row, out) for row in wires]
+        at = controller.known(rig, p)
+        acting = controller.curves.solved(self.graph, at, u, p.branches)
+        self.commands = [dot(self.graph, row, acting) for row in allocation]
+        self.inputs = controller.curves.forces(self.graph, at, [dot(self.graph, row, out) for row in wires])
 
     def _add_balance(self, controller: Controller, p: ControllerParameters, time: Node) -> None:
         graph, k = self.graph, len(controller.virtual.coordinates)
@@ -367,8 +371,8 @@ class _Lowered:
             ("law(t: float, since: float, y, d, p, u, r, g)", motion, law.health),
             ("rate(t: float, y, u, p, dy)", into("dy", self.rates), None),
             ("measure(t: float, y, p, s)", into("s", self.readings), None),
-            ("allocate(u, p, out)", into("out", self.commands), None),
-            ("wire(out, p, u)", into("u", self.inputs), None),
+            ("allocate(t: float, y, u, p, out)", into("out", self.commands), None),
+            ("wire(t: float, y, out, p, u)", into("u", self.inputs), None),
             ("virtual(t: float, y, p, out)", into("out", self.virtual), None),
             ("momentum(t: float, e, p, g)", into("g", self.momentum), None),
             ("remember(t: float, y, p, dz)", into("dz", law.remembered), None),
@@ -434,7 +438,7 @@ class SampledLoop:
 
     def _build(self) -> Module:
         controller = self.sampled.controller
-        meta = {"kind": "sampled loop", **self.twin.state_kinds}
+        meta = {"kind": "sampled loop", **self.twin.state_kinds, "unsolved": controller.curves.unsolved}
         module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
         self.twin.add_to(module)
         self.sampled.add_to(module)

@@ -177,7 +177,9 @@ class SampledStep:
             known = 2 * self.sampled.sizes.coordinates
             self.sampled.kernels.stop(status, index / self.rate, self.estimate[:known], INVERTIBLE)
         names = ", ".join(bad or self.actuators)
-        raise CommandError(f"the controller's command of {names} is no longer finite, at sample {index}; {MEND}")
+        unsolved = self.sampled.kernels.unsolved(status, self.estimate)
+        message = unsolved or f"the controller's command of {names} is no longer finite"
+        raise CommandError(f"{message}, at sample {index}; {MEND}")
 
 
 @final
@@ -259,7 +261,8 @@ class LawStep:
         self._call = _stopped(f"t = {t:g}")
         if status == SINGULAR:
             self.loop.kernels.stop(status, t, self.state[: 2 * len(self.loop.plant.coordinates)], INVERTIBLE)
-        raise CommandError(f"the control law's inputs are no longer finite, at t = {t:g} s; {MEND}")
+        message = self.loop.kernels.unsolved(status, self.state) or "the control law's inputs are no longer finite"
+        raise CommandError(f"{message}, at t = {t:g} s; {MEND}")
 
 
 def _buffers(array: Any) -> tuple[Any, Any]:  # noqa: ANN401  (what ctypes takes)

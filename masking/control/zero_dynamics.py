@@ -195,7 +195,7 @@ class Held:
 
     def accelerations(self, z: Array, rates: Array) -> Array:
         """Accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
-        plant, n = self.plant, len(self.lengths)
+        plant, n = self.plant.affine, len(self.lengths)
         q, slope = self.placed(z)
         rows = slope[: len(self.eta)]
         v = np.linalg.lstsq(slope, np.concatenate([np.zeros(len(self.eta)), rates]), rcond=None)[0]

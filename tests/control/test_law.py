@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
-from masking.errors import ActuationError, ModelError, SingularityError
+from masking.errors import ActuationError, SingularityError
 from masking.lab.runs import offline
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import continuous_chunks, joined, rig_state, sampled_chunks
@@ -77,6 +77,7 @@ ALONE = {
     "bristled_mass",
     "building",
     "cart_by_voltage",
+    "magnet",
     "storey",
 }  # no systems of the rig's three coordinates
 VIRTUAL = [
@@ -448,18 +449,6 @@ def test_singular_decoupling_matrix_stops_the_run_where_it_is_met(tmp_path, rate
         assert time == pytest.approx(np.arcsin(np.pi / 4), abs=0.005)
         assert 0.0 <= state["x"] - np.pi / 2 < 0.001 * 2
         assert state["x'"] == pytest.approx(2 * np.cos(np.arcsin(np.pi / 4)), rel=0.1)
-
-
-def test_input_to_the_second_power_is_refused(tmp_path):
-    found = write(
-        tmp_path,
-        lever="{name: magnet, coordinates: {x: ''}, inputs: {u: ''}, equations: {x'': -x + u**2}}",
-        spring=SPRING,
-        rig="{name: rig, model: lever.yaml}",
-        run="{name: run, plant: rig.yaml, virtual: spring.yaml, duration: 5}",
-    )
-    with pytest.raises(ModelError, match="magnet: the acceleration of x is not affine in u"):
-        found.run()
 
 
 def test_controller_that_believes_other_parameters():

@@ -157,16 +157,18 @@ def experiment(subject: Experiment) -> Description:
     """Describe an experiment: what moves as what, and the blocks T, D, L and G of its control law."""
     d, controller = subject.declaration, subject.acting_law
     rig, virtual, transform = controller.model, controller.virtual, controller.transform
-    e, written = rig.equations, virtual.equations.written
+    e, written = rig.affine.equations, virtual.equations.written
     lines = [*_head(d), experiment_card.in_words(subject.assembly)]
     lines += [f"{subject.time_scale:.6g} s per unit of virtual time", ""]
     known = virtual.equations.definitions  # inputs that are no expressions are polynomials, piece by piece
     series = {known[name]: sp.Symbol(f"{name}(t)") for name, source in d.inputs.items() if source.expression is None}
     wanted = [written(a).subs(series) for a in virtual.equations.accelerations]
+    curves = {f"g({one.input})": one.text for one in controller.curves.each}
     blocks = {
         "T: virtual coordinates": dict(zip(virtual.coordinates, transform.expressions, strict=True)),
         "D: wanted accelerations": dict(zip([f"{c}''" for c in virtual.coordinates], wanted, strict=True)),
         **(_direct(e) if controller.is_direct else _higher(controller)),
+        **({"g: what an input stands for in L and G": curves} if curves else {}),
     }
     happening = [(n, f"{one.when.text} crosses 0", one.written) for n, one in virtual.declaration.events.items()]
     zero = subject.passive.zero_dynamics if subject.passive else None
@@ -198,7 +200,7 @@ def _direct(e: Equations) -> Block:
 
 def _higher(controller: Controller) -> Block:
     """Blocks L and G of another rig: derivatives of the virtual coordinates in which inputs appear first."""
-    e, free, by = controller.model.equations, dict[str, sp.Expr](), dict[str, sp.Expr]()
+    e, free, by = controller.model.affine.equations, dict[str, sp.Expr](), dict[str, sp.Expr]()
     s = e.symbols
     states, rates = (s.t, *s.q, *s.v, *s.s), (sp.Integer(1), *s.v, *e.accelerations, *e.rates)
     mapped = zip(controller.virtual.coordinates, controller.transform.expressions, controller.degrees, strict=True)

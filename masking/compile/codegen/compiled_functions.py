@@ -20,6 +20,7 @@ from masking.compile.numerics.stop_codes import (
     EVENT,
     MESSAGES,
     MOST_STEPS,
+    NOT_FINITE,
     REACHED,
     SINGULAR,
     TOO_MANY_STEPS,
@@ -257,7 +258,13 @@ class Kernels:
         if status == SINGULAR:
             raise SingularityError(MESSAGES[status], time, at, remedy)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
-        raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
+        message = self.unsolved(status, state) or MESSAGES[status]
+        raise IntegrationError(f"{message}, at t = {time:.6g} ({where})")
+
+    def unsolved(self, status: int, state: Sequence[float] | Array) -> str:
+        """Cause of a status, in words, where no input gives what is wanted; '' where that is not the cause."""
+        cause = self.meta.get("unsolved") if status == NOT_FINITE and np.isfinite(state).all() else ""
+        return f"{cause}: the rig cannot do what is wanted of it" if cause else ""
 
 
 def _span(times: Array) -> tuple[float, float]:

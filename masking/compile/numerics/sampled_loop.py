@@ -8,7 +8,8 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
   (n,) the accelerations that the model lacks;
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
-* `allocate(u, p, out)` writes the actuators' commands that give inputs u, and `wire(out, p, u)` the reverse;
+* `allocate(t, y, u, p, out)` writes the actuators' commands that give inputs u, and `wire(t, y, out, p, u)` the
+  reverse;
 * `virtual` and `momentum` are those of `masking.compile.numerics.energy_balance`, `remember`, `lagged` and
   `conditions` of `virtual_memory`.
 """
@@ -322,12 +323,12 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
             if j == 0:
                 copy(ahead, z, length)
         health = held(acts, acts, ahead, past, p, h, u, work)
-        allocate(u, p, demanded)
+        allocate(acts, ahead, u, p, demanded)
         if offsets > 0 and acts < standing[2 * offsets]:
             for i in range(channels):
                 demanded[i] = 0.0
         limit(demanded, table, power, h, applied)
-        wire(applied, p, u)
+        wire(acts, ahead, applied, p, u)
         if delay == 0:
             move(t, z, u, past, p, h, work)
         advance_queue(queue, u, m)
@@ -393,7 +394,7 @@ def control_with_differences(
         copy(z, now, length)
         acts = t + (x.size - fixed) // m * h
         health = law(t, acts, z, d, p, u, r, g)
-        allocate(u, p, demanded)
+        allocate(acts, z, u, p, demanded)
         limit(demanded, table, power, h, applied)
         return health
 

@@ -139,10 +139,10 @@ def beginning(
             copy(y, p[homing:parameters], n)
         if is_held:
             still(0.0, y, p, u)
-            allocate(u, p, applied)
+            allocate(0.0, y, u, p, applied)
             for i in range(channels):
                 applied[i] = min(max(applied[i], -limits[i, LARGEST]), limits[i, LARGEST])
-            wire(applied, p, u)
+            wire(0.0, y, applied, p, u)
             delay = (memory - fixed) // m
             for j in range(delay):
                 copy(u, x[fixed + j * m : memory], m)

@@ -353,7 +353,7 @@ class Twin:
         return np.array([self.model.units.size(c.unit, {}) for c in self.model.declaration.coordinates.values()])
 
     def unpowered(self) -> Array:
-        """State (states,) at rest without commands; at zero coordinates where there is no such rest."""
+        """State (states,) at rest without commands; at the declared place where there is no such rest."""
         n, p, u, out = len(self._lengths), self.values(), np.zeros(len(self.actuators)), np.empty(len(self.state_names))
 
         def accelerations(q: Array) -> Array:
@@ -363,7 +363,7 @@ class Twin:
         try:
             return self.rest(equilibrium(accelerations, self._lengths))
         except RootError:
-            return self.rest(np.zeros(n))
+            return self.rest(self.model.first_place)
 
     def rest(self, coordinates: Array) -> Array:
         """State (states,) at rest in given coordinates (n,), with internal states as declared."""

@@ -16,7 +16,7 @@ from masking.control import coordinate_match
 from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
 from masking.control.coordinate_match import CoordinateMatch
-from masking.control.known_instruments import Instruments
+from masking.control.known_instruments import Instruments, branches
 from masking.control.law import APPROACH, Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.rig.twin import Twin
@@ -122,7 +122,7 @@ class Experiment:
         balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
         law = Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate, balance)
         fast = settings.actuator_bandwidth or (0.0 if law.is_direct else APPROACH * self._frequency / self.time_scale)
-        return replace(law, actuator_bandwidth=fast).determined()
+        return replace(law, actuator_bandwidth=fast, branches=branches(self.twin, assumed)).determined()
 
     @property
     def acting_law(self) -> Controller:
@@ -183,10 +183,10 @@ class Experiment:
     def instruments(self) -> Instruments:
         """Sensors, actuators and limits as the controller knows them."""
         assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
-        plant, model, driven = self.assembly.plant, self.law.model, self.law.driven
+        plant, model, driven = self.assembly.plant, self.law.model.affine, self.law.driven
         if not self.match.is_same:
             plant = coordinate_match.in_coordinates_of(model.declaration, plant, self.plant.coordinates)
-        return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven)
+        return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven, self.law.per_unit)
 
     @cached_property
     def assumed_effects(self) -> dict[str, schema.EffectChange]:

@@ -51,7 +51,7 @@ def check_status(kernels: Kernels, status: int, time: float, state: Array, remed
     `time` in s and `state` are those at which it stopped; `remedy` is what to do about a rig that became unstable. A
     SingularityError, which holds the state, or an IntegrationError.
     """
-    if status == NOT_FINITE:
+    if status == NOT_FINITE and not kernels.unsolved(status, state):
         raise IntegrationError(f"the masked rig became unstable and grew without bound by t = {time:.6g} s: {remedy}")
     if status != REACHED:
         kernels.stop(status, time, state, INVERTIBLE)

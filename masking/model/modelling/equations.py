@@ -225,17 +225,8 @@ class Equations:
 
     @property
     def input_force(self) -> sp.ImmutableMatrix:
-        """Df/du (n, k); raises a `ModelError` where an acceleration is not affine in the inputs."""
-        slopes = sp.ImmutableMatrix(jacobian(self.force, self.symbols.u))
-        for i, coordinate in enumerate(self.coordinates):
-            bad = slopes[i, :].free_symbols & set(self.symbols.u)
-            if bad:
-                names = ", ".join(sorted(s.name for s in bad))
-                raise ModelError(
-                    f"{self.name}: the acceleration of {coordinate} is not affine in {names}; masking needs "
-                    "equations in which each input appears to the first power, times anything but an input"
-                )
-        return slopes
+        """Df/du (n, k)."""
+        return sp.ImmutableMatrix(jacobian(self.force, self.symbols.u))
 
     def _collect_accelerations(self) -> tuple[sp.ImmutableMatrix, sp.ImmutableMatrix]:
         residuals: list[sp.Expr] = []

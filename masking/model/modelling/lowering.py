@@ -15,6 +15,7 @@ from masking.compile.numerics.controller_sizes import lane_work
 from masking.compile.numerics.rig_sizes import LANES
 from masking.lazy_imports import delayed, events, lanes, runge_kutta, taylor_integrator
 from masking.lazy_imports import sympy as sp
+from masking.model.modelling.affine_equations import curved
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.scales import Units
 
@@ -127,6 +128,7 @@ def module(equations: Equations) -> Module:
         "inputs": list(equations.declaration.inputs),
         "parameters": list(equations.declaration.parameters),
         "outputs": list(outputs),
+        "curved": list(curved(equations)),
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,

@@ -28,6 +28,7 @@ from masking.model.declaration.dimensions import check_dimensions, check_scales
 from masking.model.declaration.units import pretty
 from masking.model.effects import Effect, Setting, attach, with_own
 from masking.model.modelling import ensembles, input_series
+from masking.model.modelling.affine_equations import AffineEquations
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.lowering import module
 from masking.model.modelling.scales import Shown, Units
@@ -55,11 +56,13 @@ class Model:
         overrides: parameter values that replace the declared ones, in the declared units.
         is_dimensionless: whether values are measured in the declared scales instead of SI units. The equations
             are the same in both, since they are dimensionally homogeneous.
+        is_affine: whether an input that acts nonlinearly stands for what it does; see `affine`.
     """
 
     declaration: schema.ModelDeclaration
     overrides: Mapping[str, float] = field(default_factory=dict)
     is_dimensionless: bool = False
+    is_affine: bool = False
 
     def __post_init__(self) -> None:
         if self.declaration.effects:
@@ -170,6 +173,11 @@ class Model:
         """Model with another declaration, and the same values and units."""
         return replace(self, declaration=declaration)
 
+    @cached_property
+    def affine(self) -> Model:
+        """Model in which each input appears to the first power: one that acts nonlinearly stands for what it does."""
+        return replace(self, is_affine=True) if self.kernels.meta["curved"] else self
+
     def with_parameters(self, **values: float) -> Model:
         """Model with other parameter values, in the declared units; nothing is recompiled."""
         changed = replace(self, overrides={**self.overrides, **values})
@@ -251,12 +259,13 @@ class Model:
                 if e.force is not None
             },
             "scales": {n: s.unit for n, s in d.scales.items()},
+            **({"inputs_are": "what they do"} if self.is_affine else {}),
         }
 
     @cached_property
     def equations(self) -> Equations:
         """Equations of motion in sympy."""
-        return Equations(self.declaration)
+        return AffineEquations(self.declaration) if self.is_affine else Equations(self.declaration)
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -337,6 +346,11 @@ class Model:
     def first_internal(self) -> np.ndarray:
         """Declared initial values of the internal states, in SI units or in the declared scales (k,)."""
         return np.array([z.initial * self._size(z.unit) for z in self.declaration.states.values()])
+
+    @property
+    def first_place(self) -> np.ndarray:
+        """Declared initial coordinates, 0 where none is declared, in SI units or in the declared scales (n,)."""
+        return np.array([(c.initial or 0.0) * self._size(c.unit) for c in self.declaration.coordinates.values()])
 
     @property
     def lengths(self) -> np.ndarray:

@@ -128,7 +128,7 @@ def test_a_controller_with_a_force_from_a_file_has_it_as_a_table(homing, tmp_pat
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", ["coil_van_der_pol", "storey_in_building"])
+@pytest.mark.parametrize("name", ["coil_van_der_pol", "storey_in_building", "magnet_van_der_pol"])
 def test_a_controller_of_a_rig_with_actuator_dynamics_in_c_gives_the_commands_of_the_kernel(name, tmp_path):
     experiment = Experiment.load(name)
     unit = CompiledUnit(tmp_path, sampled_unit(experiment.sampled, "controller", 0.02))

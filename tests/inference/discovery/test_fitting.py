@@ -196,6 +196,7 @@ UNITS = {
     "cart_by_voltage": {"x": "N"},
     "cart_pendulum": {"x": "N", "th": "N*m"},
     "light_cart": {"x": "N"},
+    "magnet": {"x": "N"},
     "pendula": {"th1": "N*m", "th2": "N*m", "x": "N"},
     "setup_lagrangian": {"x1": "N", "x2": "N", "x3": "N"},
     "storey": {"x1": "N"},

@@ -43,13 +43,14 @@ ALONE = {
     "bristled_mass",
     "building",
     "cart_by_voltage",
+    "magnet",
     "storey",
 }
 
 BETWEEN = {"V1", "V2", "u1", "u2"}  # actuators between an oscillator and the beam
 GROUNDED = {"V3", "u3"}  # actuators between the beam and the ground
-# Rigs of another kind: a coil or a cylinder between the ground and what it moves.
-CARTS = {"cart", "cart_by_voltage", "cart_pendulum", "storey"}
+# Rigs of another kind: a coil, a magnet or a cylinder between the ground and what it moves.
+CARTS = {"cart", "cart_by_voltage", "cart_pendulum", "magnet", "storey"}
 
 
 def test_every_packaged_model_is_examined():
