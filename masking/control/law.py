@@ -25,7 +25,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
 from masking.control.input_curves import Branch, InputCurves
-from masking.control.relative_degree import Derivatives, relative_degrees
+from masking.control.relative_degree import Derivatives, relative_degrees, remainder
 from masking.errors import ModelError
 from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema
@@ -84,27 +84,35 @@ class Controller:
         """Curves of inputs that act nonlinearly."""
         return InputCurves(self.model)
 
-    @cached_property
+    @property
     def degrees(self) -> tuple[int, ...]:
         """Derivative of each virtual coordinate in which an input appears first (k,); errors as `relative_degrees`."""
+        return tuple(self._known["degrees"])
+
+    @property
+    def remainder(self) -> tuple[int, ...]:
+        """States of the rig that the virtual coordinates do not determine, as `relative_degree.remainder`."""
+        return tuple(self._known["remainder"])
+
+    @cached_property
+    def _known(self) -> Mapping[str, Any]:
+        """Degrees and remainder, which are found once for all values of parameters."""
         structure = self.structure()
         key = module_store.key({"degrees": {name: structure[name] for name in ("model", "virtual", "transform")}})
-        return tuple(module_store.load(key, self._with_degrees).meta["degrees"])
+        return module_store.load(key, self._without_functions).meta
 
-    def _with_degrees(self) -> Module:
-        """Module without functions that says the degrees: they are found once for all values of parameters."""
-        return Module(self.model.name, {"kind": "degrees", "degrees": relative_degrees(self.model, self.transform)})
+    def _without_functions(self) -> Module:
+        degrees = relative_degrees(self.model, self.transform)
+        left = remainder(self.model, self.transform, degrees)
+        return Module(self.model.name, {"kind": "degrees", "degrees": degrees, "remainder": left})
 
     @property
     def is_direct(self) -> bool:
         """Whether the inputs act on each acceleration at once."""
         return max(self.degrees, default=2) == 2
 
-    def determined(self) -> Controller:
-        """Itself; a ModelError where inputs act through dynamics of their own, and the rig moves in more ways.
-
-        So are an energy balance for such a rig, and a bandwidth for another one.
-        """
+    def checked(self) -> Controller:
+        """Itself; a ModelError where what is declared asks for inputs that act on accelerations at once, or do not."""
         if self.is_direct and self.actuator_bandwidth:
             raise ModelError(
                 f"controller.actuator_bandwidth: the inputs of {self.model.name} change accelerations at once; leave "
@@ -114,13 +122,6 @@ class Controller:
             raise ModelError(
                 f"controller.energy_balance: {self.model.name}: {self._first}, and an energy is balanced where inputs "
                 "change accelerations at once; leave it out"
-            )
-        left = 2 * len(self.model.coordinates) + len(self.model.states) - sum(self.degrees)
-        if left and not self.is_direct:
-            raise ModelError(
-                f"{self.model.name}: {self._first}, and the rig has {left} more state"
-                f"{'s' * (left > 1)}, whose motion the virtual system would not determine; add virtual coordinates, or "
-                "actuators that accelerate each virtual coordinate at once"
             )
         return self
 

@@ -42,6 +42,7 @@ class Derivatives:
             return [graph.symbol(f"{kind}_{name}", varying=True) for name in names]
 
         (t,), q, v, z = made("t", [s.t]), made("q", s.q), made("v", s.v), made("z", s.s)
+        self.states = [*q, *v, *z]
         p, own, lengths, u = (
             made(kind, names) for kind, names in (("p", s.p), ("o", transform.parameters), ("l", s.q), ("u", s.u))
         )
@@ -56,13 +57,14 @@ class Derivatives:
         self._drift: Mapping[Node, Node] = dict(zip((t, *q, *v, *z), rates, strict=True))
         slopes = derivatives(graph, [*driven.accelerations, *driven.rates], u)
         self._pushes = [dict(zip((*v, *z), column, strict=True)) for column in zip(*slopes, strict=True)]
-        self._known = [transform.lower(graph, placed, moving, own).rate]
+        mapped = transform.lower(graph, placed, moving, own)
+        self._known = [mapped.eta, mapped.rate]
 
     def of_order(self, order: int) -> list[Node]:
-        """Derivatives of an order, at least 1, of the virtual coordinates without inputs (k,)."""
-        while len(self._known) < order:
+        """Derivatives of an order of the virtual coordinates without inputs (k,); of order 0, they themselves."""
+        while len(self._known) <= order:
             self._known.append(along(self.graph, self._known[-1], self._drift))
-        return self._known[order - 1]
+        return self._known[order]
 
     def by_inputs(self, order: int) -> list[list[Node]]:
         """What a unit of each input adds to the derivatives of an order, at least 2 (k, inputs)."""
@@ -74,14 +76,21 @@ class Derivatives:
         """Nodes of another graph, in which the symbols have values."""
         return copied(self.graph, nodes, self.symbols, graph, values)
 
+    def determined(self, degrees: Sequence[int]) -> list[Node]:
+        """Virtual coordinates and their derivatives that the inputs do not change at once, one coordinate at a time."""
+        return [self.of_order(order)[i] for i, degree in enumerate(degrees) for order in range(degree)]
+
     def slopes(self, order: int) -> Array:
         """Derivatives of an order by the inputs at random states and parameters (points, k, inputs)."""
-        rows, generator = self.by_inputs(order), np.random.default_rng(0)
-        points = generator.uniform(0.5, 1.5, (len(self.symbols), POINTS))
+        return self.at_random(self.by_inputs(order))
+
+    def at_random(self, rows: Sequence[Sequence[Node]]) -> Array:
+        """Values of a matrix of nodes at random states and parameters (points, rows, columns)."""
+        points = np.random.default_rng(0).uniform(0.5, 1.5, (len(self.symbols), POINTS))
         made = function_of(self.graph, [x for row in rows for x in row], {}, ARRAYS, "value", variables=self.symbols)
         with np.errstate(all="ignore"):
             found = [np.broadcast_to(np.asarray(x, dtype=float), POINTS) for x in made(points)]
-        return np.moveaxis(np.array(found).reshape(len(rows), len(self._pushes), POINTS), 2, 0)
+        return np.moveaxis(np.array(found).reshape(len(rows), -1, POINTS), 2, 0)
 
 
 def relative_degrees(model: Model, transform: Transform) -> tuple[int, ...]:
@@ -111,6 +120,27 @@ def relative_degrees(model: Model, transform: Transform) -> tuple[int, ...]:
     if any(map(math.isinf, degrees)) or _rank(slopes) < many:
         raise _refused(model, transform, direct, degrees)
     return tuple(map(int, degrees))
+
+
+def remainder(model: Model, transform: Transform, degrees: Sequence[int]) -> tuple[int, ...]:
+    """Where states of a rig [q, v, s] that its virtual coordinates do not determine are among them, by their degrees.
+
+    Where the inputs act on each acceleration at once, they are the coordinates that no virtual one stands for, and
+    their velocities. Else they are, of these, of internal states and of others, as many as determine the state.
+    """
+    n, passive = len(model.coordinates), transform.passive
+    if max(degrees, default=2) == 2:
+        return (*passive, *(n + i for i in passive))
+    known = Derivatives(model.affine, transform)
+    slopes = known.at_random(derivatives(known.graph, known.determined(degrees), known.states))
+    size = slopes.shape[2]
+    pairs = [(i, n + i) for i in passive]
+    found = list[int]()
+    for more in (*pairs, *((i,) for i in (*range(2 * n, size), *range(2 * n)))):
+        rows = np.eye(size)[[*found, *more]]
+        if _rank(np.array([np.concatenate([one, rows]) for one in slopes])) == slopes.shape[1] + len(rows):
+            found += more
+    return tuple(sorted(found))
 
 
 def _numbers(matrix: sp.Matrix, model: Model, transform: Transform) -> Array:

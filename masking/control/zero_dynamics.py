@@ -12,7 +12,7 @@ Mook (1979), Nonlinear Oscillations, section 5.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -21,9 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.analysis.stability import modes
+from masking.compile.codegen.graph import Node
+from masking.compile.codegen.graph_values import ARRAYS, function_of
+from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
-from masking.compile.numerics.newton import STEP, Root, equilibrium, jacobian, root
+from masking.compile.numerics.newton import STEP, equilibrium, jacobian, root
 from masking.control.blocks import Transform
+from masking.control.relative_degree import Derivatives, remainder
 from masking.display.json_text import plain
 from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
@@ -151,66 +155,85 @@ class ZeroDynamics:
 
 @dataclass(frozen=True)
 class Held:
-    """A rig whose virtual coordinates are held."""
+    """A rig whose virtual coordinates are held, with all of their derivatives that its inputs do not change at once."""
 
     plant: Model  # the model of the rig, SI units
     transform: Transform  # from rig to virtual coordinates
     parameters: Mapping[str, float]  # values of the transform's own parameters
     lengths: Array  # size in SI units of one unit of each rig coordinate as the transform sees it (n,)
     eta: Array  # virtual coordinates that are held (k,)
+    degrees: tuple[int, ...]  # derivative of each of them in which an input appears first (k,)
+    places: tuple[int, ...]  # of the states [q, v, s] that they do not determine (r,), in order
+
+    @classmethod
+    def direct(
+        cls, plant: Model, transform: Transform, parameters: Mapping[str, float], lengths: Array, eta: Array
+    ) -> Held:
+        """Rig whose inputs change accelerations at once."""
+        degrees = (2,) * len(eta)
+        return cls(plant, transform, parameters, lengths, eta, degrees, remainder(plant, transform, degrees))
 
     @property
     def passive(self) -> list[int]:
-        """Indices of the passive coordinates."""
-        return list(self.transform.passive)
+        """Indices of the coordinates that are not determined."""
+        return [i for i in self.places if i < len(self.lengths)]
 
     @cached_property
-    def _symbolic(self) -> tuple[Any, Any]:
-        known = {s: self.parameters[s.name] for s in self.transform.parameter_symbols}
-        return self.transform.expressions.subs(known), self.transform.jacobian.subs(known)
+    def _begun(self) -> Array:
+        """State where a search begins: at zero, with internal states as declared."""
+        return np.concatenate([np.zeros(2 * len(self.lengths)), self.plant.first_internal])
 
-    def mapped(self, q: Array) -> tuple[Array, Array]:
-        """Eta (k,) and its Jacobian (k, n) by rig coordinates q (n,) in SI units."""
-        symbols = self.transform.rig.equations.symbols.q
-        at = dict(zip(symbols, map(float, q / self.lengths), strict=True))
-        eta, jacobian = (np.array(m.subs(at).evalf().tolist(), dtype=float) for m in self._symbolic)
-        return eta.ravel(), jacobian / self.lengths
+    @cached_property
+    def _functions(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        """Functions of a state (s,): what is held, with its slopes by the state (k', 1 + s); and what inputs hold.
 
-    def placed(self, z: Array) -> Root:
-        """Rig coordinates (n,) at passive ones z (m,), with the slope [J; passive] there (n, n), if there are any."""
-        n = len(self.lengths)
-        start = np.zeros(n)
-        start[self.passive] = z
+        The latter are the derivatives in which inputs appear, and their slopes by the inputs (k, 1 + inputs).
+        """
+        known = Derivatives(self.plant.affine, self.transform)
+        held = known.determined(self.degrees)
+        slopes = derivatives(known.graph, held, known.states)
+        last = [(known.of_order(degree)[i], *known.by_inputs(degree)[i]) for i, degree in enumerate(self.degrees)]
+        others = [0.0, *self.plant.values(), *(self.parameters[n] for n in self.transform.parameters), *self.lengths]
+        symbols = [node for node in known.symbols if node not in {*known.states}]
+        constant = dict(zip(symbols, map(np.float64, others), strict=True))
 
-        def system(q: Array) -> tuple[Array, Array]:
-            eta, slope = self.mapped(q)
-            rows = np.concatenate([slope, np.eye(n)[self.passive]])
-            return np.concatenate([eta - self.eta, q[self.passive] - z]), rows
+        def made(rows: Sequence[Sequence[Node]]) -> Callable[[Array], Array]:
+            nodes = [x for row in rows for x in row]
+            function = function_of(known.graph, nodes, constant, ARRAYS, "value", variables=known.states)
+            return lambda x: np.array(function(x), dtype=float).reshape(len(rows), -1)
+
+        return made([(one, *row) for one, row in zip(held, slopes, strict=True)]), made(last)
+
+    def state(self, free: Array) -> Array:
+        """State [q, v, s] of the rig in which the states that are not determined have some values (r,)."""
+        start, wanted = self._begun.copy(), np.zeros(sum(self.degrees))
+        start[list(self.places)] = free
+        wanted[np.cumsum([0, *self.degrees[:-1]])] = self.eta
+        # of a rig whose inputs act at once, internal states are as declared
+        inside = range(2 * len(self.lengths), len(start)) if len(wanted) + len(free) < len(start) else ()
+        kept = [*self.places, *inside]
+        sizes = np.concatenate([np.tile(self.plant.lengths, 2), np.ones(len(start) - 2 * len(self.lengths))])
+
+        def system(x: Array) -> tuple[Array, Array]:
+            known = self._functions[0](x)
+            value = np.concatenate([known[:, 0] - wanted, x[kept] - start[kept]])
+            rows = np.concatenate([known[:, 1:], np.eye(len(x))[kept]])
+            scale = np.maximum(np.abs(rows) @ np.maximum(np.abs(x), sizes), 1e-300)  # rows are of any unit
+            return value / scale, rows / scale[:, None]
 
         try:
-            return root(system, start, error=_CONVERGED * (1.0 + np.abs(self.eta).max(initial=0.0)))
+            return root(system, start, error=_CONVERGED).at
         except RootError as error:
-            where = f"no rig position gives {self.eta} beside the passive coordinates {z}"
+            where = f"no rig position gives {self.eta} beside what is passive, {free}"
             raise ModelError(f"transform: {where}") from error
 
-    def accelerations(self, z: Array, rates: Array) -> Array:
-        """Accelerations of passive coordinates z (m,) with rates (m,), but for what is even in the rates."""
-        plant, n = self.plant.affine, len(self.lengths)
-        q, slope = self.placed(z)
-        rows = slope[: len(self.eta)]
-        v = np.linalg.lstsq(slope, np.concatenate([np.zeros(len(self.eta)), rates]), rcond=None)[0]
-        internal = plant.first_internal
-        p, out = plant.values(), np.empty(2 * n + len(internal))
-
-        def rig(u: Array) -> Array:
-            plant.kernels.derivative(0.0, np.concatenate([q, v, internal]), u, p, out)
-            return out[n : 2 * n].copy()
-
-        inputs = np.eye(len(plant.inputs))
-        free = rig(np.zeros(len(inputs)))
-        driven = np.array([rig(u) - free for u in inputs]).T
-        u = np.linalg.lstsq(rows @ driven, -rows @ free, rcond=None)[0]
-        return np.asarray((free + driven @ u)[self.passive], dtype=np.float64)
+    def rates(self, free: Array) -> Array:
+        """Rates of the states that are not determined (r,), at some values of them (r,)."""
+        x, plant = self.state(free), self.plant.affine
+        last, out = self._functions[1](x), np.empty(len(x))
+        u = np.linalg.lstsq(last[:, 1:], -last[:, 0], rcond=None)[0]
+        plant.kernels.derivative(0.0, x, u, plant.values(), out)
+        return out[list(self.places)]
 
     def zero_dynamics(self) -> ZeroDynamics:
         """Zero dynamics about the rest that is nearest to zero; a ModelError where there is none.
@@ -218,21 +241,34 @@ class Held:
         Damping is that of velocities at which the rig passes rest in oscillations of a unit of length, as for an
         observer: dry friction has no slope at rest.
         """
-        lengths, m = self.plant.lengths[self.passive], len(self.passive)
-        still = np.zeros(m)
-        names = tuple(self.plant.coordinates[i] for i in self.passive)
+        n, places = len(self.lengths), np.array(self.places, dtype=int)
+        swinging = [i for i in self.passive if n + i in self.places]  # coordinates with velocities of their own
+        moving = np.isin(places, [n + i for i in swinging])
+        pulled = ~np.isin(places, swinging)  # rates of all others are 0 at rest by their own
+        names = tuple(self.plant.state_names[i] for i in places[~moving])
+        own = np.concatenate([self.plant.lengths, self.plant.lengths, np.ones(len(self._begun) - 2 * n)])
+        lengths, still = self.plant.lengths[swinging], np.zeros(len(swinging))
+
+        def rates(others: Array, velocities: Array) -> Array:
+            free = np.empty(len(places))
+            free[~moving], free[moving] = others, velocities
+            return self.rates(free)
+
         try:
-            rest = equilibrium(lambda z: self.accelerations(z, still), lengths)
+            rest = equilibrium(lambda z: rates(z, still)[pulled], own[places[~moving]])
         except RootError as error:
             raise ModelError(
                 f"{', '.join(names)}: passive, and without a rest near zero while the virtual coordinates are held; "
                 f"say where the run begins, such as 'initial: {{{names[0]}: 0}}'"
             ) from error
-        stiffness = jacobian(lambda z: self.accelerations(z, still), rest, STEP * lengths)
-        fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max())) or 1.0
-        damping = jacobian(lambda rates: self.accelerations(rest, rates), still, fastest * lengths)
-        matrix = np.block([[np.zeros((m, m)), np.eye(m)], [stiffness, damping]])
-        sizes = np.concatenate([lengths, rates_of(stiffness, lengths, fastest)])
+        by_place = jacobian(lambda z: rates(z, still), rest, STEP * own[places[~moving]])
+        stiffness = by_place[moving][:, np.isin(places[~moving], swinging)]
+        fastest = float(np.sqrt(np.abs(np.linalg.eigvals(stiffness)).max(initial=0.0))) or 1.0
+        matrix = np.empty((len(places),) * 2)
+        matrix[:, ~moving], matrix[:, moving] = by_place, jacobian(lambda v: rates(rest, v), still, fastest * lengths)
+        matrix[np.ix_(~pulled, ~moving)], matrix[np.ix_(~pulled, moving)] = 0.0, np.eye(len(swinging))
+        sizes = own[places]
+        sizes[moving] = rates_of(stiffness, lengths, fastest)
         return ZeroDynamics(names, rest, matrix * sizes / sizes[:, None])
 
 

@@ -290,15 +290,89 @@ def test_internal_states_begin_in_their_units(tmp_path):
     np.testing.assert_allclose(made["input.u"], -2 * np.exp(-made.t), rtol=1e-6)  # what is wanted is 0
 
 
-def test_motion_that_is_left_over_is_refused(tmp_path):
-    damper = """
+# What the virtual system does not determine: textbook systems behind a voice coil, and what their zero dynamics are.
+
+PENDULUM = """
+        coordinates: {x: {unit: m}, th: {unit: rad}}
+        states: {i: {meaning: current, unit: A}}
+        inputs: {u: {unit: V}}
+        parameters:
+          M: {value: 0.5, unit: kg}
+          m: {value: 0.1, unit: kg}
+          l: {value: 0.2, unit: m}
+          g: {value: 9.81, unit: m/s**2}
+          K: {value: 8, unit: N/A}
+          R: {value: 4, unit: ohm}
+          L: {value: 0.02, unit: H}
+        equations:
+          (M + m)*x'' + m*l*cos(th)*th'': K*i + m*l*sin(th)*th'**2
+          l*th'' + cos(th)*x'': -g*sin(th)
+          i': (u - R*i - K*x')/L
+"""
+SECOND_CART = """
+        coordinates: {x: {unit: m}, y: {unit: m}}
+        states: {i: {meaning: current, unit: A}}
+        inputs: {u: {unit: V}}
+        parameters:
+          m: {value: 0.5, unit: kg}
+          k: {value: 20, unit: N/m}
+          c: {value: 0.4, unit: N*s/m}
+          K: {value: 8, unit: N/A}
+          R: {value: 4, unit: ohm}
+          L: {value: 0.02, unit: H}
+        equations: {x'': (K*i - k*(x - y))/m, y'': (k*(x - y) - c*y')/m, i': (u - R*i - K*x')/L}
+"""
+DAMPER = """
         coordinates: {x: {unit: m}, y: {unit: m}}
         inputs: {u: {unit: N}}
         parameters: {m: {value: 0.5, unit: kg}, b: {value: 1.5, unit: N*s/m}}
         equations: {x'': -b*(x' - y')/m, y'': (u - b*(y' - x'))/m}
-    """
-    with pytest.raises(ModelError, match="first in derivative 3 of x, and the rig has 1 more state, whose motion"):
-        written(tmp_path, damper).validate()
+"""
+SWING = np.sqrt(9.81 / 0.2)
+REMAINDERS = {  # rig, verdict, and the eigenvalues of what is left over while x is held
+    "hanging pendulum": (PENDULUM, "marginal", [1j * SWING, -1j * SWING]),
+    "inverted pendulum": (PENDULUM.replace("9.81", "-9.81"), "unstable", [SWING, -SWING]),
+    "second cart behind a spring": (SECOND_CART, "stable", np.roots([0.5, 0.4, 20])),
+    "second mass behind a damper": (DAMPER, "marginal", [0]),
+}
+
+
+@pytest.mark.parametrize("name", REMAINDERS)
+def test_zero_dynamics_where_inputs_act_through_dynamics(tmp_path, name):
+    rig, verdict, eigenvalues = REMAINDERS[name]
+    found = written(tmp_path, rig).passive.zero_dynamics
+    assert found.verdict == verdict
+    for value in eigenvalues:
+        assert np.min(np.abs(found.eigenvalues - value)) <= 1e-6 * max(1, abs(value))
+    assert len(found.eigenvalues) == len(eigenvalues)
+
+
+def test_what_is_left_over_moves_as_the_wanted_motion_drives_it(tmp_path):
+    written(tmp_path, PENDULUM)
+    changes = KINDS["Duffing"]
+    made = Experiment.load(tmp_path / "run.yaml", changes=changes).changed(initial={"th": 0.2}).run()
+
+    def rates(t, y):
+        x, v, th, w = y
+        a = wanted(t, (x, v), **changes)[1]
+        return [v, a, w, (-9.81 * np.sin(th) - a * np.cos(th)) / 0.2]
+
+    settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "t_eval": made.t}
+    x, _, th, _ = solve_ivp(rates, (0, 5), [0.01, 0.05, 0.2, 0], **settings).y
+    assert np.linalg.norm(made["rig.x"] - x) <= EXACT * np.linalg.norm(x)
+    assert np.linalg.norm(made["rig.th"] - th) <= EXACT * np.linalg.norm(th)
+    assert made.manifest["passive"]["verdict"] == "marginal"
+
+
+def test_a_cart_with_a_pendulum_and_a_voice_coil_is_masked_from_its_encoder(tmp_path):
+    """The pendulum is followed by the model: no sensor reads it."""
+    damped = PENDULUM.replace("-g*sin(th)", "-g*sin(th) - c*th'")
+    written(tmp_path, damped.replace("parameters:", "parameters:\n          c: {value: 0.1, unit: m/s}"))
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in SENSING.splitlines()))
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["Van der Pol"])
+    made = found.changed(controller={"rate": "1 kHz", "homing": 2}, initial={"x": 0.01, "x'": 0}).run()
+    assert made.manifest["masking_error"]["x"] <= 0.005
+    assert made.manifest["passive"]["coordinates"] == ["th"]
 
 
 SENSING = """
@@ -371,7 +445,7 @@ def test_an_energy_is_balanced_by_accelerations():
     model, _ = DEGREES["lagged force"]
     law = Controller(model, one("b"), Transform(model, one("b"), schema.Transform()), 1.0, {}, None, (0.3, 1.0))
     with pytest.raises(ModelError, match="first in derivative 3 of b, and an energy is balanced where inputs change"):
-        law.determined()
+        law.checked()
 
 
 ELASTIC = """

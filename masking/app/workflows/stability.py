@@ -14,7 +14,7 @@ from masking.analysis.stability.study import LoopModes, Stability, loop_modes, s
 from masking.app.workflows.output_folders import check_folder
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import rig_state
+from masking.lab.runs.offline import loop_state, rig_state
 from masking.model.declaration import catalogue
 from masking.model.modelling.model import load_model
 from masking.reports import stability_page
@@ -79,7 +79,7 @@ def _loop(experiment: Experiment, found: Stability) -> LoopModes:
     point, modes = min(found.points, key=lambda x: max(map(abs, x[0].position.values())))
     virtual = np.array([*point.position.values(), *([0.0] * len(point.position))])
     beside = None if experiment.passive is None else experiment.passive.initial()
-    state = np.concatenate([rig_state(loop, virtual, passive=beside), np.zeros(len(experiment.plant.states))])
+    state = loop_state(loop, virtual, rig_state(loop, virtual, passive=beside))
     lengths = np.ones(len(state))
     lengths[:n] = loop.match.lengths
     lengths[n : 2 * n] = loop.match.lengths / experiment.time_scale

@@ -122,7 +122,7 @@ class Experiment:
         balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
         law = Controller(assumed, self.virtual, transform, self.time_scale, own, settings.regulate, balance)
         fast = settings.actuator_bandwidth or (0.0 if law.is_direct else APPROACH * self._frequency / self.time_scale)
-        return replace(law, actuator_bandwidth=fast, branches=branches(self.twin, assumed)).determined()
+        return replace(law, actuator_bandwidth=fast, branches=branches(self.twin, assumed)).checked()
 
     @property
     def acting_law(self) -> Controller:
@@ -296,9 +296,9 @@ class Experiment:
         )
 
     def _passive(self, rig: Model, transform: Transform, lengths: Array) -> Passive | None:
-        eta, parameters = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
-        held = Held(rig, transform, parameters, lengths, eta)
-        return Passive(held, self.declaration.initial) if transform.passive and self.law.is_direct else None
+        eta, own = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
+        found = Passive(Held.direct(rig, transform, own, lengths, eta), self.declaration.initial).under(self.law)
+        return found if found.held.places else None
 
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
@@ -311,8 +311,8 @@ class Experiment:
         end, n = self.sampled.end, len(self.plant.coordinates)
         if self.match.is_same:
             return end
-        own = Passive(Held(self.plant, self.match.view, {}, np.ones(n), end), self.declaration.initial)
-        return own.held.placed(own.initial()[: len(own.names)] if own.names else np.empty(0)).at
+        own = Passive(Held.direct(self.plant, self.match.view, {}, np.ones(n), end), self.declaration.initial)
+        return own.held.state(own.states)[:n]
 
     @property
     def stem(self) -> str:

@@ -48,7 +48,8 @@ class Growth:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the passive coordinates."""
-        return tuple(self.loop.plant.coordinates[i] for i in self.loop.match.mapping.passive)
+        names, places, n = self.loop.plant.state_names, self._places, len(self.loop.plant.coordinates)
+        return tuple(names[i] for i in ([i for i in places if i < n] or places))
 
     @property
     def zero_dynamics(self) -> ZeroDynamics:
@@ -156,34 +157,46 @@ class Growth:
 
     @property
     def _places(self) -> list[int]:
-        """Where passive coordinates, their rates and the rig's internal states are among those of the loop (r,)."""
+        """Where passive coordinates, their rates and the rig's internal states are among those of the loop (r,).
+
+        Of a rig whose inputs act through dynamics of their own, they are the states that the virtual coordinates do not
+        determine.
+        """
+        if not self.loop.controller.is_direct:
+            return [*self.loop.controller.remainder]
         n, free = len(self.loop.plant.coordinates), self.loop.match.mapping.passive
         return [*free, *(n + i for i in free), *range(2 * n, 2 * n + len(self.loop.plant.states))]
 
     def _placed(self, near: Array, virtual: Array, passive: Array) -> Array:
         """State of the loop with given virtual and passive states (r,), near another."""
-        m, places = len(self.names), self._places
-        there = near[: len(self.loop.plant.coordinates)]
-        state = loop_state(self.loop, virtual, rig_state(self.loop, virtual, passive[: 2 * m], there))
-        state[places] = passive
-        return state
+        n, there = len(self.loop.plant.coordinates), near.copy()
+        there[self._places] = passive
+        free = [*(i for i in self.loop.match.mapping.passive), *(n + i for i in self.loop.match.mapping.passive)]
+        rig = rig_state(self.loop, virtual, there[free], there[:n])
+        return loop_state(self.loop, virtual, rig, there[2 * n : 2 * n + len(self.loop.plant.states)])
 
     @cached_property
     def _sizes(self) -> Array:
         """Size of each passive state (r,), SI units: of rates, those of oscillations about the begin by a length."""
-        loop, state, places, m = self.loop, self.run.rig[0], self._places, len(self.names)
-        lengths = loop.plant.lengths[list(loop.match.mapping.passive)]
-        internal = np.abs(self.run.rig[:, places[2 * m :]]).max(axis=0)
+        loop, state, n = self.loop, self.run.rig[0], len(self.loop.plant.coordinates)
+        places, slowest = np.array(self._places, dtype=int), 1.0 / float(np.ptp(self.run.times))
+        swinging = [i for i in places if i < n and n + i in places]
+        lengths, inside = loop.plant.lengths[swinging], np.isin(places, swinging)
         p, u, out = loop.values(), np.zeros(len(loop.plant.inputs)), np.empty(len(state))
 
         def accelerations(z: Array) -> Array:
-            at = self._placed(state, self.run.virtual[0], np.concatenate([z, state[places[m:]]]))
+            passive = state[places]
+            passive[inside] = z
+            at = self._placed(state, self.run.virtual[0], passive)
             loop.kernels.derivative(float(self.run.times[0]), at, u, p, out)
-            return out[places[m : 2 * m]].copy()
+            return np.asarray(out[[n + i for i in swinging]], dtype=np.float64)
 
-        stiffness = jacobian(accelerations, state[places[:m]], STEP * lengths)
-        rates = rates_of(stiffness, lengths, 1.0 / float(np.ptp(self.run.times)))
-        return np.concatenate([lengths, rates, np.where(internal > 0.0, internal, 1.0)])
+        stiffness = jacobian(accelerations, state[swinging], STEP * lengths)
+        largest = np.abs(self.run.rig).max(axis=0)
+        sizes = np.where(largest > 0.0, largest, 1.0)
+        sizes[: 2 * n] = np.concatenate([loop.plant.lengths, loop.plant.lengths * slowest])
+        sizes[[n + i for i in swinging]] = rates_of(stiffness, lengths, slowest)
+        return np.asarray(sizes[places], dtype=np.float64)
 
     def _flow(self, span: tuple[float, float], state: Array, virtual: Array) -> Callable[[Array], Array]:
         """What passive states (r,), in units of their sizes, have become after a span from a state of the loop."""

@@ -319,13 +319,14 @@ def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, 
     )
 
 
-def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array) -> Array:
+def loop_state(loop: ClosedLoop, virtual_state: Array, rig: Array, internal: Array | None = None) -> Array:
     """State of a closed loop whose virtual system is in a state: the rig's (2 n,), then `ClosedLoop.internal`.
 
-    Where the inputs act through dynamics of their own, it is the nearest in which the rig has the wanted accelerations;
-    a ModelError where there is none.
+    Where the inputs act through dynamics of their own, it is the nearest in which the rig has the wanted accelerations,
+    and what the virtual system does not determine as given; a ModelError where there is none. The rig's internal states
+    are near `internal`, by default as declared.
     """
-    begun = np.concatenate([rig, loop.plant.first_internal])
+    begun = np.concatenate([rig, loop.plant.first_internal if internal is None else internal])
     moving = begun if loop.controller.is_direct else _accelerating(loop, virtual_state, begun)
     return np.concatenate([moving, virtual_state[2 * len(loop.controller.virtual.coordinates) :]])
 
@@ -334,13 +335,14 @@ def _accelerating(loop: ClosedLoop, virtual_state: Array, begun: Array) -> Array
     """State of the rig (states,) with a virtual state and the accelerations that are wanted there; see `loop_state`."""
     k, n, p = len(loop.controller.virtual.coordinates), len(loop.plant.coordinates), loop.values()
     mapped, off = np.empty(2 * k), np.empty(sum(loop.controller.degrees) - 2 * k)
-    remembered = virtual_state[2 * k :]
+    remembered, is_same = virtual_state[2 * k :], loop.plant.state_names == loop.controller.model.state_names
+    kept = list(loop.controller.remainder) if is_same else []
 
     def residual(x: Array) -> Array:
         q, rest = x[:n].copy(), np.concatenate([x[n:], remembered])
         loop.kernels.transform(0.0, q, rest, p, mapped)
         loop.kernels.off(0.0, q, rest, p, off)
-        return np.concatenate([mapped - virtual_state[: 2 * k], off])
+        return np.concatenate([mapped - virtual_state[: 2 * k], off, x[kept] - begun[kept]])
 
     def system(x: Array) -> tuple[Array, Array]:
         value, slope = residual(x), jacobian(residual, x, STEP * np.maximum(np.abs(x), sizes))

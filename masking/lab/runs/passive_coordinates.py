@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.control.law import Controller
 from masking.control.zero_dynamics import Held, ZeroDynamics
 from masking.errors import ModelError
 from masking.model.declaration import dimensions, units
@@ -20,10 +21,17 @@ _ROWS: Final = 5000  # of a run, at which its energy is looked at
 
 @dataclass(frozen=True)
 class Passive:
-    """Rig coordinates that no virtual one stands for."""
+    """States of a rig that its virtual coordinates do not determine, and the coordinates among them."""
 
     held: Held  # the rig with the virtual coordinates held where the run begins
     given: Mapping[str, float]  # the experiment's initial values, in declared units
+
+    def under(self, law: Controller) -> Passive:
+        """Those beside the states that a law determines: more, where inputs act through dynamics of their own."""
+        if law.is_direct:
+            return self
+        is_same = self.plant.state_names == law.model.state_names  # else it is not known what the plant has beside
+        return replace(self, held=replace(self.held, degrees=law.degrees, places=law.remainder if is_same else ()))
 
     @property
     def plant(self) -> Model:
@@ -32,7 +40,7 @@ class Passive:
 
     @property
     def indices(self) -> list[int]:
-        """Where they are among the rig's coordinates."""
+        """Where the coordinates are among the rig's."""
         return self.held.passive
 
     @property
@@ -53,15 +61,23 @@ class Passive:
         except ModelError as error:
             return str(error)
 
+    @property
+    def states(self) -> Array:
+        """States that are passive at the start (r,), SI units: as given, else at rest."""
+        shown, virtual = self.plant.shown, self.held.transform.virtual.coordinates
+        names = [self.plant.state_names[i] for i in self.held.places]
+        own = [name for name in names if name in self.given and name.rstrip("'") not in virtual]
+        given = {name: self.given[name] * shown[name].size for name in own}
+        if {name for name in names if not name.endswith("'")} <= given.keys():
+            return np.array([given.get(name, 0.0) for name in names])
+        resting = dict(zip(self.zero_dynamics.names, self.zero_dynamics.rest, strict=True))
+        return np.array([(resting | given).get(name, 0.0) for name in names])
+
     def initial(self) -> Array:
-        """Their values, then their velocities, at the start (2 m,), SI units: as given, else at rest."""
-        names = [name for name in self.names if name not in self.held.transform.virtual.coordinates]
-        sizes = {name: self.plant.shown[name].size for name in names}
-        values = [self.given.get(name) if name in sizes else None for name in self.names]
-        rest = self.zero_dynamics.rest if None in values else np.zeros(len(values))
-        start = [z if x is None else x * sizes[n] for n, x, z in zip(self.names, values, rest, strict=True)]
-        speeds = [self.given.get(f"{name}'", 0.0) * sizes[name] if name in sizes else 0.0 for name in self.names]
-        return np.array([*start, *speeds])
+        """Coordinates that no virtual one stands for, then their velocities, at the start (2 m,), SI units."""
+        n, free = len(self.held.lengths), self.held.transform.passive
+        both = (*free, *(n + i for i in free))
+        return self.states if both == self.held.places else self.held.state(self.states)[list(both)]
 
     def check_still(self) -> None:
         """Refuse initial velocities, which a controller that reads sensors cannot give."""
@@ -115,6 +131,6 @@ class Passive:
         for i, row in enumerate(rows):
             q, rest = states[row, :n].copy(), states[row, :n].copy()
             v, still = states[row, n:].copy(), states[row, n:].copy()
-            rest[self.indices], still[self.indices] = self.zero_dynamics.rest, 0.0
+            rest[self.indices], still[self.indices] = self.zero_dynamics.rest[: len(self.indices)], 0.0
             found[i] = kernels.energy(0.0, q, v, p) - kernels.energy(0.0, rest, still, p)
         return found
