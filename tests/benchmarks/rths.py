@@ -1,5 +1,7 @@
 """The public benchmark of virtual real-time hybrid simulation: `python -m tests.benchmarks.rths [--perturbed N]`.
 
+`--by c` and `--by fmu` have the commands made by the exported controller; the storeys stay those of the compiled one.
+
 A storey of a steel frame with its hydraulic actuator, whose command acts in the fifth derivative of the displacement,
 moves as the first storey of a building under an earthquake. The evaluator knows nothing of `masking`; it calls the
 controller for a loop of one's own once a sample. Perturbed plants are drawn as the evaluator says; the controller knows
@@ -24,7 +26,10 @@ import yaml
 
 import masking
 from masking.compile.numerics.arrays import Array
+from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.fmu_unit import write
 from masking.control.stepwise_controller import SampledStep
+from tests.support import compiled_unit, fmu_slave
 
 SHARED = Path(__file__).parents[3] / "shared" / "rths"
 QUAKES = ("elcentro", "kobe", "morgan")
@@ -148,8 +153,57 @@ class Ours:
         return command, self.step.estimate[self.floors]
 
 
+class OfC(Ours):
+    """The same with the commands of the controller that is exported as C."""
+
+    def __init__(self, of: masking.Experiment, folder: Path) -> None:
+        super().__init__(of)
+        self.unit = compiled_unit.CompiledUnit(folder, sampled_unit(of.sampled, "controller", 0.02))
+
+    def reset(self) -> None:
+        """Begin again."""
+        super().reset()
+        self.begun = False
+
+    def answer(self, reading: float) -> float:
+        """Return the command in m to a reading in mm."""
+        if not self.begun:
+            self.unit.init([reading])
+            self.begun = True
+        return float(self.unit.step([reading])[0])
+
+    def __call__(self, displacement: float, force: float, ground: float) -> tuple[float, Array]:
+        """Return the command in m, and the storeys (3,) in m."""
+        _, storeys = super().__call__(displacement, force, ground)
+        return self.answer(1000.0 * displacement), storeys
+
+
+class OfFmu(OfC):
+    """The same with those of an FMU 2.0, which fmpy steps."""
+
+    def __init__(self, of: masking.Experiment, folder: Path) -> None:
+        Ours.__init__(self, of)
+        path, *_ = write(sampled_unit(of.sampled, "controller", 0.02), folder)
+        self.slave, self.index = fmu_slave.Slave(path, folder / "unpacked"), 0
+
+    def answer(self, reading: float) -> float:
+        """Return the command in m to a reading in mm."""
+        if not self.begun:
+            self.slave.begin([reading])
+            self.begun = True
+        self.slave.set([reading])
+        self.slave.step(self.index / RATE, 1.0 / RATE)
+        self.index += 1
+        return float(self.slave.get()[0])
+
+
 def table(
-    cases: Sequence[int] = (1, 2, 3, 4), quakes: Sequence[str] = QUAKES, perturbed: int = 0, *, known: bool = False
+    cases: Sequence[int] = (1, 2, 3, 4),
+    quakes: Sequence[str] = QUAKES,
+    perturbed: int = 0,
+    *,
+    known: bool = False,
+    by: str = "python",
 ) -> Iterator[str]:
     """Give the lines of a table: each case under each earthquake, with the nominal plant and with perturbed ones.
 
@@ -161,17 +215,18 @@ def table(
         generator = np.random.default_rng(case)
         with tempfile.TemporaryDirectory() as name:
             made = experiment(Path(name), case, quake, of)
-            yield row(of, made, (case, "nominal", quake), {})
+            called = Ours(made) if by == "python" else {"c": OfC, "fmu": OfFmu}[by](made, Path(name))
+            yield row(of, called, (case, "nominal", quake), {})
             for number in range(1, perturbed + 1):
                 drawn = {key: of.NOMINAL[key] + of.STD[key] * float(generator.standard_normal()) for key in of.STD}
                 settings = {"rate": f"{RATE} Hz", "parameters": {"k": drawn["ke"]} if known else {}}
-                yield row(of, made.changed(controller=settings), (case, f"perturbed {number}", quake), drawn)
+                yield row(of, Ours(made.changed(controller=settings)), (case, f"perturbed {number}", quake), drawn)
 
 
-def row(of: Any, made: masking.Experiment, what: tuple[int, str, str], over: dict[str, float]) -> str:
+def row(of: Any, called: Ours, what: tuple[int, str, str], over: dict[str, float]) -> str:
     """Return the row of a case and a plant under an earthquake."""
     case, plant, quake = what
-    found, more = of.run(case, Ours(made), quake=quake, own=True, seed=len(plant) + case, **over)
+    found, more = of.run(case, called, quake=quake, own=True, seed=len(plant) + case, **over)
     noise = 100.0 * NOISE * LVDT / 1000.0 / np.std(more["ref"][:, 0])
     return f"| {case} | {plant} | {quake} | {' | '.join(f'{value:.2f}' for value in (*found, noise))} |"
 
@@ -183,8 +238,9 @@ def main() -> int:
     parser.add_argument("--quakes", nargs="*", default=[*QUAKES])
     parser.add_argument("--perturbed", type=int, default=0, metavar="N", help="perturbed plants of each case")
     parser.add_argument("--known", action="store_true", help="the controller knows the stiffness of the storey")
+    parser.add_argument("--by", choices=("python", "c", "fmu"), default="python", help="of the nominal plants")
     chosen = parser.parse_args()
-    for line in table(chosen.cases, chosen.quakes, chosen.perturbed, known=chosen.known):
+    for line in table(chosen.cases, chosen.quakes, chosen.perturbed, known=chosen.known, by=chosen.by):
         print(line, flush=True)
     return 0
 

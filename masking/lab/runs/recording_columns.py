@@ -37,7 +37,7 @@ class Columns:
         self.units[name] = {"unit": unit, "meaning": meaning}
 
     def add_motion(self, times: Array, rig: Array, virtual: Array, ideal: Array) -> Columns:
-        """Add time, and coordinates and velocities of the rig, the virtual system and the ideal.
+        """Add time, and coordinates, velocities and internal states of the rig, the virtual system and the ideal.
 
         The states (m, .) are those that are computed: of the rig in SI units, of the others in the virtual system's.
         """
@@ -47,7 +47,7 @@ class Columns:
             declared = model.declaration
             meanings = {n: c.meaning for n, c in declared.coordinates.items()}
             meanings = {**meanings, **{f"{name}'": f"rate of {name}" for name in meanings}}
-            meanings |= {name: state.meaning for name, state in declared.states.items() if prefix != "rig"}
+            meanings |= {name: state.meaning for name, state in declared.states.items()}
             for i, (name, meaning) in enumerate(meanings.items()):
                 unit, size = model.shown[name]
                 self.add(f"{prefix}.{name}", states[:, i] / size, unit, meaning)
