@@ -35,6 +35,9 @@ from masking.model.modelling.lowering import LoweredEquations
 
 # An offset follows the readings with this many time constants over the rest.
 SETTLED = 5.0
+# measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
+MOST_MEMORY_STEPS = 4
+MEMORY_STEP = 0.2  # rad; its fifth power over 120 is what a step is off by: 3e-6 of the motion
 HALVINGS = 8  # of the logarithm of the range in which an actuator bandwidth is sought
 
 
@@ -73,7 +76,7 @@ class SampledController:
         return Sizes(
             n, own + remembered + lags + is_balanced, len(model.inputs), len(self.instruments.actuators),
             self.observer.order, k if is_balanced else 0, resting, remembered, lags, self._kept,
-            len(happening["events"]), targets, not self.controller.is_direct,
+            len(happening["events"]), targets, not self.controller.is_direct, self._memory_steps,
         )  # fmt: skip
 
     @cached_property
@@ -91,6 +94,30 @@ class SampledController:
     def _kept(self) -> int:
         """Samples of delayed expressions that are kept, a power of two; 0 where there are none."""
         return 1 << math.ceil(math.log2(self.lags.max() + self.delay + 8.0)) if len(self.lags) else 0
+
+    @cached_property
+    def _memory_steps(self) -> int:
+        """Steps of the integration of the virtual system's internal states over a sample: 1, 2 or `MOST_MEMORY_STEPS`.
+
+        A step spans at most `MEMORY_STEP` radians of the fastest motion of a virtual system without corners, linearised
+        at zero; one with corners, such as a hysteresis, takes as many as there may be.
+        """
+        virtual, kernels = self.controller.virtual, self.controller.virtual.kernels
+        if not self.remembered or kernels.meta["has_corners"] or virtual.declaration.events:
+            return MOST_MEMORY_STEPS
+        start = np.concatenate([np.zeros(2 * len(virtual.coordinates)), self.remembered])
+        p, u = virtual.values(), np.zeros(len(virtual.inputs))
+
+        def rates(y: Array) -> Array:
+            dy = np.empty(len(y) + len(self.lags))
+            kernels.derivative(0.0, np.concatenate([y, np.zeros(len(self.lags))]), u, p, dy)
+            return dy[: len(y)].copy()
+
+        slopes = jacobian(rates, start, np.full(len(start), STEP))
+        if not np.isfinite(slopes).all():
+            return MOST_MEMORY_STEPS
+        turned = float(np.abs(np.linalg.eigvals(slopes)).max()) / (self.rate * self.controller.time_scale)
+        return next((steps for steps in (1, 2) if turned <= steps * MEMORY_STEP), MOST_MEMORY_STEPS)
 
     @property
     def before(self) -> int:
@@ -204,6 +231,7 @@ class SampledController:
             "rest": bool(self.rest),
             **({"feed": self.feed.structure()} if self.feed else {}),
             "kept": self._kept,
+            "memory_steps": self._memory_steps,
         }
 
     @cached_property

@@ -29,6 +29,7 @@ class Sizes:
     # for each value that jumps in them, the index of its event and that of the state in [q, v, s]
     targets: tuple[tuple[int, int], ...] = ()
     at_inputs: bool = False  # whether a disturbance adds to the inputs, and not to the accelerations
+    steps: int = 4  # of the integration of the virtual system's internal states over a sample
 
     @property
     def disturbed(self) -> int:

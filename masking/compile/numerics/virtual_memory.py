@@ -20,8 +20,6 @@ from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.events import jumps
 from masking.compile.numerics.runge_kutta import classical_step, copy
 
-# measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
-STEPS = 4
 EVENTS = 8  # in one of these
 HALVINGS = 16  # of one of these, to find an event
 
@@ -105,6 +103,7 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
     by how much z is further on the mean of the motion than without its events.
     """
     n, first, last, events = sizes.coordinates, sizes.memory.start, sizes.memory.stop, sizes.events
+    steps = sizes.steps
     jump = jumps(conditions, events, sizes.targets, EVENTS)
 
     @compiled
@@ -199,8 +198,8 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
                 b[i] = a[i]
             if first < last and h > 0.0 and t > -0.25 * h:
                 copy(a, work[rows.STATE], first)
-                for j in range(STEPS):
-                    move(Motion(t, h, a, b), j / STEPS, 1.0 / STEPS, past, p, work)
+                for j in range(steps):
+                    move(Motion(t, h, a, b), j / steps, 1.0 / steps, past, p, work)
 
         return follow
 
@@ -218,11 +217,11 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
             for i in range(first, last):
                 m[i] = total[i]
                 b[i] = a[i]
-            for j in range(STEPS):
+            for j in range(steps):
                 for i in range(first, last):
-                    m[i] -= 0.5 / STEPS * b[i]
-                advance(motion, j / STEPS, 1.0 / STEPS, past, p, work)
+                    m[i] -= 0.5 / steps * b[i]
+                advance(motion, j / steps, 1.0 / steps, past, p, work)
                 for i in range(first, last):
-                    m[i] -= 0.5 / STEPS * b[i]
+                    m[i] -= 0.5 / steps * b[i]
 
     return follow, glide, mean_jump

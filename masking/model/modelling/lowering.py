@@ -132,6 +132,7 @@ def module(equations: Equations) -> Module:
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,
+        "has_corners": not is_analytic(graph, derivatives),
         "events": list(equations.events.names),
         "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
