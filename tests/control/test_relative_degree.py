@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 
 from masking import Experiment
 from masking.control.blocks import Transform
@@ -164,6 +164,46 @@ def test_ideal_rigs_move_as_scipy_integrates_what_is_wanted(tmp_path, name):
         x = solve_ivp(lambda t, y, p=changes: wanted(t, y, **p), (0, 5), [0.01, 0.05], **settings).y[0]
         assert np.linalg.norm(made["rig.x"] - x) <= EXACT * np.linalg.norm(x)
         assert made.manifest["masking_error"]["x"] <= EXACT
+
+
+# Stored energy and the power that changes it, momentum and the force that does, from columns of a recording.
+BALANCES = {
+    "voice coil driven by voltage": (
+        lambda x, v, r: (
+            0.25 * v**2 + 100 * x**2 + 0.01 * r["rig.i"] ** 2,
+            r["input.u"] * r["rig.i"] - 4 * r["rig.i"] ** 2 - 1.5 * v**2,
+        ),
+        lambda x, v, r: (0.5 * v, 8 * r["rig.i"] - 200 * x - 1.5 * v),
+    ),
+    "force behind a current loop that lags": (
+        lambda x, v, r: (0.25 * v**2 + 100 * x**2, 8 * r["rig.i"] * v),
+        lambda x, v, r: (0.5 * v, 8 * r["rig.i"] - 200 * x),
+    ),
+    "hydraulic cylinder": (
+        lambda x, v, r: (29.13 / 2 * v**2 + 595e3 * x**2, r["rig.f"] * v - 114.2 * v**2),
+        lambda x, v, r: (29.13 * v, r["rig.f"] - 1190e3 * x - 114.2 * v),
+    ),
+    "mass behind a hardening spring": (
+        lambda x, v, r: (
+            0.25 * (v**2 + r["rig.y'"] ** 2) + 100 * (x - r["rig.y"]) ** 2 + 0.75e4 * (x - r["rig.y"]) ** 4,
+            r["input.u"] * r["rig.y'"] - 1.5 * (v**2 + r["rig.y'"] ** 2),
+        ),
+        lambda x, v, r: (0.5 * (v + r["rig.y'"]), r["input.u"] - 1.5 * (v + r["rig.y'"])),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_power_and_momentum_are_balanced(tmp_path, name):
+    """The spring between two masses pushes both, and no force or power is left out of what is recorded."""
+    written(tmp_path, RIGS[name])
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["Van der Pol"]).changed(record={"rate": "4 kHz"})
+    made = found.run()
+    for balance in BALANCES[name]:
+        stored, given = balance(made["rig.x"], made["rig.x'"], made)
+        flown = cumulative_simpson(given, x=made.t, initial=0)
+        assert np.ptp(stored) > 0
+        np.testing.assert_allclose(stored - stored[0], flown, atol=1e-6 * np.max(np.abs(flown)))
 
 
 ARM = """
