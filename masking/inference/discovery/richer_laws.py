@@ -1,9 +1,10 @@
-"""Richer laws: those in which a law that was found is nested, begun from its values."""
+"""Richer laws: those in which a law is nested, and the same with more parameters, begun from its values."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,15 +40,27 @@ def richer_laws(ground: Ground, now: Explanation, table: Sequence[Explanation]) 
 
 
 def _richer(ground: Ground, now: Explanation, i: int, table: Sequence[Explanation]) -> Iterator[Job]:
-    """Fits with each richer law in the place of one cause."""
+    """Fits with each richer law in the place of one cause, and with more of its own parameters estimated."""
     known, (effect, at), (names, others) = now.hypothesis, now.names[i], now.without(i)
+    begun, same = known.instances[i], [one for one in table if {*one.names} == {*now.names}]
     for one in ground.every:
+        if (
+            one.key == (effect, at)
+            and {*one.free} > {*begun.free}
+            and not any(other.cost <= now.cost and _freed(other, one.key) >= {*one.free} for other in same)
+        ):  # such a fit ended where it is no better
+            yield ground.refit((*names, one.key), (*others, replace(begun, free=one.free)), now)
         if one.at == at and one.sticks and one.factors and effect in one.entry.nested and one.key not in names:
             starts = _starts(one, known.instances[i])
             every = [(*others, in_steps(ground.problem, start, one)) for start in starts]
             costs = [fitting.cost(ground.problem, begun, known.theta, known.start) for begun in every]
             if costs and min(costs) < ended(table, (*names, one.key)):
                 yield ground.refit((*names, one.key), every[int(np.argmin(costs))], now)
+
+
+def _freed(explanation: Explanation, key: Key) -> set[int]:
+    """Which parameters of a cause an explanation estimates."""
+    return {*explanation.hypothesis.instances[explanation.names.index(key)].free}
 
 
 def _starts(candidate: Candidate, simple: EffectInstance) -> Iterator[EffectInstance]:

@@ -13,7 +13,9 @@ _GAP = EffectParameter("D", "width of the play", (0.0, 1e-2), 1e-3, None, NOT_NE
 SOFT = 0.02  # of the largest displacement
 _TIMES = (0.06, 0.2, 0.6, 2.0, 6.0, 20.0)  # of the time of the motion, half-decades
 _REACH = "(d - z - min(max(d - z, -gap/2), gap/2))"  # how far a pin is beyond the gap of its slider
-_DRAGGED = f"hold*({_REACH} - min(max({_REACH}, -x0), x0))"
+_BEYOND = f"({_REACH} - min(max({_REACH}, -x0), x0))"  # how far beyond that the slider is taken along
+# It moves with the pin, and is held a little beyond: being held alone, it would be late at each reversal.
+_DRAGGED = f"where({_BEYOND}*d_rate > 0, d_rate - hold*x0/1000*sign({_BEYOND}), 0) + hold*{_BEYOND}"
 
 
 def _reaches(span: Span) -> list[Start]:

@@ -1,5 +1,6 @@
 """Elements with a force of their own, and effects in series with them or in their place, against closed forms."""
 
+import itertools
 import math
 
 import numpy as np
@@ -77,6 +78,23 @@ def test_asymmetric_damping_has_half_a_swing_of_each_damping(spring):
         swing = math.pi / math.sqrt(W**2 - sigma**2)
         turns, x = turns + swing, -x * math.exp(-sigma * swing)
         assert model.simulate([0.0, turns])["x"][-1] == pytest.approx(x, rel=1e-6)
+
+
+@pytest.mark.parametrize("hold", [10.0, 1e4])
+def test_a_slider_that_is_dragged_with_play_takes_its_work_from_each_swing(spring, hold):
+    """From one turning point to the next it is dragged over their distance but for the gap, and takes that work.
+
+    How fast it is held where it should be does not count: it moves with its pin.
+    """
+    fc, gap = 0.3, 0.4
+    model = spring().attach("play_with_friction", "spring", fc=fc, gap=gap, x0=1e-6, hold=hold)
+    t = np.linspace(0.0, 6.0, 60001)
+    found = model.simulate(t, {"x": 0.0, "x'": 2.0 * W}, tolerance=1e-9)
+    x, v = found["x"], found["x'"]
+    turns = np.abs(x[1:-1][(v[1:-1] > 0) != (v[2:] > 0)])
+    assert len(turns) == 4
+    for first, then in itertools.pairwise(turns):
+        assert K / 2 * (first**2 - then**2) == pytest.approx(fc * (first + then - gap), rel=1e-3)
 
 
 def test_a_maxwell_element_takes_the_place_of_the_spring(spring):
