@@ -1,8 +1,9 @@
 """Inputs that act nonlinearly: which value of an input does what a control law wants of it.
 
 The law wants w = g(u), for the curve g of an input. On a branch, on which the curve rises or falls all the way, u is
-found by bisection and then by Newton's method within the bracket, both of a fixed number of steps. Where no u on the
-branch gives w, it is not a number, at which a run stops.
+found by bisection and then by Newton's method within the bracket, both of a fixed number of steps. Beyond an end of the
+branch, u stays there, beyond the limit of the input; but beyond an end at 0, such as that of a magnet, which never
+pushes, it is not a number, at which a run stops.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from masking.model.modelling.model import Model
 
 BISECTIONS, NEWTON_STEPS = 12, 5  # the bracket becomes 1/4096 of the branch; there a smooth curve is nearly a line
 BEYOND = 2.0  # times its largest value: how far an input is solved for; what is beyond that value is cut off there
-ROUNDING = 1e-9  # of what the ends of a branch give: by how much what is wanted may lie outside
+ROUNDING = 1e-9  # of what the ends of a branch give: by how much what is wanted may lie beyond an end at 0
+TINY = 1e-290  # so that what is wanted, where it is not a number, gives none
 LOOKS = 401  # points at which a curve is looked at, to find its branch
+FLAT = 1e-9  # of what a curve gives: what rounding makes of a part of it that is flat
 
 Known = Mapping[sp.Symbol, Node]  # nodes of the symbols of a model
 
@@ -90,7 +93,7 @@ class InputCurves:
     def unsolved(self) -> str:
         """Cause of a command that is not a number, in words; '' where no input has a curve."""
         each = (
-            f"no {one.input} within {BEYOND:g} times its limit gives what is wanted of {one.text}" for one in self.each
+            f"no {one.input} gives what is wanted of {one.text}, which has one sign on its branch" for one in self.each
         )
         return ", or ".join(each)
 
@@ -126,14 +129,15 @@ class InputCurves:
 
     def _branch(self, curve: InputCurve, most: float) -> Branch:
         for low, high in ((-most, most), (0.0, most), (-most, 0.0)):
-            steps = np.diff(curve.values(np.linspace(low, high, LOOKS), self._start))
-            if steps.any() and (np.all(steps >= 0.0) or np.all(steps <= 0.0)):
+            values = curve.values(np.linspace(low, high, LOOKS), self._start)
+            steps, flat = np.diff(values), FLAT * np.ptp(values)
+            if steps.any() and (np.all(steps >= -flat) or np.all(steps <= flat)):
                 return Branch(low, high)
         u = curve.input
         raise ModelError(
             f"{self.model.name}: {curve.text} neither rises nor falls all the way from {u} = 0 to {most:g} or to "
-            f"{-most:g}, {BEYOND:g} times its limit: more than one {u} does the same; lower its limit to where the "
-            "curve turns"
+            f"{-most:g} (SI), {BEYOND:g} times its limit: more than one {u} does the same; lower its limit to "
+            "less than half of where the curve turns"
         )
 
     def per_unit(self, branches: Sequence[Branch]) -> Array:
@@ -146,7 +150,7 @@ class InputCurves:
 
 
 def _solved(graph: Graph, at: Callable[[Node], tuple[Node, Node]], wanted: Node, ends: Sequence[Node]) -> Node:
-    """Node u between two ends with g(u) = w; not a number where the ends give less or more."""
+    """Node u between two ends with g(u) = w, or that of them which comes nearest; not a number beyond one at 0."""
     number, sub, mul, apply = graph.number, graph.sub, graph.mul, graph.apply
     low, high = ends
     first, last = at(low)[0], at(high)[0]
@@ -170,8 +174,10 @@ def _solved(graph: Graph, at: Callable[[Node], tuple[Node, Node]], wanted: Node,
         is_flat = apply("le", mul(slope, slope), number(0.0))
         u = sub(u, graph.div(sub(value, wanted), apply("where", is_flat, number(1.0), slope)))
         u = apply("max", apply("min", below, above), apply("min", apply("max", below, above), u))
-    least, most = apply("min", first, last), apply("max", first, last)
-    span = sub(most, least)
-    between = graph.add(mul(sub(wanted, least), sub(most, wanted)), mul(number(ROUNDING), mul(span, span)))
-    real = apply("sqrt", between)  # of a negative number outside, which is none
+    # Beyond an end, u stays there, and is cut off at its limit; beyond an end at 0 there is none.
+    span, zero = sub(last, first), number(0.0)
+    beyond = apply("where", apply("lt", low, zero), sub(last, wanted), sub(wanted, first))
+    inside = mul(span, apply("where", apply("lt", mul(low, high), zero), span, beyond))
+    rounding = graph.add(mul(number(ROUNDING), mul(span, span)), mul(number(TINY), mul(wanted, wanted)))
+    real = apply("sqrt", graph.add(inside, rounding))  # of a negative number, which is none
     return mul(u, graph.div(real, real))

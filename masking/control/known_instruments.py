@@ -208,6 +208,11 @@ class Instruments:
 
     def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
         """Measured value of a rig at rest, in SI units; outputs are those without further forces."""
+        model = self.model
+        values = dict(zip(model.states, model.first_internal.tolist(), strict=True)) | {
+            **dict.fromkeys((f"{c}''" for c in model.coordinates), 0.0),
+            **values,
+        }
         outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
 

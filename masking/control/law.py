@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -222,7 +222,7 @@ class ControlLaw:
         state = [*rig.v, *rig.s]
         free, gain, inertia = Cancellation(controller.model.affine).lower(graph, rig.t, rig.q, state, p.model)  # L, G
         if rig.disturbance:
-            free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=True)]
+            free = [graph.add(a, d) for a, d in zip(free, rig.disturbance, strict=False)]
         jacobian = [[graph.div(j, length) for j, length in zip(row, p.lengths, strict=True)] for row in mapped.jacobian]
         squared = graph.mul(p.time_scale, p.time_scale)
         damping = rig.damping
@@ -238,7 +238,8 @@ class ControlLaw:
             orders = higher.per_second(controller.desired.derivatives(graph, time, jets, p.virtual, **given_d))
             if homing is not None:
                 ends = _ends(controller, graph, homing, p, rig.memory)
-                orders = homing.derivatives(graph, rig.t, [mapped.eta, mapped.rate], ends, orders)
+                slowed = replace(homing, bandwidth=p.bandwidth[0])
+                orders = slowed.derivatives(graph, rig.t, [mapped.eta, mapped.rate], ends, orders)
             for i, row in higher.rows(orders):
                 unwanted[i], wanted[i], matrix[i] = row.unwanted, row.wanted, row.by_inputs
                 off += row.off
@@ -278,7 +279,8 @@ class _Higher:
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, p: ControllerParameters) -> _Higher:
         degrees = controller.degrees
-        values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths]
+        lacking = rig.disturbance if len(rig.disturbance) > len(rig.q) else [graph.number(0.0)] * (2 * len(rig.q))
+        values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths, *lacking]
         scales = [*itertools.accumulate([p.time_scale] * max(degrees), graph.mul)]
         known = Derivatives(controller.model.affine, controller.transform)
         return cls(graph, degrees, known, values, scales, p.bandwidth)
@@ -318,6 +320,7 @@ class _Higher:
 class RigSymbols:
     """Nodes of the rig: time, coordinates, velocities, internal states, and accelerations that the model lacks.
 
+    Behind the latter are their rates, where inputs have disturbances, too (2 n,).
     `damping` is that by which the energy balance is held, where it is; `memory` are the virtual system's internal
     states, and then its delayed expressions.
     """
@@ -335,6 +338,8 @@ class RigSymbols:
 MOVING_PART = 0.7
 # Decay of a deviation from the reference over the whole homing phase, as an exponent.
 SETTLING = 60.0
+# It is no faster than this part of the bandwidth with which actuators are followed: their lag would let it grow.
+SETTLING_PART = 0.25
 
 
 Ends = tuple[list[Node], list[Node], list[Node]]  # eta where homing begins and ends, and its acceleration there (k,)
@@ -352,6 +357,7 @@ class Homing:
     start: list[Node]  # nodes of the coordinates (n,) where the rig stands
     end: list[Node]  # nodes of the coordinates (n,) of its initial state
     time: Node  # node of the length of the homing phase, s
+    bandwidth: Node | None = None  # node of that with which wanted accelerations are approached, if they are
 
     def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
         """Wanted virtual accelerations (k,), replaced before the release by those of homing, with J (k, n)."""
@@ -380,6 +386,7 @@ class Homing:
         while len(paths) < len(wanted) + 2:
             paths.append(along(graph, paths[-1], {t: number(1.0)}))
         a = graph.div(number(SETTLING), self.time)
+        a = graph.apply("min", a, mul(number(SETTLING_PART), self.bandwidth)) if self.bandwidth is not None else a
         for order, later in enumerate(wanted):
             rows = zip(paths[order + 2], *paths[order : order + 2], *known[order : order + 2], strict=True)
             known.append(

@@ -96,14 +96,15 @@ class Plan(_Late):
 class WholePlan(_Late):
     """What an observer of a rig whose inputs act through dynamics of their own is designed for: the model at rest.
 
-    A disturbance adds to its inputs: there, it changes as slowly as what it stands for.
+    A disturbance adds to its inputs, where it changes as slowly as what it stands for, and with enough sensors to its
+    accelerations, too, which stand first (d,).
     """
 
     dynamics: Array  # d [q, v, s] / dt = dynamics [q, v, s] (states, states)
-    driven: Array  # the same per unit of each input (states, inputs)
-    sensing: Array  # readings per unit of [q, v, s] (sensors, states)
+    driven: Array  # the same per unit of each disturbance (states, d)
+    sensing: Array  # readings per unit of [q, v, s] and then of each disturbance (sensors, states + d)
     command: Array  # commands per unit of [q, v, s] (actuators, states), in parts of their largest value
-    allocated: Array  # commands per unit of each input (actuators, inputs), likewise
+    against: tuple[Array, Array]  # commands per unit of each disturbance and of its rate (actuators, d), likewise
     noise: Array  # standard deviation of each reading (sensors,)
     period: float  # time between samples, s
     delay: int  # samples between a reading and the first effect of the command that answers it
@@ -120,8 +121,9 @@ class WholePlan(_Late):
         flow[:many, :many], flow[:many, many : many + inputs] = self.dynamics, self.driven
         flow[many : size - inputs, many + inputs :] = np.eye((order - 1) * inputs)
         moved = np.linalg.solve(1j * bandwidth * np.eye(many) - self.dynamics, self.driven)
+        seen = self.sensing[:, :many] @ moved + self.sensing[:, many:]
         deviation = _deviations(self.noise)
-        least = 1.0 / np.maximum(np.linalg.norm(self.sensing @ moved / deviation[:, None], axis=0), 1e-300)
+        least = 1.0 / np.maximum(np.linalg.norm(seen / deviation[:, None], axis=0), 1e-300)
         driven = np.concatenate([np.zeros(size - inputs), (least * bandwidth**order) ** 2 * self.period])
         unit = np.concatenate([np.abs(moved) @ least, *(least * bandwidth**k for k in range(order))])
         try:
@@ -135,7 +137,8 @@ class WholePlan(_Late):
         """Most noise in a command, in parts of its limit, for each coordinate, which have one bandwidth (n,)."""
         noise, order = self.steady(order, float(bandwidths[0])).noise(self.noise), max(order, 1)
         late = (self.delay + 0.5) * self.period
-        by = np.hstack([self.command, *(-(late**k) * self.allocated for k in range(order))])
+        known, rate = self.against
+        by = np.hstack([self.command, *(late**k * known + k * late ** (k - 1) * rate for k in range(order))])
         return np.full(self.coordinates, np.sqrt(max(float(np.diag(by @ noise @ by.T).max()), 0.0)))
 
 

@@ -57,6 +57,7 @@ class SampledController:
     rest: float = 0.0
     feed: Feed = NOTHING  # what the virtual system gets as inputs while it runs
     remembered: tuple[float, ...] = ()  # the virtual system's internal states at the release
+    internal: tuple[float, ...] = ()  # the rig's internal states where it is held in its initial state
 
     @cached_property
     def match(self) -> CoordinateMatch:
@@ -76,7 +77,8 @@ class SampledController:
         return Sizes(
             n, own + remembered + lags + is_balanced, len(model.inputs), len(self.instruments.actuators),
             self.observer.order, k if is_balanced else 0, resting, remembered, lags, self._kept,
-            len(happening["events"]), targets, not self.controller.is_direct, self._memory_steps,
+            len(happening["events"]), targets,
+            self._estimates_forces, not self.controller.is_direct, self._memory_steps,
         )  # fmt: skip
 
     @cached_property
@@ -94,6 +96,15 @@ class SampledController:
     def _kept(self) -> int:
         """Samples of delayed expressions that are kept, a power of two; 0 where there are none."""
         return 1 << math.ceil(math.log2(self.lags.max() + self.delay + 8.0)) if len(self.lags) else 0
+
+    @property
+    def _estimates_forces(self) -> bool:
+        """Whether accelerations that the model lacks are estimated: of inputs that act at once, else with more sensors.
+
+        Beside what adds to the inputs there must be a sensor for each of them.
+        """
+        model = self.controller.model
+        return self.controller.is_direct or len(self.instruments.sensors) >= len(model.coordinates) + len(model.inputs)
 
     @cached_property
     def _memory_steps(self) -> int:
@@ -179,7 +190,7 @@ class SampledController:
         own, kernels = 2 * n + len(self.controller.model.states), self.kernels
         allocated = self.instruments.allocation_inverse * self.controller.per_unit
         rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
-        rest[2 * n : own] = self.controller.model.first_internal
+        rest[2 * n : own] = self.internal
         rest[sizes.memory] = self.remembered
         law = getattr(kernels, self.feed.bare("law(").removesuffix("("))
 
@@ -188,23 +199,29 @@ class SampledController:
             kernels.rate(0.0, np.concatenate([x, rest[own:]]), u, p, dy)
             return dy[:own].copy()
 
-        def readings(x: Array) -> Array:
+        def readings(x: Array) -> Array:  # of a state and the accelerations that the model lacks
             found = np.empty(len(self.instruments.sensors))
-            kernels.measure(0.0, np.concatenate([x, rest[own:]]), p, found)
+            kernels.measure(0.0, np.concatenate([x[:own], rest[own:], x[own:]]), p, found)
             return found.copy()
 
-        def commands(x: Array) -> Array:
+        def commands(x: Array) -> Array:  # of these, and their rates
             u, r, g = np.empty(m), np.empty(n), np.empty(n)
-            law(0.0, 0.0, np.concatenate([x, rest[own:]]), np.zeros(n), p, u, r, g)
-            return allocated @ u
+            law(0.0, 0.0, np.concatenate([x[:own], rest[own:]]), x[own:].copy(), p, u, r, g)
+            return allocated @ u / self.limits[:, LARGEST]
 
-        x, off, lengths = rest[:own], np.zeros(m), self.controller.model.lengths
-        steps = np.concatenate([STEP * lengths, self.rate * STEP * lengths, np.full(own - 2 * n, STEP)])
-        largest, sensing = self.limits[:, [LARGEST]], jacobian(readings, x, steps)
-        dynamics, driven = jacobian(lambda y: rates(y, off), x, steps), jacobian(lambda u: rates(x, u), off, np.ones(m))
-        by = jacobian(commands, x, steps) / largest, allocated / largest
+        off, lengths = np.zeros(m), self.controller.model.lengths
+        x, forced = np.concatenate([rest[:own], np.zeros(2 * n)]), n * sizes.at_masses
+        steps = np.concatenate([STEP * lengths, self.rate * STEP * lengths, np.full(own, STEP)])
+        sensing, by = jacobian(readings, x[:-n], steps[:-n]), jacobian(commands, x, steps)
+        dynamics = jacobian(lambda y: rates(y, off), x[:own], steps[:own])
+        driven = np.hstack([np.eye(own)[:, n : n + forced], jacobian(lambda u: rates(x[:own], u), off, np.ones(m))])
+        sensing = np.hstack([sensing[:, : own + forced], np.zeros((len(sensing), m))])
+        fed = -allocated / self.limits[:, [LARGEST]]
+        against = (np.hstack([by[:, own : own + forced], fed]), np.hstack([by[:, own + n :][:, :forced], 0.0 * fed]))
         levels = self.instruments.levels(sensing, noise)
-        return WholePlan(dynamics, driven, sensing, *by, levels, 1.0 / self.rate, self.delay, n)
+        return WholePlan(
+            dynamics, driven, sensing, by[:, :own], against, levels, 1.0 / self.rate, self.delay, n
+        )  # fmt: skip
 
     @cached_property
     def limits(self) -> Array:
@@ -279,7 +296,8 @@ class SampledController:
         sizes, n = self.sizes, self.sizes.coordinates
         q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
         unused = [0.0] * (sizes.lags + (self.controller.energy_balance is not None))
-        internal = [*self.controller.model.first_internal, *self.remembered, *unused]
+        own = self.controller.model.first_internal if self.homing else self.internal
+        internal = [*own, *self.remembered, *unused]
         estimate = np.concatenate([q, np.zeros(n), internal, np.zeros(sizes.order * sizes.disturbed)])
         p, inputs, y, time = self.values(q), np.empty(sizes.inputs), estimate[: sizes.states].copy(), -self.homing
         command, largest = np.zeros(sizes.actuators), self.limits[:, LARGEST]
@@ -338,7 +356,9 @@ class _Lowered:
             ("q", equations.symbols.q, 0), ("v", equations.symbols.v, n), ("s", equations.symbols.s, 2 * n)
         )}  # fmt: skip
         self.loads["since"] = "since"
-        disturbance = self._array("d", "d", n, varying=True)
+        sizes = sampled.sizes
+        has_rates = sizes.at_masses and sizes.at_inputs
+        disturbance = self._array("d", "d", 2 * n if has_rates else n, varying=True)
         u = self._array("u", "u", inputs, varying=True)
         out = self._array("out", "out", channels, varying=True)
 
@@ -354,8 +374,7 @@ class _Lowered:
             start, end = self._parameters("start", n), self._parameters("end", n)
             homing = Homing(since, start, end, self._parameters("homing", 1)[0])
 
-        damping, slot = None, sampled.sizes.memory
-        remembered = sampled.sizes.remembered + sampled.sizes.lags
+        damping, slot, remembered = None, sizes.memory, sizes.remembered + sizes.lags
         memory = self._array("z", "y", remembered, slot.start, varying=True)
         if controller.energy_balance is not None:
             damping = self._read("damping", f"y[{slot.start + remembered}]", varying=True)
@@ -372,6 +391,9 @@ class _Lowered:
             self.rates.append(self.graph.number(0.0))
             self._add_balance(controller, p, time)
         self.forces = sampled.feed.forces(self.graph, controller, known, disturbance)
+        unmodelled = self._array("unmodelled", "y", n if has_rates and sizes.order else 0, sizes.states, varying=True)
+        for symbol, more in zip(s.a, unmodelled, strict=False):  # accelerometers feel what the model lacks
+            model.symbols[symbol] = self.graph.add(model.symbols[symbol], more)
         measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
         at = controller.known(rig, p)

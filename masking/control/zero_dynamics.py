@@ -180,8 +180,8 @@ class Held:
 
     @cached_property
     def _begun(self) -> Array:
-        """State where a search begins: at zero, with internal states as declared."""
-        return np.concatenate([np.zeros(2 * len(self.lengths)), self.plant.first_internal])
+        """State where a search begins: at rest at the declared place, with internal states as declared."""
+        return np.concatenate([self.plant.first_place, np.zeros(len(self.lengths)), self.plant.first_internal])
 
     @cached_property
     def _functions(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
@@ -193,7 +193,8 @@ class Held:
         held = known.determined(self.degrees)
         slopes = derivatives(known.graph, held, known.states)
         last = [(known.of_order(degree)[i], *known.by_inputs(degree)[i]) for i, degree in enumerate(self.degrees)]
-        others = [0.0, *self.plant.values(), *(self.parameters[n] for n in self.transform.parameters), *self.lengths]
+        own = [self.parameters[name] for name in self.transform.parameters]
+        others = [0.0, *self.plant.values(), *own, *self.lengths, *np.zeros(2 * len(self.lengths))]
         symbols = [node for node in known.symbols if node not in {*known.states}]
         constant = dict(zip(symbols, map(np.float64, others), strict=True))
 
@@ -224,8 +225,11 @@ class Held:
         try:
             return root(system, start, error=_CONVERGED).at
         except RootError as error:
-            where = f"no rig position gives {self.eta} beside what is passive, {free}"
-            raise ModelError(f"transform: {where}") from error
+            remedy = "; give its internal states another initial value" if self.plant.states else ""
+            raise ModelError(
+                f"{self.plant.name}: no state near its initial one holds the virtual coordinates at {self.eta.tolist()}"
+                f"{remedy}"
+            ) from error
 
     def rates(self, free: Array) -> Array:
         """Rates of the states that are not determined (r,), at some values of them (r,)."""

@@ -28,13 +28,14 @@ class Sizes:
     events: int = 0  # of the virtual system
     # for each value that jumps in them, the index of its event and that of the state in [q, v, s]
     targets: tuple[tuple[int, int], ...] = ()
-    at_inputs: bool = False  # whether a disturbance adds to the inputs, and not to the accelerations
+    at_masses: bool = True  # whether a disturbance adds to the accelerations
+    at_inputs: bool = False  # whether one adds to the inputs; those of accelerations stand before it
     steps: int = 4  # of the integration of the virtual system's internal states over a sample
 
     @property
     def disturbed(self) -> int:
-        """Number of accelerations, or of inputs, to which a disturbance adds."""
-        return self.inputs if self.at_inputs else self.coordinates
+        """Number of accelerations and of inputs to which a disturbance adds."""
+        return self.coordinates * self.at_masses + self.inputs * self.at_inputs
 
     @property
     def memory(self) -> slice:

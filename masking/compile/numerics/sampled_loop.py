@@ -5,7 +5,7 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 
 * `law(t, since, y, d, p, u, r, g) -> health` writes the inputs u, the accelerations r (n,) that they give, and the part
   g (n,) of r that is due to the inputs; `since` is the time since the release at which the inputs begin to act, and d
-  (n,) the accelerations that the model lacks;
+  (n,) the accelerations that the model lacks, with their rates behind them (2 n,) where inputs have disturbances, too;
 * `rate(t, y, u, p, dy)` writes dy/dt of the controller's model;
 * `measure(t, y, p, s)` writes what the sensors would read;
 * `allocate(t, y, u, p, out)` writes the actuators' commands that give inputs u, and `wire(t, y, out, p, u)` the
@@ -43,6 +43,11 @@ class Disturbed(NamedTuple):
     h: float
 
 
+def _orders(sizes: Sizes) -> tuple[int, int]:
+    """Derivatives of a disturbance of the accelerations, and of one of the inputs, that are estimated."""
+    return sizes.order if sizes.at_masses else 0, sizes.order if sizes.at_inputs else 0
+
+
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of the controller's model, with the disturbance that was estimated.
 
@@ -51,7 +56,8 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     work space.
     """
     n, size, m, many = sizes.coordinates, sizes.states, sizes.inputs, sizes.disturbed
-    order, added = (0, sizes.order) if sizes.at_inputs else (sizes.order, 0)  # of what accelerates, and adds to inputs
+    order, added = _orders(sizes)
+    fed, lasting = size + n * sizes.at_masses, sizes.order  # where what adds to the inputs is
 
     @compiled
     def slope(t, stage, y, u, known, dy):
@@ -62,7 +68,7 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
                 dy[n + i] += z[size + i]
         if order > 1:
             for i in range(n):
-                dy[n + i] += 0.5 * known.h * z[size + n + i]
+                dy[n + i] += 0.5 * known.h * z[size + many + i]
 
     advance = classical_step(slope, size)
 
@@ -70,14 +76,14 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     def step(t, z, u, p, h, k, y, w):
         if added > 0:
             for i in range(m):
-                w[i] = u[i] + z[size + i]
+                w[i] = u[i] + z[fed + i]
             if added > 1:
                 for i in range(m):
-                    w[i] += 0.5 * h * z[size + m + i]
+                    w[i] += 0.5 * h * z[fed + many + i]
             advance(t, z, w, Disturbed(p, z, h), h, k, y)
         else:
             advance(t, z, u, Disturbed(p, z, h), h, k, y)
-        if order + added > 1:
+        if lasting > 1:
             for i in range(many):
                 z[size + i] += h * z[size + many + i]
 
@@ -104,8 +110,9 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
 
     Returns `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
     """
-    n, size, m = sizes.coordinates, sizes.states, sizes.inputs
-    order, added = (0, sizes.order) if sizes.at_inputs else (sizes.order, 0)  # as in `predict`
+    n, size, m, many = sizes.coordinates, sizes.states, sizes.inputs, sizes.disturbed
+    order, added = _orders(sizes)
+    fed, has_rates = size + n * sizes.at_masses, n if added > 0 and order > 0 else 0
     remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
     first, last = sizes.memory.start, sizes.memory.stop
     saved, spare = (rows.BEFORE, rows.MEMORY) if remembers else (rows.STATE, rows.STATE)
@@ -117,7 +124,9 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
             d[i] = z[size + i] if order > 0 else 0.0
         if order > 1:
             for i in range(n):
-                d[i] += ahead * z[size + n + i]
+                d[i] += ahead * z[size + many + i]
+        for i in range(has_rates):
+            d[n + i] = z[size + many + i] if order > 1 else 0.0
 
     @compiled
     def remind(t, h, a, y, past, p, space):
@@ -138,7 +147,7 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
 
     @compiled
     def held(t, since, z, past, p, h, u, work):
-        y, d, v = work[rows.STATE], work[rows.DISTURBANCE][:n], work[rows.DESIRED][:n]
+        y, d, v = work[rows.STATE], work[rows.DISTURBANCE][: n + has_rates], work[rows.DESIRED][:n]
         u0, u1, u2 = work[rows.EARLY_INPUTS][:m], work[rows.MIDDLE_INPUTS][:m], work[rows.LATE_INPUTS][:m]
         r0, r1, r2 = work[rows.EARLY][:n], work[rows.MIDDLE][:n], work[rows.LATE][:n]
         g0, g1, g2 = work[rows.EARLY_PART][:n], work[rows.MIDDLE_PART][:n], work[rows.LATE_PART][:n]
@@ -198,8 +207,8 @@ def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Ke
         law(t + 0.5 * h, since, y, d, p, u1, r1, g1)
         for i in range(m):
             u[i] = 4.0 / 3.0 * u1[i] - (u0[i] + u2[i]) / 6.0
-            u[i] -= z[size + i] if added > 0 else 0.0
-            u[i] -= 0.5 * h * z[size + m + i] if added > 1 else 0.0
+            u[i] -= z[fed + i] if added > 0 else 0.0
+            u[i] -= 0.5 * h * z[fed + many + i] if added > 1 else 0.0
         return health
 
     return held

@@ -13,6 +13,7 @@ from masking.control.closed_loop import module as module_of
 from masking.control.exports import unit_kernels
 from masking.control.exports.unit import Channel, Operations, Unit, identifier, state_channels
 from masking.control.sampled_controller import SampledController
+from masking.model.declaration.units import coherent
 
 INIT = "Begin, on a rig at rest, with its first readings."
 STEP = "Answer readings with commands, once a period; zero once it has stopped."
@@ -21,7 +22,7 @@ NOT_HOMED = (
     "Without homing nothing brings the rig to the initial state: the masked motion begins where the rig rests, and it "
     "stays at rest unless an input moves it. With controller.homing: 3 the controller brings it there in 3 s."
 )
-STATES_READ = "The readings are states, in SI units: this law has no observer, no limits and no watchdog."
+LAW_NOTE = "Readings are states, and they and commands in SI units: this law has no observer, no limits, no watchdog."
 WATCH = "Count a period, from a timer; without a step for too long, set the commands to zero until init."
 
 
@@ -105,13 +106,13 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     made = (unit_kernels.law_step, "step", len(names), len(model.coordinates), len(model.inputs))
     text = "Answer the rig's states at a time with its inputs; zero once it has stopped."
     operations.add("step", text, "time readings commands p first counters", *made, returns_status=True)
-    inputs, notes = model.declaration.inputs, [STATES_READ]
+    inputs, notes = model.declaration.inputs, [LAW_NOTE]
     if controller.virtual.states:
         notes.append("Readings named virtual are internal states of the virtual system: the caller integrates them.")
     if controller.virtual.declaration.events:
         notes.append("At the events of the virtual system, the caller makes them jump.")
     title = f"{model.name}, masked as {controller.virtual.name}: control law of the states"
     ports = {"readings": state_channels(names, model.declaration, "state")}
-    ports |= {"commands": tuple(Channel(n, inputs[n].unit) for n in model.inputs)}
+    ports |= {"commands": tuple(Channel(n, coherent(inputs[n].unit)) for n in model.inputs)}
     made_of = (module, ports, {"p": values.shape, "first": (1,)}, {"values": values}, operations)
     return Unit(identifier(name), title, "law", *made_of, None if rate is None else 1.0 / rate, tuple(notes))

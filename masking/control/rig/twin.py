@@ -6,7 +6,7 @@ it becomes one system of ordinary differential equations with held commands, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -330,7 +330,7 @@ class Twin:
     def substeps(self, rate: float) -> int:
         """Integration steps between samples that resolve the fastest motion at rest."""
         p, u, lengths = self.values(), np.zeros(len(self.actuators)), self._lengths
-        state, derivative = self.rest(np.zeros(len(lengths))), self.kernels.twin_derivative
+        state, derivative = self.rest(self.model.first_place), self.kernels.twin_derivative
         sizes = np.resize(lengths, len(state)) if len(lengths) else np.ones(len(state))
         return max(FEWEST_STEPS, steps_between(lambda y, out: derivative(0.0, y, u, p, out), state, sizes, rate))
 
@@ -365,10 +365,10 @@ class Twin:
         except RootError:
             return self.rest(self.model.first_place)
 
-    def rest(self, coordinates: Array) -> Array:
-        """State (states,) at rest in given coordinates (n,), with internal states as declared."""
+    def rest(self, coordinates: Array, internal: Sequence[float] | None = None) -> Array:
+        """State (states,) at rest in given coordinates (n,), with internal states as declared if they are not given."""
         n, zeros = len(coordinates), np.zeros(len(coordinates) + len(self.chain_states))
-        return np.concatenate([coordinates, zeros[:n], self.model.first_internal, zeros[n:]])
+        return np.concatenate([coordinates, zeros[:n], internal or self.model.first_internal, zeros[n:]])
 
     def structure(self) -> dict[str, object]:
         """All that the compiled functions depend on, apart from values."""

@@ -196,14 +196,14 @@ class Recording:
         return tuple(c.removeprefix(start) for c in self.columns if c.startswith(start) and not c.endswith("'"))
 
     def array(self, prefix: str, derivative: int = 0) -> NDArray[np.float64]:
-        """Stack the columns of one prefix side by side.
+        """Stack the columns of one prefix side by side: of a motion those of coordinates, without internal states.
 
         Args:
             prefix: "rig", "virtual", "ideal" or "input".
             derivative: 0 for the coordinates, 1 for their velocities.
 
         Returns:
-            (samples, channels), channels in the order of `names(prefix)`.
+            (samples, channels), channels in the order of the columns.
 
         Raises:
             RecordError: there are no such columns.
@@ -212,7 +212,7 @@ class Recording:
         if not names:
             prefixes = dict.fromkeys(c.split(".")[0] for c in self.columns if "." in c)
             raise RecordError(f"the recording has no columns '{prefix}.*'; {nearest(prefix, prefixes)}")
-        primes = "'" * derivative
+        primes, names = "'" * derivative, tuple(n for n in names if f"{prefix}.{n}'" in self.columns) or names
         return np.column_stack([self[f"{prefix}.{name}{primes}"] for name in names])
 
     def to_pandas(self) -> Any:  # noqa: ANN401  # pandas is optional

@@ -231,7 +231,9 @@ class Experiment:
                 "a controller that reads sensors begins with a rig at rest, but the initial state moves: give no "
                 "initial velocities, or take controller.observer exact, which places a simulated rig in that state"
             )
-        placed = replace(made, end=state[:n])
+        law, internal = self.law, self.law.model.first_internal
+        held = [*state, *internal] if law.is_direct else self._beside(law.model, law.transform, law.lengths).begun
+        placed = replace(made, end=np.array(held[:n]), internal=tuple(held[2 * n :]))
         return placed if settings.actuator_bandwidth else placed.as_fast_as_observed()
 
     @cached_property
@@ -286,19 +288,17 @@ class Experiment:
     @cached_property
     def passive(self) -> Passive | None:
         """Rig coordinates that no virtual one stands for; None where there are none."""
-        return self._passive(self.plant, self.match.mapping, self.match.lengths)
+        return self._beside(self.plant, self.match.mapping, self.match.lengths).if_any()
 
     @cached_property
     def assumed_passive(self) -> Passive | None:
         """Those of them that the controller's model has, as it has them."""
-        return (
-            self.passive if self.match.is_same else self._passive(self.law.model, self.law.transform, self.law.lengths)
-        )
+        law = self.law
+        return self.passive if self.match.is_same else self._beside(law.model, law.transform, law.lengths).if_any()
 
-    def _passive(self, rig: Model, transform: Transform, lengths: Array) -> Passive | None:
+    def _beside(self, rig: Model, transform: Transform, lengths: Array) -> Passive:
         eta, own = self.virtual_start[: len(self.virtual.coordinates)], self.law.transform_parameters
-        found = Passive(Held.direct(rig, transform, own, lengths, eta), self.declaration.initial).under(self.law)
-        return found if found.held.places else None
+        return Passive(Held.direct(rig, transform, own, lengths, eta), self.declaration.initial).under(self.law)
 
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""

@@ -40,15 +40,15 @@ class RowLayout:
         actuators = {name: ports[name] for name in sampled.instruments.actuators}
         coordinates = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
         states = [*coordinates, *(f"state {i}" for i in range(1, sizes.states - len(coordinates) + 1))]
-        what = "what adds to {}" if sizes.at_inputs else "acceleration of {} that the model lacks"
-        disturbed = (model.inputs if sizes.at_inputs else model.coordinates) if sizes.order else ()
+        disturbed = dict.fromkeys(model.coordinates * sizes.at_masses, "acceleration of {} that the model lacks")
+        disturbed |= dict.fromkeys(model.inputs * sizes.at_inputs, "what adds to {}")
         pushes = range(sampled.feed.lasting(sampled.values()).size)
         found = {
             "sensor": {n: (s.unit, s.meaning) for n, s in plant.sensors.items()},
             "input": {n: (a.unit, a.meaning) for n, a in actuators.items()},
             "power": {n: ("W", f"mean power of {n}") for n in actuators},
             "estimate": {n: ("SI", f"estimate of {n}") for n in states},
-            "disturbance": {n: ("SI", what.format(n)) for n in disturbed},
+            "disturbance": {n: ("SI", what.format(n)) for n, what in disturbed.items() if sizes.order},
             "demanded": {n: (a.unit, f"demanded of {n}") for n, a in actuators.items()},
             "lasting": {str(i): ("SI", "what lasted of a push at the release") for i in pushes},
         }

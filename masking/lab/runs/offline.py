@@ -220,7 +220,8 @@ def twin_chunks(
     before = sampled.before
     samples = samples_until(duration, rate)
     span = every * (most or samples)
-    y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start), 0.0, twin.substeps(rate)
+    held = sampled.internal if twin.model.states == sampled.controller.model.states else None
+    y, first, substeps = twin.unpowered() if sampled.homing else twin.rest(start, held), 0.0, twin.substeps(rate)
     noise = generator.standard_normal((1, len(twin.sensors)))
     reading = np.empty(len(twin.sensors))
     twin.kernels.sense(-before / rate, y, p, noise[0], reading)

@@ -33,6 +33,15 @@ class Passive:
         is_same = self.plant.state_names == law.model.state_names  # else it is not known what the plant has beside
         return replace(self, held=replace(self.held, degrees=law.degrees, places=law.remainder if is_same else ()))
 
+    def if_any(self) -> Passive | None:
+        """Itself; None where the virtual coordinates determine the whole state."""
+        return self if self.held.places else None
+
+    @property
+    def begun(self) -> Array:
+        """State [q, v, s] of the rig at the start, with the virtual coordinates held."""
+        return self.held.state(self.states)
+
     @property
     def plant(self) -> Model:
         """Model of the rig, SI units."""
@@ -45,8 +54,8 @@ class Passive:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return tuple(self.plant.coordinates[i] for i in self.indices)
+        """Names of the coordinates and internal states."""
+        return tuple(n for n in (self.plant.state_names[i] for i in self.held.places) if not n.endswith("'"))
 
     @cached_property
     def zero_dynamics(self) -> ZeroDynamics:
@@ -77,7 +86,7 @@ class Passive:
         """Coordinates that no virtual one stands for, then their velocities, at the start (2 m,), SI units."""
         n, free = len(self.held.lengths), self.held.transform.passive
         both = (*free, *(n + i for i in free))
-        return self.states if both == self.held.places else self.held.state(self.states)[list(both)]
+        return self.states if both == self.held.places else self.begun[list(both)]
 
     def check_still(self) -> None:
         """Refuse initial velocities, which a controller that reads sensors cannot give."""

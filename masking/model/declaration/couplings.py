@@ -80,11 +80,21 @@ def is_fed(model: ModelDeclaration, measured: Expression) -> bool:
 
 def is_commanded(model: ModelDeclaration, measured: Expression) -> bool:
     """Whether inputs change what a sensor measures at once; forces of elements that follow the motion do not."""
-    direct = _fed_names(model)
+    commanded = {*model.inputs} | definitions_with(model, model.inputs)
+    direct = _fed_names(model) if _accelerate(model, commanded) else commanded
     elements = [one for one in model.elements.values() if any(x.symbols & direct for x in motions(one))]
     driven = {name for one in elements for name in one.acts}
     outputs = {n for n, output in model.outputs.items() if n in driven or output.expression.symbols & direct}
     return bool(measured.symbols & (direct | outputs - {*model.coordinates, *model.states}))
+
+
+def _accelerate(model: ModelDeclaration, names: Collection[str]) -> bool:
+    """Whether some of these names stand in the equations of motion: they change accelerations at once."""
+    pushing = [one for one in model.elements.values() if {*one.acts} & {*model.coordinates}]
+    texts = [*(side for sides in model.motion.items() for side in sides), *model.forces.values()]
+    texts += [x for one in pushing for x in (one.force, *motions(one), *one.acts.values()) if x is not None]
+    texts += [x for x in (model.lagrangian, model.dissipation) if x is not None]
+    return any(x.symbols & {*names} for x in texts)
 
 
 def _fed_names(model: ModelDeclaration) -> set[str]:

@@ -89,7 +89,11 @@ def curved(equations: Equations) -> tuple[str, ...]:
 
 def _by(expression: sp.Expr, u: sp.Symbol) -> sp.Expr:
     """Part of an expression that is due to an input."""
-    return expression - expression.xreplace({u: sp.Integer(0)}) if u in expression.free_symbols else sp.Integer(0)
+    if u not in expression.free_symbols:
+        return sp.Integer(0)
+    part = expression - expression.xreplace({u: sp.Integer(0)})
+    inputs_apart = sp.expand(part)  # such as those that stand in one bracket
+    return inputs_apart if len(inputs_apart.free_symbols) < len(part.free_symbols) else part
 
 
 def _ratio(part: sp.Expr, curve: sp.Expr, u: sp.Symbol) -> sp.Expr:
