@@ -20,6 +20,8 @@ from masking.model.declaration import schema
 from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.model import Model
 
+HIDDEN = 1e-6  # of a slope: what is smaller is rounding of differences
+
 
 @dataclass(frozen=True)
 class Instruments:
@@ -191,10 +193,13 @@ class Instruments:
                 found[k, i] = gain * (up - down) / (2.0 * step)
         return found
 
-    def positions(self, readings: Array) -> Array:
-        """Coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method."""
+    def positions(self, readings: Array, near: Array | None = None) -> Array:
+        """Coordinates (n,) at which a rig at rest would give readings (sensors,), by Newton's method.
+
+        What no sensor reads stays as it is `near` (n,), by default at the model's place.
+        """
         inverse = np.linalg.pinv(self.sensing()[:, : len(self.model.coordinates)])
-        q = self.model.first_place
+        q = self.model.first_place if near is None else near
         for _ in range(20):
             q = q + inverse @ (readings - self.readings(q))
         return q
@@ -215,6 +220,28 @@ class Instruments:
         }
         outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
+
+    def tells_forces(self, near: Array) -> bool:
+        """Whether readings tell forces on coordinates from inputs that are off, at a state [q, v, s] near rest.
+
+        They do where no such disturbance hides behind another state: the matrix of a steady state has full rank.
+        """
+        model, n, p = self.model, len(self.model.coordinates), self.model.values()
+        m, names = len(model.inputs), [*model.state_names, *(f"{c}''" for c in model.coordinates)]
+
+        def steady(y: Array) -> Array:  # rates and readings of states, accelerations that the model lacks, and inputs
+            x, forced, u = np.split(y, [len(near), len(near) + n])
+            dx = np.empty(len(x))
+            model.kernels.derivative(0.0, x, u, p, dx)
+            dx[n : 2 * n] += forced
+            values = model.parameter_values() | dict(zip(names, [*x, *dx[n : 2 * n]], strict=True))
+            return np.array([*dx, *(self._measured(one, values) for one in self.plant.sensors.values())])
+
+        sizes = np.concatenate([np.tile(model.lengths, 2), np.ones(len(near) - 2 * n + n + m)])
+        slope = jacobian(steady, np.concatenate([near, np.zeros(n + m)]), STEP * sizes)
+        slope /= np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-300)
+        slope /= np.maximum(np.abs(slope).max(axis=0), 1e-300)
+        return bool(np.linalg.matrix_rank(slope, tol=HIDDEN) == slope.shape[1])
 
     def rest(self) -> Array:
         """Coordinates (n,) at which the model rests without inputs; a ModelError where there are none near 0."""

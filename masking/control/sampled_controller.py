@@ -97,14 +97,13 @@ class SampledController:
         """Samples of delayed expressions that are kept, a power of two; 0 where there are none."""
         return 1 << math.ceil(math.log2(self.lags.max() + self.delay + 8.0)) if len(self.lags) else 0
 
-    @property
+    @cached_property
     def _estimates_forces(self) -> bool:
-        """Whether accelerations that the model lacks are estimated: of inputs that act at once, else with more sensors.
-
-        Beside what adds to the inputs there must be a sensor for each of them.
-        """
-        model = self.controller.model
-        return self.controller.is_direct or len(self.instruments.sensors) >= len(model.coordinates) + len(model.inputs)
+        """Whether accelerations that the model lacks are estimated: where inputs act at once, or sensors tell both."""
+        known, n = self.instruments, len(self.end)
+        if self.controller.is_direct or len(known.sensors) < n + len(self.controller.model.inputs):
+            return self.controller.is_direct
+        return known.tells_forces(np.concatenate([self.end, np.zeros(n), self.internal]))
 
     @cached_property
     def _memory_steps(self) -> int:
@@ -220,7 +219,7 @@ class SampledController:
         against = (np.hstack([by[:, own : own + forced], fed]), np.hstack([by[:, own + n :][:, :forced], 0.0 * fed]))
         levels = self.instruments.levels(sensing, noise)
         return WholePlan(
-            dynamics, driven, sensing, by[:, :own], against, levels, 1.0 / self.rate, self.delay, n
+            dynamics, driven, sensing, by[:, :own], against, levels, 1.0 / self.rate, self.delay, n, sizes.at_masses
         )  # fmt: skip
 
     @cached_property
@@ -249,6 +248,7 @@ class SampledController:
             **({"feed": self.feed.structure()} if self.feed else {}),
             "kept": self._kept,
             "memory_steps": self._memory_steps,
+            "estimates_forces": self._estimates_forces,
         }
 
     @cached_property
@@ -294,7 +294,8 @@ class SampledController:
     def begin(self, readings: Array) -> Beginning:
         """How a controller begins on a rig at rest, which reads (sensors,) first, and is held where it is."""
         sizes, n = self.sizes, self.sizes.coordinates
-        q = self.instruments.rest() if self.rest else self.instruments.positions(readings)
+        near = self.end if not (self.homing or self.controller.is_direct) else None
+        q = self.instruments.rest() if self.rest else self.instruments.positions(readings, near)
         unused = [0.0] * (sizes.lags + (self.controller.energy_balance is not None))
         own = self.controller.model.first_internal if self.homing else self.internal
         internal = [*own, *self.remembered, *unused]

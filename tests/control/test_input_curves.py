@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.integrate import solve_ivp
 
 from masking import Experiment
@@ -170,7 +171,8 @@ def test_a_force_that_the_magnet_cannot_make_stops_the_run_with_its_cause(tmp_pa
     """A ball that shall fall faster than it can: no current pushes."""
     written(tmp_path, "magnet")
     falling = Experiment.load(tmp_path / "run.yaml", changes={"d": -20})
-    cause = r"no u gives what is wanted of u\*\*2, which has one sign on its branch: the rig cannot do what is wanted of it, "
+    cause = r"no u gives what is wanted of u\*\*2, which has one sign on its branch: the rig cannot do what is "
+    cause += "wanted of it, "
     with pytest.raises(IntegrationError, match=cause + r"at t = 0.001\d* \(x = 0.011"):
         falling.run()
     step = falling.controller()
@@ -195,6 +197,34 @@ def test_a_current_beyond_the_limit_is_cut_off_there(tmp_path):
     found = Experiment.load(tmp_path / "run.yaml", changes={"d": 5})
     made = found.changed(controller={"rate": "1 kHz"}, initial={"x'": 0, "x": 0.0115}, duration=0.1).run()
     assert np.max(made["demanded.u"]) > 2.5 == np.max(made["input.u"])
+
+
+def test_a_force_beyond_a_curve_is_cut_off_at_the_limit(tmp_path):
+    """A saturating amplifier that would have to push with more than it can: as any input beyond its limit."""
+    written(tmp_path, "saturating amplifier")
+    with (tmp_path / "plant.yaml").open("a") as file:
+        file.write(SENSING)
+    found = Experiment.load(tmp_path / "run.yaml", changes={"a": 2000})
+    made = found.changed(controller={"rate": "1 kHz"}, initial={"x'": 0, "x": 0.02}, duration=0.2).run()
+    assert np.max(np.abs(made["input.u"])) == 20 < np.max(np.abs(made["demanded.u"])) <= 40
+
+
+def test_a_table_that_is_flat_at_its_ends_does_not_turn(tmp_path):
+    written(tmp_path, "table of an amplifier")
+    model = (tmp_path / "model.yaml").read_text()
+    flat = model.replace("20, 3)", "10, 3, 20, 3)").replace("-20, -3,", "-20, -3, -10, -3,")
+    (tmp_path / "model.yaml").write_text(flat)
+    made = Experiment.load(tmp_path / "run.yaml", changes=KINDS["pendulum"]).run()
+    assert made.manifest["masking_error"]["x"] <= EXACT
+
+
+def test_inputs_of_one_bracket_are_told_apart():
+    """Two propellers: their thrusts add, and their difference turns."""
+    content = {"name": "rig", "coordinates": {"z": "", "ph": ""}, "inputs": {"u": "", "w": ""}}
+    content["equations"] = {"z''": "3*(u**2 + w**2)*cos(ph) - 9", "ph''": "2*(w**2 - u**2)"}
+    model = Model(schema.ModelDeclaration.model_validate(content))
+    e, (_, ph) = model.affine.equations, model.equations.symbols.q
+    assert e.input_force.tolist() == [[3 * sp.cos(ph), 3 * sp.cos(ph)], [-2, 2]]
 
 
 def declared(equation):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson, solve_ivp
@@ -458,6 +460,50 @@ def test_a_voice_coil_is_masked_from_its_encoder(tmp_path):
     (tmp_path / "slow.yaml").write_text(NEGLECTED)
     neglected = found.changed(controller=settings | {"model": "slow.yaml"}, initial={"x": 0.01, "x'": 0}).run()
     assert neglected.manifest["masking_error"]["x"] >= 5 * exact.manifest["masking_error"]["x"]
+
+
+FURTHER = {  # sensors of the voice coil with their noise, and the masking error with parameters that are 5 % off
+    "current": ({"encoder": ("x", "m", 1e-6), "amp": ("i", "A", 0.001)}, 0.03),
+    "force": ({"encoder": ("x", "m", 1e-6), "load": ("K*i", "N", 0.005)}, 0.03),
+    "acceleration": ({"encoder": ("x", "m", 1e-6), "accelerometer": ("x''", "m/s**2", 0.01)}, 0.03),
+    "current alone": ({"amp": ("i", "A", 0.001)}, None),
+}
+
+
+@pytest.mark.parametrize("name", FURTHER)
+def test_a_voice_coil_is_masked_from_what_it_has_of_sensors(tmp_path, name):
+    """A current alone tells the velocity by the voltage that it induces, as far as the coil is known."""
+    sensors, off = FURTHER[name]
+    written(tmp_path, RIGS["voice coil driven by voltage"])
+    plant = {
+        "name": "rig",
+        "model": "model.yaml",
+        "sensors": {n: {"measures": text, "unit": unit} for n, (text, unit, _) in sensors.items()},
+        "limits": {"inputs": {"u": {"max": 24, "unit": "V"}}},
+        "effects": {"delay": {"effect": "delay", "parameters": {"samples": 1}}}
+        | {f"{n}_noise": {"effect": "noise", "at": n, "parameters": {"sigma": s}} for n, (_, _, s) in sensors.items()},
+    }
+    (tmp_path / "plant.yaml").write_text(json.dumps(plant))
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["pendulum"])
+    settings = {"rate": "1 kHz", "homing": 1}
+    exact = found.changed(controller=settings, initial={"x": 0.01, "x'": 0}).run()
+    assert exact.manifest["masking_error"]["x"] <= 0.02
+    if off is not None:
+        wrong = settings | {"parameters": {"L": 0.021, "R": 4.2, "K": 7.6}}
+        made = found.changed(controller=wrong, initial={"x": 0.01, "x'": 0}).run()
+        assert made.manifest["masking_error"]["x"] <= off
+
+
+def test_a_run_without_homing_begins_where_something_holds_the_rig(tmp_path):
+    """The mass is 10 mm out: the other end of the spring is there, too, and no force acts."""
+    written(tmp_path, ELASTIC)
+    lines = SENSING.replace("unit: V", "unit: N").splitlines()
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in lines))
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["Van der Pol"])
+    made = found.changed(controller={"rate": "1 kHz"}, initial={"x": 0.01, "x'": 0}).run()
+    assert made["rig.x"][0] == pytest.approx(0.01, abs=1e-4)
+    assert made["rig.y"][0] == pytest.approx(0.01, abs=1e-4)
+    assert made.manifest["masking_error"]["x"] <= 0.1
 
 
 def test_a_bandwidth_without_dynamics_of_actuators_is_refused(tmp_path):

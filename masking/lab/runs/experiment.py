@@ -209,7 +209,9 @@ class Experiment:
     @cached_property
     def sampled(self) -> SampledController:
         """Sampled controller, with the initial state to which it brings the rig; a ModelError where that moves."""
-        settings = self.declaration.controller
+        settings, law, n = self.declaration.controller, self.law, len(self.law.model.coordinates)
+        held = np.concatenate([np.zeros(2 * n), law.model.first_internal])
+        held = held if law.is_direct else self._beside(law.model, law.transform, law.lengths).begun
         made = SampledController(
             self.law,
             self.instruments,
@@ -217,13 +219,13 @@ class Experiment:
             settings.rate or 0.0,
             self.observer_settings.noise,
             settings.homing or 0.0,
-            np.zeros(len(self.law.model.coordinates)),
+            held[:n],
             settings.rest or 0.0,
             self.inputs.feed(self.instruments),
             tuple(self.virtual_start[2 * len(self.virtual.coordinates) :].tolist()),
+            tuple(held[2 * n :].tolist()),
         )
         state = self.rig_start(made)
-        n = len(made.end)
         if self.assumed_passive:
             self.assumed_passive.check_still()
         if np.any(np.abs(state[n:]) > 1e-12 * np.abs(state[:n]).max()):
@@ -231,9 +233,7 @@ class Experiment:
                 "a controller that reads sensors begins with a rig at rest, but the initial state moves: give no "
                 "initial velocities, or take controller.observer exact, which places a simulated rig in that state"
             )
-        law, internal = self.law, self.law.model.first_internal
-        held = [*state, *internal] if law.is_direct else self._beside(law.model, law.transform, law.lengths).begun
-        placed = replace(made, end=np.array(held[:n]), internal=tuple(held[2 * n :]))
+        placed = replace(made, end=state[:n]) if law.is_direct else made
         return placed if settings.actuator_bandwidth else placed.as_fast_as_observed()
 
     @cached_property
