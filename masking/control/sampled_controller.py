@@ -189,8 +189,7 @@ class SampledController:
         own, kernels = 2 * n + len(self.controller.model.states), self.kernels
         allocated = self.instruments.allocation_inverse * self.controller.per_unit
         rest = np.concatenate([self.end, np.zeros(sizes.states - n)])
-        rest[2 * n : own] = self.internal
-        rest[sizes.memory] = self.remembered
+        rest[2 * n : own], rest[sizes.memory] = self.internal, self.remembered
         law = getattr(kernels, self.feed.bare("law(").removesuffix("("))
 
         def rates(x: Array, u: Array) -> Array:
