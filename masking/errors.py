@@ -127,6 +127,10 @@ class IntegrationError(MaskingError):
     """An integrator could not go on."""
 
 
+class UnreachableError(IntegrationError):
+    """No input does what is wanted of it, such as a magnet that should push."""
+
+
 class RootError(MaskingError):
     """Newton's method reached no root; says where it ended."""
 

@@ -214,12 +214,10 @@ class Instruments:
     def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
         """Measured value of a rig at rest, in SI units; outputs are those without further forces."""
         model = self.model
-        values = dict(zip(model.states, model.first_internal.tolist(), strict=True)) | {
-            **dict.fromkeys((f"{c}''" for c in model.coordinates), 0.0),
-            **values,
-        }
-        outputs = {n: o.expression for n, o in self.model.declaration.outputs.items() if n in sensor.measures.names}
-        return sensor.measures.evaluate({**{n: x.evaluate(values) for n, x in outputs.items()}, **values})
+        still = dict(zip(model.states, model.first_internal, strict=True)) | {f"{c}''": 0.0 for c in model.coordinates}
+        at = still | {**values}
+        outputs = {n: o.expression for n, o in model.declaration.outputs.items() if n in sensor.measures.names}
+        return sensor.measures.evaluate({n: x.evaluate(at) for n, x in outputs.items()} | at)
 
     def tells_forces(self, near: Array) -> bool:
         """Whether readings tell forces on coordinates from inputs that are off, at a state [q, v, s] near rest.

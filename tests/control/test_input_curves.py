@@ -8,7 +8,8 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 from masking import Experiment
-from masking.errors import CommandError, IntegrationError, ModelError
+from masking.errors import CommandError, DeclarationError, ModelError, UnreachableError
+from masking.lab.runs.feasibility import feasibility
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
 
@@ -173,8 +174,10 @@ def test_a_force_that_the_magnet_cannot_make_stops_the_run_with_its_cause(tmp_pa
     falling = Experiment.load(tmp_path / "run.yaml", changes={"d": -20})
     cause = r"no u gives what is wanted of u\*\*2, which has one sign on its branch: the rig cannot do what is "
     cause += "wanted of it, "
-    with pytest.raises(IntegrationError, match=cause + r"at t = 0.001\d* \(x = 0.011"):
+    with pytest.raises(UnreachableError, match=cause + r"at t = 0.001\d* \(x = 0.011"):
         falling.run()
+    with pytest.raises(DeclarationError, match="virtual: the virtual motion asks for what no input gives: no u gives"):
+        feasibility(falling)
     step = falling.controller()
     with pytest.raises(CommandError, match=cause + "at t = 0.1 s; look at what it was given"):
         step(0.1, [0.012, 0.0])
@@ -182,7 +185,7 @@ def test_a_force_that_the_magnet_cannot_make_stops_the_run_with_its_cause(tmp_pa
         file.write(SENSING)
     sampled = Experiment.load(tmp_path / "run.yaml", changes={"d": -20})
     sampled = sampled.changed(controller={"rate": "1 kHz"}, initial={"x'": 0})
-    with pytest.raises(IntegrationError, match=cause):
+    with pytest.raises(UnreachableError, match=cause):
         sampled.run()
     step = sampled.controller()
     with pytest.raises(CommandError, match=cause + r"at sample -?\d; look at what it was given"):

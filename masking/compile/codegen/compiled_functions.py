@@ -26,7 +26,7 @@ from masking.compile.numerics.stop_codes import (
     TOO_MANY_STEPS,
     TOO_SMALL_STEP,
 )
-from masking.errors import IntegrationError, SingularityError, nearest
+from masking.errors import IntegrationError, SingularityError, UnreachableError, nearest
 
 # The classical Runge-Kutta method errs by 1e-9 per radian when a radian takes this many steps.
 STEPS_PER_RADIAN = 50.0
@@ -258,8 +258,9 @@ class Kernels:
         if status == SINGULAR:
             raise SingularityError(MESSAGES[status], time, at, remedy)
         where = ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
-        message = self.unsolved(status, state) or MESSAGES[status]
-        raise IntegrationError(f"{message}, at t = {time:.6g} ({where})")
+        if unsolved := self.unsolved(status, state):
+            raise UnreachableError(f"{unsolved}, at t = {time:.6g} ({where})")
+        raise IntegrationError(f"{MESSAGES[status]}, at t = {time:.6g} ({where})")
 
     def unsolved(self, status: int, state: Sequence[float] | Array) -> str:
         """Cause of a status, in words, where no input gives what is wanted; '' where that is not the cause."""

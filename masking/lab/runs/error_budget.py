@@ -73,6 +73,9 @@ class Budget:
         """Cause to remove first, in words."""
         now, left = f"{self.whole.rms:.2g}", f"{self.without_all.rms:.2g}"
         best = min(self.rows, key=lambda row: row.rms)
+        if math.isinf(self.whole.rms):
+            cured = f" Without {best.cause} it goes on (chi {best.rms:.2g})." if math.isfinite(best.rms) else ""
+            return f"The run stops: {self.whole.note}.{cured}"
         if best.rms <= _WORTH * self.whole.rms:
             how = f"sampled at {FASTER * self.rate / 1e3:g} kHz" if best.cause == SAMPLING else "without"
             return f"Remedy first: {best.cause} (chi {now} -> {best.rms:.2g} {how})."

@@ -22,7 +22,15 @@ from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, T
 from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.zero_dynamics import ZeroDynamics
-from masking.errors import DeclarationError, IntegrationError, MaskingError, ModelError, Problem, SingularityError
+from masking.errors import (
+    DeclarationError,
+    IntegrationError,
+    MaskingError,
+    ModelError,
+    Problem,
+    SingularityError,
+    UnreachableError,
+)
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.growth_along_motion import Growth
 from masking.lab.runs.offline import Run, complete, loop_state, rig_state
@@ -430,6 +438,10 @@ def _problem(motion: Motion, error: MaskingError) -> Problem:
         path = "transform"
         message = f"the transform or the decoupling matrix becomes singular on the way{words}: {error}"
         remedy = INVERTIBLE
+    elif isinstance(error, UnreachableError):
+        path = "virtual"
+        message = f"the virtual motion asks for what no input gives{words}: {error}"
+        remedy = "choose a slower or smaller virtual motion, or give the actuator a bias: a weight, or a second one"
     elif _can_follow_virtual(experiment):
         path = "transform"
         message = f"the rig cannot be held on the way, although the virtual motion goes on{words}: {error}"
