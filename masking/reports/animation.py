@@ -65,10 +65,12 @@ class Animation:
         return found
 
     def _scene(self, prefix: str, what: str) -> Scene:
-        sizes = tuple(_size(self.recording, f"{prefix}.{name}") for name in self.recording.names(prefix))
-        motion = self.recording.array(prefix) * sizes
-        drawn = _drawing(self.recording, prefix, np.abs(motion).max(axis=0))
-        return Scene(prefix, what, drawn, *drawn.view(self.recording.t, motion), sizes)
+        recording = self.recording
+        sizes = {name: _size(recording, f"{prefix}.{name}") for name in recording.names(prefix)}
+        drawn = _drawing(recording, prefix, np.abs(recording.array(prefix)).max(axis=0))
+        own = tuple(sizes[name] for name in drawn.coordinates)
+        motion = np.column_stack([recording[f"{prefix}.{name}"] for name in drawn.coordinates]) * own
+        return Scene(prefix, what, drawn, *drawn.view(recording.t, motion), own)
 
     @property
     def main(self) -> Scene:
@@ -159,8 +161,10 @@ def save(made: Animation, page: Path) -> None:
 
 
 def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
-    """Drawing that the system of a prefix declares, or a generic one."""
+    """Drawing that the system of a prefix declares, or a generic one, of coordinates alone."""
     names = recording.names(prefix)
+    coordinates = tuple(name for name in names if f"{prefix}.{name}'" in recording.columns) or names
+    reach = reach * [_size(recording, f"{prefix}.{name}") for name in coordinates]
     manifest, key = recording.manifest, {"rig": "plant_model", "virtual": "virtual"}[prefix]
     title = str(manifest.get({"rig": "plant_name", "virtual": "virtual_name"}[prefix]) or prefix)
     declared = (manifest.get("declarations") or {}).get(key)
@@ -169,7 +173,7 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
         moved = {*model.coordinates, *model.states}
         drawn = {name for shape in model.drawing for _, x in shape.formulas for name in x.names & moved}
         if not drawn or not drawn <= {*names} <= moved:
-            return system_drawing.generic(title, names, reach)
+            return system_drawing.generic(title, coordinates, reach)
         if prefix == "virtual":
             values = manifest["parameters"]
         else:  # as the plant file has them
@@ -180,7 +184,8 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
         units = (recording.units.get(f"{prefix}.{name}", "1") for name in names)
         has_lengths = any(dimension_of(unit) == dimension_of("m") for unit in units)
     except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
-        return system_drawing.generic(title, names, reach)
+        return system_drawing.generic(title, coordinates, reach)
+    names = names if drawn & {*model.states} else coordinates
     return Drawing(title, "m" * has_lengths, names, model.drawing, values)
 
 
