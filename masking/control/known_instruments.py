@@ -20,8 +20,6 @@ from masking.model.declaration import schema
 from masking.model.declaration.instrument_declaration import Sensor
 from masking.model.modelling.model import Model
 
-HIDDEN = 1e-6  # of a slope: what is smaller is rounding of differences
-
 
 @dataclass(frozen=True)
 class Instruments:
@@ -189,7 +187,7 @@ class Instruments:
         values = self.model.parameter_values() | place
         for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
             for i, (name, step) in enumerate(zip(names, steps, strict=True)):
-                up, down = (self._measured(sensor, values | {name: place[name] + by}) for by in (step, -step))
+                up, down = (self.measured(sensor, values | {name: place[name] + by}) for by in (step, -step))
                 found[k, i] = gain * (up - down) / (2.0 * step)
         return found
 
@@ -209,37 +207,15 @@ class Instruments:
         names = self.model.coordinates
         at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
         pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
-        return np.array([gain * self._measured(sensor, at) for gain, sensor in pairs])
+        return np.array([gain * self.measured(sensor, at) for gain, sensor in pairs])
 
-    def _measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
+    def measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
         """Measured value of a rig at rest, in SI units; outputs are those without further forces."""
         model = self.model
         still = dict(zip(model.states, model.first_internal, strict=True)) | {f"{c}''": 0.0 for c in model.coordinates}
         at = still | {**values}
         outputs = {n: o.expression for n, o in model.declaration.outputs.items() if n in sensor.measures.names}
         return sensor.measures.evaluate({n: x.evaluate(at) for n, x in outputs.items()} | at)
-
-    def tells_forces(self, near: Array) -> bool:
-        """Whether readings tell forces on coordinates from inputs that are off, at a state [q, v, s] near rest.
-
-        They do where no such disturbance hides behind another state: the matrix of a steady state has full rank.
-        """
-        model, n, p = self.model, len(self.model.coordinates), self.model.values()
-        m, names = len(model.inputs), [*model.state_names, *(f"{c}''" for c in model.coordinates)]
-
-        def steady(y: Array) -> Array:  # rates and readings of states, accelerations that the model lacks, and inputs
-            x, forced, u = np.split(y, [len(near), len(near) + n])
-            dx = np.empty(len(x))
-            model.kernels.derivative(0.0, x, u, p, dx)
-            dx[n : 2 * n] += forced
-            values = model.parameter_values() | dict(zip(names, [*x, *dx[n : 2 * n]], strict=True))
-            return np.array([*dx, *(self._measured(one, values) for one in self.plant.sensors.values())])
-
-        sizes = np.concatenate([np.tile(model.lengths, 2), np.ones(len(near) - 2 * n + n + m)])
-        slope = jacobian(steady, np.concatenate([near, np.zeros(n + m)]), STEP * sizes)
-        slope /= np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-300)
-        slope /= np.maximum(np.abs(slope).max(axis=0), 1e-300)
-        return bool(np.linalg.matrix_rank(slope, tol=HIDDEN) == slope.shape[1])
 
     def rest(self) -> Array:
         """Coordinates (n,) at which the model rests without inputs; a ModelError where there are none near 0."""

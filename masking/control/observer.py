@@ -128,7 +128,8 @@ class WholePlan(_Late):
         seen = self.sensing[:, :many] @ moved + self.sensing[:, many:]
         deviation = _deviations(self.noise)
         if self.has_forces:  # what the largest commands make of the readings is not known any better
-            largest = 1.0 / np.linalg.norm(self.against[0], axis=0)
+            parts = np.linalg.norm(self.against[0], axis=0)
+            largest = np.divide(1.0, parts, out=np.zeros_like(parts), where=parts > 0.0)  # 0 without limits
             deviation = np.maximum(deviation, DOUBT * (np.abs(seen) * largest).max(axis=1))
         least = 1.0 / np.maximum(np.linalg.norm(seen / deviation[:, None], axis=0), 1e-300)
         driven = np.concatenate([np.zeros(size - inputs), (least * bandwidth**order) ** 2 * self.period])

@@ -22,15 +22,15 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
 from masking.compile.numerics.newton import STEP, jacobian
+from masking.control import whole_rig
 from masking.control.blocks import dot
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
 from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan
-from masking.control.rig.twin import Twin
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
-from masking.lazy_imports import runge_kutta, sampled_loop, single_step
+from masking.lazy_imports import sampled_loop, single_step
 from masking.model.modelling.lowering import LoweredEquations
 
 # An offset follows the readings with this many time constants over the rest.
@@ -99,11 +99,13 @@ class SampledController:
 
     @cached_property
     def _estimates_forces(self) -> bool:
-        """Whether accelerations that the model lacks are estimated: where inputs act at once, or sensors tell both."""
-        known, n = self.instruments, len(self.end)
-        if self.controller.is_direct or len(known.sensors) < n + len(self.controller.model.inputs):
-            return self.controller.is_direct
-        return known.tells_forces(np.concatenate([self.end, np.zeros(n), self.internal]))
+        law, order = self.controller, self.observer.order
+        return law.is_direct or whole_rig.tells_forces(law, self.instruments, self.end, self.internal, order=order)
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Sensors that are not followed, as `whole_rig.unused`; none where the inputs act at once."""
+        return () if self._estimates_forces else whole_rig.unused(self.instruments)
 
     @cached_property
     def _memory_steps(self) -> int:
@@ -209,14 +211,17 @@ class SampledController:
 
         off, lengths = np.zeros(m), self.controller.model.lengths
         x, forced = np.concatenate([rest[:own], np.zeros(2 * n)]), n * sizes.at_masses
-        steps = np.concatenate([STEP * lengths, self.rate * STEP * lengths, np.full(own, STEP)])
+        inside = STEP * np.maximum(np.abs(rest[2 * n : own]), 1.0)
+        steps = np.concatenate([*(STEP * lengths * self.rate**k for k in (0, 1)), inside,
+                                *(STEP * lengths * self.rate**k for k in (2, 3))])  # fmt: skip
         sensing, by = jacobian(readings, x[:-n], steps[:-n]), jacobian(commands, x, steps)
         dynamics = jacobian(lambda y: rates(y, off), x[:own], steps[:own])
         driven = np.hstack([np.eye(own)[:, n : n + forced], jacobian(lambda u: rates(x[:own], u), off, np.ones(m))])
         sensing = np.hstack([sensing[:, : own + forced], np.zeros((len(sensing), m))])
         fed = -allocated / self.limits[:, [LARGEST]]
         against = (np.hstack([by[:, own : own + forced], fed]), np.hstack([by[:, own + n :][:, :forced], 0.0 * fed]))
-        levels = self.instruments.levels(sensing, noise)
+        unused = [whole_rig.UNUSED if name in self.unused else 1.0 for name in self.instruments.sensors]
+        levels = self.instruments.levels(sensing, noise) * unused
         return WholePlan(
             dynamics, driven, sensing, by[:, :own], against, levels, 1.0 / self.rate, self.delay, n, sizes.at_masses
         )  # fmt: skip
@@ -449,52 +454,3 @@ class _Lowered:
         nodes = self._array(f"k_{name}", "p", count, self._next, varying=False)
         self._next += count
         return nodes
-
-
-@dataclass(frozen=True)
-class SampledLoop:
-    """A sampled controller and the twin that it drives, compiled together."""
-
-    sampled: SampledController
-    twin: Twin
-
-    def __post_init__(self) -> None:
-        _ = self.match
-
-    @cached_property
-    def match(self) -> CoordinateMatch:
-        """Coordinates of the controller's model among the twin's."""
-        return CoordinateMatch(self.sampled.controller, self.twin.model, self.twin.declaration.sensors)
-
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled loop; from the cache on disk where it has been made before."""
-        return Kernels(module_store.load(self._key, self._build))
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the loop is in the cache on disk."""
-        return module_store.exists(self._key)
-
-    @property
-    def _key(self) -> str:
-        both = {"sampled": self.sampled.structure(), "twin": self.twin.structure()}
-        return module_store.key({**both, **self.match.structure()})
-
-    @property
-    def width(self) -> int:
-        """Length of a row of the work space."""
-        return max(self.sampled.sizes.work[1], len(self.twin.sensors), len(self.twin.state_names))
-
-    def _build(self) -> Module:
-        controller = self.sampled.controller
-        meta = {"kind": "sampled loop", **self.twin.state_kinds, "unsolved": controller.curves.unsolved}
-        module = Module(f"{self.twin.declaration.name}, masked as {controller.virtual.name}", meta)
-        self.twin.add_to(module)
-        self.sampled.add_to(module)
-        if not self.match.is_same:
-            self.match.add_to(module)
-        size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
-        module.add_factory("move_rig", runge_kutta.steps_under_way, "twin_derivative", size, exported=False)
-        module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)
-        return module

@@ -19,8 +19,9 @@ from scipy.integrate import solve_ivp
 
 from masking.compile.numerics import sampled_loop as sampling
 from masking.compile.numerics.controller_sizes import Sizes
-from masking.control.sampled_controller import SampledController, SampledLoop
+from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import SampledStep
+from masking.control.twin_loop import SampledLoop
 from masking.errors import CommandError, ModelError, SingularityError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import run_twin

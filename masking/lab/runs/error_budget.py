@@ -16,7 +16,7 @@ from masking.analysis.masking_error import masking_error
 from masking.compile.numerics.arrays import Array
 from masking.control.observer import Differences, Observer
 from masking.control.rig.twin import Twin
-from masking.control.sampled_controller import SampledLoop
+from masking.control.twin_loop import SampledLoop
 from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment

@@ -20,8 +20,9 @@ from masking.control.known_instruments import Instruments, branches
 from masking.control.law import APPROACH, Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.rig.twin import Twin
-from masking.control.sampled_controller import SampledController, SampledLoop
+from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import LawStep, SampledStep
+from masking.control.twin_loop import SampledLoop
 from masking.control.zero_dynamics import Held
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.lab.records.recording import Recording
@@ -196,8 +197,7 @@ class Experiment:
         """
         assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
         allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
-        known = ", ".join(allowed) or "none"
-        remedy = f"allowed: {known}; forces and gains belong into controller.model and .parameters"
+        remedy = f"allowed: {', '.join(allowed) or 'none'}; other effects belong into controller.model and .parameters"
         problems = []
         for name in assumed.keys() - set(allowed):
             path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"
@@ -210,8 +210,8 @@ class Experiment:
     def sampled(self) -> SampledController:
         """Sampled controller, with the initial state to which it brings the rig; a ModelError where that moves."""
         settings, law, n = self.declaration.controller, self.law, len(self.law.model.coordinates)
-        held = np.concatenate([np.zeros(2 * n), law.model.first_internal])
-        held = held if law.is_direct else self._beside(law.model, law.transform, law.lengths).begun
+        still = np.concatenate([np.zeros(2 * n), law.model.first_internal])
+        held = still if law.is_direct else self._beside(law.model, law.transform, law.lengths).begun
         made = SampledController(
             self.law,
             self.instruments,

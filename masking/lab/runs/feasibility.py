@@ -258,7 +258,9 @@ class Motion:
         """What of the plant the controller's model does not have."""
         match, model = self.experiment.match, self.experiment.law.model.name
         if match.is_same:
-            return ()
+            idle = self.experiment.sampled.unused if self.experiment.has_observer else ()
+            why = "others tell the coordinates, and the model alone ties what it reads to them"
+            return tuple(f"{name}: not used, {why}" for name in idle)
         own = ", ".join(match.own)
         words = f" ({self.experiment.passive.words})" if self.experiment.passive else ""
         notes = [f"{own}: the plant's own, not in the controller's model {model}{words}"] if own else []

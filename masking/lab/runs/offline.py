@@ -21,7 +21,7 @@ from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import Controller
-from masking.control.sampled_controller import SampledLoop
+from masking.control.twin_loop import SampledLoop
 from masking.errors import ModelError, RootError
 from masking.lab.runs.stopping import check_status
 from masking.model.modelling.input_series import Schedule, integrate
