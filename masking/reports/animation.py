@@ -185,7 +185,7 @@ def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:
         has_lengths = any(dimension_of(unit) == dimension_of("m") for unit in units)
     except (ValueError, TypeError, KeyError, MaskingError):  # a record from elsewhere, or of another version
         return system_drawing.generic(title, coordinates, reach)
-    names = names if drawn & {*model.states} else coordinates
+    names = tuple(name for name in names if name in {*coordinates} | drawn)
     return Drawing(title, "m" * has_lengths, names, model.drawing, values)
 
 

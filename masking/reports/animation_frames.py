@@ -143,7 +143,8 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
             axes.plot(recording.t[rows], ideal[rows], color=INK, lw=0.8, ls=DASHED)
         axes.plot(t, np.interp(t, recording.t, series), "o", color=colour, ms=4)
     axes.axvline(t, color=MUTED, lw=0.9)
-    most = float(np.abs(recording.array(main.prefix)).max()) or 1.0
+    motions = [recording[f"{main.prefix}.{name}"] for name in main.drawing.coordinates]
+    most = float(np.abs(np.array(motions)).max()) or 1.0
     axes.set(xlim=(begin, begin + span), ylim=(-1.08 * most, 1.08 * most), xlabel="time (s)")
     axes.set_ylabel(with_unit("motion", common))
     axes.legend(frameon=False, fontsize=SIZE - 1, ncols=len(COLOURS), loc="lower right", bbox_to_anchor=(1.0, 0.97))
