@@ -186,6 +186,12 @@ def _refused(model: Model, transform: Transform, direct: Array, degrees: Sequenc
         for r, n in sorted(first.items())
     ]
     appears = f". An input appears first {', '.join(parts)}" if model.inputs else ""
+    if not any(map(math.isinf, degrees)) and len(have.split(", ")) >= len(names):
+        soon = next(name for name, column in zip(model.inputs, at.T, strict=True) if column.any())
+        appears += (
+            f"; integrators before {soon} may let the others appear: declare {soon} as an internal state of the model, "
+            "and its rate, or the rate of that, as the input"
+        )
     return ActuationError(
         f"{model.name} cannot be masked as {transform.virtual.name}: its inputs ({have}) cannot accelerate "
         f"{', '.join(missed)} independently of the other coordinates, {len(names) - len(left)} of {len(names)} at "

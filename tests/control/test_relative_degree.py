@@ -268,6 +268,45 @@ def test_several_coordinates_with_degrees_of_their_own(tmp_path, model, degrees)
         assert np.linalg.norm(made[f"rig.{name}"] - x) <= EXACT * np.linalg.norm(x)
 
 
+AIRCRAFT = """
+        coordinates: {a: {unit: m}, b: {unit: m}, th: {unit: rad}}
+        inputs: {F: {unit: N}, T: {unit: N*m}}
+        parameters: {m: {value: 0.5, unit: kg}, J: {value: 0.02, unit: kg*m**2}, g: {value: 9.81, unit: m/s**2}}
+        equations: {a'': -F*sin(th)/m, b'': F*cos(th)/m - g, th'': T/J}
+"""
+FLOWN = """
+    name: coupled
+    coordinates: {a: {unit: m, initial: 0.5}, b: {unit: m, initial: -0.3, initial_velocity: 1}}
+    parameters: {w: {value: 2, unit: rad/s}, c: {value: 1, unit: 1/s**2}, h: {value: 3, unit: 1/m**2/s**2}}
+    equations:
+      a'': -w**2*a - c*(a - b) - h*a**3
+      b'': -w**2*b - c*(b - a)
+"""
+
+
+def test_an_aircraft_needs_integrators_before_its_thrust(tmp_path):
+    """Thrust acts along one direction at once: what turns the aircraft appears with it behind two integrators."""
+    with pytest.raises(
+        ActuationError, match="integrators before F may let the others appear: declare F as an internal"
+    ):
+        written(tmp_path, AIRCRAFT, FLOWN).validate()
+    states = (
+        "states: {F: {unit: N, meaning: thrust, initial: 4.905}, G: {unit: N/s, meaning: its rate}}\n        inputs:"
+    )
+    extended = AIRCRAFT.replace("inputs:", states).replace("F: {unit: N},", "u: {unit: N/s**2},", 1)
+    experiment = written(tmp_path, extended.replace("T/J}", "T/J, F': G, G': u}"), FLOWN)
+    assert experiment.law.degrees == (4, 4)
+    made = experiment.run()
+
+    def rates(t, y):
+        a, b, va, vb = y
+        return [va, vb, -4 * a - (a - b) - 3 * a**3, -4 * b - (b - a)]
+
+    settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "t_eval": made.t}
+    for name, x in zip("ab", solve_ivp(rates, (0, 5), [0.5, -0.3, 0, 1], **settings).y, strict=False):
+        assert np.linalg.norm(made[f"rig.{name}"] - x) <= EXACT * np.linalg.norm(x)
+
+
 def test_the_rig_comes_to_the_wanted_accelerations_with_the_bandwidth(tmp_path):
     """A current that is off decays at the bandwidth, for a virtual system without damping: e' = -w e by hand."""
     experiment = written(tmp_path, RIGS["voice coil driven by voltage"], controller={"actuator_bandwidth": 30})
