@@ -279,8 +279,8 @@ class _Higher:
     @classmethod
     def of(cls, controller: Controller, graph: Graph, rig: RigSymbols, p: ControllerParameters) -> _Higher:
         degrees = controller.degrees
-        lacking = rig.disturbance if len(rig.disturbance) > len(rig.q) else [graph.number(0.0)] * (2 * len(rig.q))
-        values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths, *lacking]
+        unmodelled = rig.disturbance if len(rig.disturbance) > len(rig.q) else [graph.number(0.0)] * (2 * len(rig.q))
+        values = [rig.t, *rig.q, *rig.v, *rig.s, *p.model, *p.transform, *p.lengths, *unmodelled]
         scales = [*itertools.accumulate([p.time_scale] * max(degrees), graph.mul)]
         known = Derivatives(controller.model.affine, controller.transform)
         return cls(graph, degrees, known, values, scales, p.bandwidth)

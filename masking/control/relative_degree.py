@@ -46,17 +46,17 @@ class Derivatives:
         p, own, lengths, u = (
             made(kind, names) for kind, names in (("p", s.p), ("o", transform.parameters), ("l", s.q), ("u", s.u))
         )
-        lacking, rates_of_it = made("d", s.q), made("e", s.q)  # accelerations that the model lacks
-        self.symbols = [t, *q, *v, *z, *p, *own, *lengths, *lacking, *rates_of_it]
+        unmodelled, changing = made("d", s.q), made("e", s.q)  # accelerations that the model lacks
+        self.symbols = [t, *q, *v, *z, *p, *own, *lengths, *unmodelled, *changing]
         placed, moving = ([graph.div(x, length) for x, length in zip(xs, lengths, strict=True)] for xs in (q, v))
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (t, *q, *v, *z, *p), strict=True))
         free, driven = (
             LoweredEquations.of(model.equations, graph, known={**known, **dict(zip(s.u, given, strict=True))})
             for given in ([graph.number(0.0)] * len(u), u)
         )
-        accelerations = [graph.add(a, d) for a, d in zip(free.accelerations, lacking, strict=True)]
-        rates = (graph.number(1.0), *v, *accelerations, *free.rates, *rates_of_it)
-        self._drift: Mapping[Node, Node] = dict(zip((t, *q, *v, *z, *lacking), rates, strict=True))
+        accelerations = [graph.add(a, d) for a, d in zip(free.accelerations, unmodelled, strict=True)]
+        rates = (graph.number(1.0), *v, *accelerations, *free.rates, *changing)
+        self._drift: Mapping[Node, Node] = dict(zip((t, *q, *v, *z, *unmodelled), rates, strict=True))
         slopes = derivatives(graph, [*driven.accelerations, *driven.rates], u)
         self._pushes = [dict(zip((*v, *z), column, strict=True)) for column in zip(*slopes, strict=True)]
         mapped = transform.lower(graph, placed, moving, own)

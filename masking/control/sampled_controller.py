@@ -387,8 +387,8 @@ class _Lowered:
         self.law = ControlLaw.of(controller, self.graph, replace(rig, disturbance=disturbance), homing)
         self.still_law = ControlLaw.of(controller, self.graph, replace(rig, v=[self.graph.number(0.0)] * n))
         s = equations.symbols
-        nodes = (time, *y["q"], *y["v"], *y["s"], *u, *p.model)
-        known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.u, *s.p), nodes, strict=True))
+        at = controller.known(rig, p)
+        known = at | dict(zip(s.u, u, strict=True))
         model = LoweredEquations.of(equations, self.graph, known=known)
         self.rates = [*y["v"], *model.accelerations, *model.rates, *[self.graph.number(0.0)] * len(memory)]
         self.virtual, self.momentum = list[Node](), list[Node]()
@@ -401,7 +401,6 @@ class _Lowered:
             model.symbols[symbol] = self.graph.add(model.symbols[symbol], more)
         measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
         self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
-        at = controller.known(rig, p)
         acting = controller.curves.solved(self.graph, at, u, p.branches)
         self.commands = [dot(self.graph, row, acting) for row in allocation]
         self.inputs = controller.curves.forces(self.graph, at, [dot(self.graph, row, out) for row in wires])

@@ -51,12 +51,12 @@ class ByHand:
         """Return the command that acts from t + H on."""
         z = self.state + self.gain * (reading - self.state[0])
         ahead = self.step[0] @ z + self.step[1] * self.last
-        x, v, i, lacking = self.half[0] @ ahead + self.half[1] * self.last
+        x, v, i, disturbance = self.half[0] @ ahead + self.half[1] * self.last
         a = (self.motor * i - STIFFNESS * x - DAMPING * v) / M
         wanted, rate = self.wanted(t + 1.5 * H, x, v, a)
         jerk = rate - self.bandwidth * (a - wanted)
         slope = (M * jerk + STIFFNESS * v + DAMPING * a) / self.motor
-        command = self.inductance * slope + self.resistance * i + self.motor * v - lacking
+        command = self.inductance * slope + self.resistance * i + self.motor * v - disturbance
         self.state, self.last = ahead, float(np.clip(command, -LIMIT, LIMIT))
         return self.last
 

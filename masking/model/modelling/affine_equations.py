@@ -97,6 +97,6 @@ def _by(expression: sp.Expr, u: sp.Symbol) -> sp.Expr:
 
 
 def _ratio(part: sp.Expr, curve: sp.Expr, u: sp.Symbol) -> sp.Expr:
-    """Return what a curve is multiplied with in a part; it holds the input where that is not all of it."""
+    """Factor of a curve in a part; it holds the input where the part is no multiple of the curve."""
     factor, inner = sp.factor_terms(part).as_independent(u, as_Add=False)
     return factor if inner == curve else sp.simplify(part / curve)

@@ -109,11 +109,12 @@ def module(equations: Equations) -> Module:
     size, lags, inputs = len(states), len(lowered.lagged), len(s.u)
     products = cost(graph, derivatives)
     order = taylor_order(products)
+    is_smooth = is_analytic(graph, derivatives)
     use_taylor = (
         size > 0
         and not lags
         and not lowered.conditions
-        and is_analytic(graph, derivatives)
+        and is_smooth
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
         and degree(graph, derivatives) < order
@@ -132,7 +133,7 @@ def module(equations: Equations) -> Module:
         "method": "taylor" if use_taylor else "runge_kutta",
         "has_energy": energy is not None,
         "lags": lags,
-        "has_corners": not is_analytic(graph, derivatives),
+        "has_corners": not is_smooth,
         "events": list(equations.events.names),
         "targets": list(equations.events.targets),
         "units": Units.of(equations.declaration).to_meta(),
