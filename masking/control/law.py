@@ -32,9 +32,9 @@ import numpy as np
 from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.tangent import along
 from masking.compile.numerics.arrays import Array
 from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
+from masking.control.homing import Ends, Homing
 from masking.control.input_curves import Branch, InputCurves
 from masking.control.relative_degree import Derivatives, relative_degrees, remainder
 from masking.errors import ModelError
@@ -229,7 +229,8 @@ class ControlLaw:
         balanced = desired if damping is None else controller.desired.damped(graph, desired, rate, damping)
         wanted = [graph.sub(graph.div(d, squared), b) for d, b in zip(balanced, mapped.bias, strict=True)]
         if homing is not None:
-            wanted = homing.lower(graph, rig, jacobian, wanted)
+            moved = homing.accelerations(graph, rig.t, rig.q, rig.v)
+            wanted = homing.before(graph, [dot(graph, row, moved) for row in jacobian], wanted)
         unwanted = [graph.apply("neg", dot(graph, row, free)) for row in jacobian]
         matrix, off = product(graph, jacobian, gain), list[Node]()
         if not controller.is_direct:
@@ -237,7 +238,7 @@ class ControlLaw:
             jets: list[Sequence[Node | None]] = [mapped.eta, rate, *higher.jets()]
             orders = higher.per_second(controller.desired.derivatives(graph, time, jets, p.virtual, **given_d))
             if homing is not None:
-                ends = _ends(controller, graph, homing, p, rig.memory)
+                ends = _ends(controller, homing, p, higher, rig.memory)
                 slowed = replace(homing, bandwidth=p.bandwidth[0])
                 orders = slowed.derivatives(graph, rig.t, [mapped.eta, mapped.rate], ends, orders)
             for i, row in higher.rows(orders):
@@ -334,121 +335,21 @@ class RigSymbols:
     memory: list[Node] = field(default_factory=list)
 
 
-# The reference reaches its end at this part of the homing phase; the rest is for settling.
-MOVING_PART = 0.7
-# Decay of a deviation from the reference over the whole homing phase, as an exponent.
-SETTLING = 60.0
-# It is no faster than this part of the bandwidth with which actuators are followed: their lag would let it grow.
-SETTLING_PART = 0.25
-
-
-Ends = tuple[list[Node], list[Node], list[Node]]  # eta where homing begins and ends, and its acceleration there (k,)
-
-
-@dataclass(frozen=True)
-class Homing:
-    """How the rig is brought from where it stands to its initial state: along a smooth reference, critically damped.
-
-    Before the release, at `since` < 0, the rig's accelerations are those of q'' = r'' - 2 a (q' - r') - a^2 (q - r)
-    for a reference r that moves by a polynomial of order five (smoothstep) and then stands still.
-    """
-
-    since: Node  # node of the time since the release
-    start: list[Node]  # nodes of the coordinates (n,) where the rig stands
-    end: list[Node]  # nodes of the coordinates (n,) of its initial state
-    time: Node  # node of the length of the homing phase, s
-    bandwidth: Node | None = None  # node of that with which wanted accelerations are approached, if they are
-
-    def lower(self, graph: Graph, rig: RigSymbols, jacobian: list[list[Node]], wanted: list[Node]) -> list[Node]:
-        """Wanted virtual accelerations (k,), replaced before the release by those of homing, with J (k, n)."""
-        accelerations = self._accelerations(graph, rig)
-        return self._before(graph, [dot(graph, row, accelerations) for row in jacobian], wanted)
-
-    def derivatives(
-        self, graph: Graph, t: Node, jets: Sequence[list[Node]], ends: Ends, wanted: Sequence[Sequence[Node]]
-    ) -> list[list[Node]]:
-        """Wanted accelerations and their derivatives (orders, k), replaced before the release by those of homing.
-
-        The virtual coordinates follow a reference that is accelerated at the release as it is wanted there: their
-        accelerations change no faster than the dynamics of the actuators allow. `jets` are eta and its rate.
-        """
-        number, mul = graph.number, graph.mul
-        x, last = self._moved(graph, t), mul(number(1.0 - MOVING_PART), self.time)
-        path = _smoothstep(graph, x)
-        s = graph.apply("max", number(0.0), graph.div(graph.add(t, last), last))
-        left = graph.sub(number(1.0), s)  # of s^3 (1 - s)^2/2, where it ends only the second derivative is not 0, but 1
-        swing = mul(mul(number(0.5), mul(last, last)), mul(mul(s, mul(s, s)), mul(left, left)))
-        reference = [
-            graph.add(graph.add(start, mul(graph.sub(end, start), path)), mul(first, swing))
-            for start, end, first in zip(*ends, strict=True)
-        ]
-        paths, known, found = [reference], [*jets], list[list[Node]]()
-        while len(paths) < len(wanted) + 2:
-            paths.append(along(graph, paths[-1], {t: number(1.0)}))
-        a = graph.div(number(SETTLING), self.time)
-        a = graph.apply("min", a, mul(number(SETTLING_PART), self.bandwidth)) if self.bandwidth is not None else a
-        for order, later in enumerate(wanted):
-            rows = zip(paths[order + 2], *paths[order : order + 2], *known[order : order + 2], strict=True)
-            known.append(
-                [
-                    graph.add(e2, self._pull(graph, a, graph.sub(e0, n0), graph.sub(e1, n1)))
-                    for e2, e0, e1, n0, n1 in rows
-                ]
-            )
-            found.append(self._before(graph, known[-1], later))
-        return found
-
-    @staticmethod
-    def _pull(graph: Graph, a: Node, behind: Node, slower: Node) -> Node:
-        return graph.add(graph.mul(graph.mul(a, a), behind), graph.mul(graph.mul(graph.number(2.0), a), slower))
-
-    def _moved(self, graph: Graph, t: Node) -> Node:
-        """Part of the moving part of the homing phase that is over."""
-        moving = graph.mul(graph.number(MOVING_PART), self.time)
-        part = graph.apply("max", graph.number(0.0), graph.div(graph.add(t, self.time), moving))
-        return graph.apply("min", graph.number(1.0), part)
-
-    def _before(self, graph: Graph, homing: Sequence[Node], wanted: Sequence[Node]) -> list[Node]:
-        is_before = graph.apply("lt", self.since, graph.number(0.0))
-        return [graph.apply("where", is_before, h, w) for h, w in zip(homing, wanted, strict=True)]
-
-    def _accelerations(self, graph: Graph, rig: RigSymbols) -> list[Node]:
-        number, mul = graph.number, graph.mul
-        one = number(1.0)
-        moving, x = mul(number(MOVING_PART), self.time), self._moved(graph, rig.t)
-        rest = graph.sub(one, x)  # all derivatives of the smoothstep vanish with x and with 1 - x
-        path = _smoothstep(graph, x)
-        speed = graph.div(mul(number(30.0), mul(mul(x, x), mul(rest, rest))), moving)
-        bend = mul(number(60.0), mul(mul(x, rest), graph.sub(rest, x)))
-        bend = graph.div(bend, mul(moving, moving))
-        a = graph.div(number(SETTLING), self.time)
-        accelerations = []
-        for q, v, start, end in zip(rig.q, rig.v, self.start, self.end, strict=True):
-            way = graph.sub(end, start)
-            behind = graph.sub(graph.add(start, mul(way, path)), q)
-            slower = graph.sub(mul(way, speed), v)
-            accelerations.append(graph.add(mul(way, bend), self._pull(graph, a, behind, slower)))
-        return accelerations
-
-
-def _ends(
-    controller: Controller, graph: Graph, homing: Homing, p: ControllerParameters, memory: Sequence[Node]
-) -> Ends:
+def _ends(controller: Controller, homing: Homing, p: ControllerParameters, higher: _Higher, memory: list[Node]) -> Ends:
     """Ends of a homing phase in virtual coordinates, with internal states of the virtual system."""
+    graph = higher.graph
+    zero = graph.number(0.0)
 
     def mapped(place: Sequence[Node]) -> list[Node]:
         scaled = [graph.div(q, length) for q, length in zip(place, p.lengths, strict=True)]
-        return controller.transform.lower(graph, scaled, [graph.number(0.0)] * len(scaled), p.transform).eta
+        return controller.transform.lower(graph, scaled, [zero] * len(scaled), p.transform).eta
 
-    end, squared, zero = mapped(homing.end), graph.mul(p.time_scale, p.time_scale), graph.number(0.0)
+    end = mapped(homing.end)
+    still, free = [zero] * len(end), [None] * len(end)
+    jets: list[Sequence[Node | None]] = [end, still, *[free] * (max(higher.degrees) - 2)]
     given = {"regulation": p.regulation, "memory": memory}
-    first = controller.desired.lower(graph, zero, end, [zero] * len(end), p.virtual, **given).accelerations
-    return mapped(homing.start), end, [graph.div(d, squared) for d in first]
-
-
-def _smoothstep(graph: Graph, x: Node) -> Node:
-    mul, number = graph.mul, graph.number
-    return mul(mul(x, mul(x, x)), graph.add(number(10.0), mul(x, graph.sub(mul(number(6.0), x), number(15.0)))))
+    wanted = higher.per_second(controller.desired.derivatives(graph, zero, jets, p.virtual, **given))
+    return Ends(mapped(homing.start), [end, still, *wanted])
 
 
 @dataclass(frozen=True)

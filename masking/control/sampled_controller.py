@@ -25,8 +25,9 @@ from masking.compile.numerics.newton import STEP, jacobian
 from masking.control import whole_rig
 from masking.control.blocks import dot
 from masking.control.coordinate_match import CoordinateMatch
+from masking.control.homing import Homing
 from masking.control.known_instruments import Instruments
-from masking.control.law import ControlLaw, Controller, ControllerParameters, Homing, RigSymbols
+from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
@@ -313,7 +314,8 @@ class SampledController:
         self.kernels.wire(time, y, command, p, inputs)
         warmed = -np.expm1(-self.delay / (self.rate * self.limits[:, TIME]))  # by the commands under way
         power = warmed * self.limits[:, HEATING] * command**2
-        kept = (np.zeros(sizes.balance.stop - sizes.balance.start), self._standing(q), self._past())
+        steady = np.zeros(sizes.fixed - sizes.change.start)
+        kept = (np.zeros(sizes.balance.stop - sizes.balance.start), self._standing(q), self._past(), steady)
         return Beginning(np.concatenate([estimate, power, estimate, *kept, np.tile(inputs, self.delay)]), p, command)
 
     def _past(self) -> Array:

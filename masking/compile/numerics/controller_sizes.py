@@ -85,9 +85,14 @@ class Sizes:
         return slice(self.rest.stop, self.rest.stop + (2 + self.lags * (1 + self.kept) if self.lags else 0))
 
     @property
+    def change(self) -> slice:
+        """Where the change of inputs in a sample is, which those that act through dynamics of their own are held by."""
+        return slice(self.past.stop, self.past.stop + self.inputs * self.at_inputs)
+
+    @property
     def fixed(self) -> int:
         """Length of the memory without inputs under way."""
-        return self.past.stop
+        return self.change.stop
 
     @property
     def work(self) -> tuple[int, int]:

@@ -13,7 +13,7 @@ together with them. Their arguments, with y = [q, v, s] the rig's state (coordin
 * `virtual` and `momentum` are those of `masking.compile.numerics.energy_balance`, `remember`, `lagged` and
   `conditions` of `virtual_memory`.
 """
-# ruff: noqa: ANN001, ANN201, ANN202, PLR0915, PLR0917
+# ruff: noqa: ANN001, ANN201, ANN202, PLR0917
 # The types are numba's to infer, and what a kernel calls stands before it.
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME, Sizes
 from masking.compile.numerics.energy_balance import energy_balance
 from masking.compile.numerics.kernel_arguments import Parts, Recorded, Rig, Samples, UnderWay, Unit
+from masking.compile.numerics.output_hold import hold, orders
 from masking.compile.numerics.runge_kutta import classical_step, copy, fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
@@ -43,11 +44,6 @@ class Disturbed(NamedTuple):
     h: float
 
 
-def _orders(sizes: Sizes) -> tuple[int, int]:
-    """Derivatives of a disturbance of the accelerations, and of one of the inputs, that are estimated."""
-    return sizes.order if sizes.at_masses else 0, sizes.order if sizes.at_inputs else 0
-
-
 def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     """Make the step of the controller's model, with the disturbance that was estimated.
 
@@ -56,7 +52,7 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
     work space.
     """
     n, size, m, many = sizes.coordinates, sizes.states, sizes.inputs, sizes.disturbed
-    order, added = _orders(sizes)
+    order, added = orders(sizes)
     fed, lasting = size + n * sizes.at_masses, sizes.order  # where what adds to the inputs is
 
     @compiled
@@ -88,130 +84,6 @@ def predict(rate: Kernel, sizes: Sizes) -> Kernel:
                 z[size + i] += h * z[size + many + i]
 
     return step
-
-
-def hold(law: Kernel, rate: Kernel, glide: Kernel, mean_jump: Kernel, recall: Kernel, sizes: Sizes) -> Kernel:
-    """Make the control law for an output that is held over a sample.
-
-    An output that is held from t to t + h should act as one that follows the law g(t) continuously does. To fourth
-    order in h it does, at the instants of the samples, if its value is
-
-        g(t + h/2) - h^2/24 g''(t + h/2) = 4/3 g(t + h/2) - (g(t) + g(t + h)) / 6,
-
-    with g taken along the motion that is wanted. This motion passes the samples with velocities that differ from those
-    of the rig by h^2/12 g', since the rig's own velocity runs ahead of and behind it within each sample. g at the
-    beginning, the middle and the end of the sample gives all velocities to fourth order; what those with which it was
-    found were off by, the output needs to first order only, so that the middle is looked at again for all three.
-    Internal states of the model move along it, too. measured: with that of a hysteresis held, its force is late by half
-    a sample, which takes 23 % of the amplitude of clocks in 320 s. Those of the virtual system are integrated along it
-    by `glide`. Where they jump within the sample, they are shifted by the mean of that, so that the output has the
-    impulse of the law. measured: without, chi of clocks with escapements at 500 Hz, on a rig that is known, is 0.035
-    instead of 2e-4.
-
-    Returns `hold(t, since, z, past, p, h, u, work) -> health`, which writes the inputs u for an estimate z at time t.
-    """
-    n, size, m, many = sizes.coordinates, sizes.states, sizes.inputs, sizes.disturbed
-    order, added = _orders(sizes)
-    fed, has_rates = size + n * sizes.at_masses, n if added > 0 and order > 0 else 0
-    remembers, jumping = sizes.remembered + sizes.lags > 0, sizes.events > 0
-    first, last = sizes.memory.start, sizes.memory.stop
-    saved, spare = (rows.BEFORE, rows.MEMORY) if remembers else (rows.STATE, rows.STATE)
-    shifting = rows.JUMPED if jumping else rows.STATE
-
-    @compiled
-    def disturbance(z, ahead, d):
-        for i in range(n):
-            d[i] = z[size + i] if order > 0 else 0.0
-        if order > 1:
-            for i in range(n):
-                d[i] += ahead * z[size + many + i]
-        for i in range(has_rates):
-            d[n + i] = z[size + many + i] if order > 1 else 0.0
-
-    @compiled
-    def remind(t, h, a, y, past, p, space):
-        if remembers:
-            glide(t, h, a, y, past, p, space)
-            recall(t + h, y, past)
-
-    @compiled
-    def drift(z, early, late, s0, s2, y):
-        for i in range(2 * n, size):
-            y[i] = z[i] + early * s0[i] + late * s2[i]
-
-    @compiled
-    def shift(y, m):
-        if jumping:
-            for i in range(first, last):
-                y[i] += m[i]
-
-    @compiled
-    def held(t, since, z, past, p, h, u, work):
-        y, d, v = work[rows.STATE], work[rows.DISTURBANCE][: n + has_rates], work[rows.DESIRED][:n]
-        u0, u1, u2 = work[rows.EARLY_INPUTS][:m], work[rows.MIDDLE_INPUTS][:m], work[rows.LATE_INPUTS][:m]
-        r0, r1, r2 = work[rows.EARLY][:n], work[rows.MIDDLE][:n], work[rows.LATE][:n]
-        g0, g1, g2 = work[rows.EARLY_PART][:n], work[rows.MIDDLE_PART][:n], work[rows.LATE_PART][:n]
-        s0, s2 = work[rows.EARLY_RATES], work[rows.LATE_RATES]
-        before, space, jumped = work[saved], work[spare:], work[shifting]
-        copy(z, y, size)
-        remind(t, 0.0, z, y, past, p, space)
-        disturbance(z, 0.0, d)
-        health = law(t, since, y, d, p, u0, r0, g0)
-        rate(t, y, u0, p, s0)
-        for i in range(n):
-            y[i] = z[i] + h * (z[n + i] + 0.5 * h * r0[i])
-            y[n + i] = z[n + i] + h * r0[i]
-        if jumping:
-            mean_jump(t, h, z, y, past, p, space, jumped)
-        drift(z, h, 0.0, s0, s0, y)
-        remind(t, h, z, y, past, p, space)
-        shift(y, jumped)
-        disturbance(z, h, d)
-        law(t + h, since, y, d, p, u2, r2, g2)
-        rate(t + h, y, u2, p, s2)
-        for i in range(n):
-            v[i] = z[n + i] + h / 12.0 * (g2[i] - g0[i])
-            y[i] = z[i]
-            y[n + i] = v[i]
-        drift(z, 0.0, 0.0, s0, s2, y)
-        remind(t, 0.0, z, y, past, p, space)
-        shift(y, jumped)
-        copy(y, before, size)
-        disturbance(z, 0.0, d)
-        law(t, since, y, d, p, u0, r0, g0)
-        for i in range(n):
-            y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
-            y[n + i] = v[i] + h / 8.0 * (3.0 * r0[i] + r2[i])
-        drift(z, 0.375 * h, 0.125 * h, s0, s2, y)
-        remind(t, 0.5 * h, before, y, past, p, space)
-        copy(y, before, size)
-        disturbance(z, 0.5 * h, d)
-        law(t + 0.5 * h, since, y, d, p, u1, r1, g1)
-        for i in range(n):
-            y[i] = z[i] + h * v[i] + h * h / 6.0 * (r0[i] + 2.0 * r1[i])
-            y[n + i] = v[i] + h * r1[i]
-        drift(z, 0.5 * h, 0.5 * h, s0, s2, y)
-        remind(t + 0.5 * h, 0.5 * h, before, y, past, p, space)
-        disturbance(z, h, d)
-        law(t + h, since, y, d, p, u2, r2, g2)
-        for i in range(n):
-            more = z[n + i] + h / 12.0 * (4.0 * g1[i] - 3.0 * g0[i] - g2[i]) - v[i]
-            y[i] = z[i] + 0.5 * h * v[i] + h * h / 48.0 * (5.0 * r0[i] + r2[i])
-            y[n + i] = v[i] + 0.75 * more + h / 16.0 * (3.0 * r0[i] + 6.0 * r1[i] - r2[i])
-        drift(z, 0.375 * h, 0.125 * h, s0, s2, y)
-        if remembers:
-            for i in range(first, last):
-                y[i] = before[i]
-            recall(t + 0.5 * h, y, past)
-        disturbance(z, 0.5 * h, d)
-        law(t + 0.5 * h, since, y, d, p, u1, r1, g1)
-        for i in range(m):
-            u[i] = 4.0 / 3.0 * u1[i] - (u0[i] + u2[i]) / 6.0
-            u[i] -= z[fed + i] if added > 0 else 0.0
-            u[i] -= 0.5 * h * z[fed + many + i] if added > 1 else 0.0
-        return health
-
-    return held
 
 
 def limiter(sizes: Sizes) -> Kernel:
@@ -287,13 +159,13 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     Returns `control(t, h, s, unit, demanded, applied, work) -> health` for the readings `s` at time t.
     """
     m, length, fixed, last = sizes.inputs, sizes.estimate, sizes.fixed, sizes.states - 1
-    powers, following, remembered, rest = sizes.power, sizes.next, sizes.balance, sizes.rest
+    powers, following, remembered, rest, changed = sizes.power, sizes.next, sizes.balance, sizes.rest, sizes.change
     is_balanced, offsets, channels = sizes.balanced > 0, sizes.offsets, sizes.actuators
     rate, measure, allocate, wire = parts.rate, parts.measure, parts.allocate, parts.wire
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(parts.lagged, sizes)
     (follow, glide, mean_jump), then = follow_memory(parts.remember, recall, parts.conditions, sizes), sizes.past
     observe = observe_past(follow, notice, recall, sizes)
-    step, held, limit = predict(rate, sizes), hold(parts.law, rate, glide, mean_jump, recall, sizes), limiter(sizes)
+    step, held, limit = predict(rate, sizes), hold(parts.law, rate, (glide, mean_jump, recall), sizes), limiter(sizes)
     balance = energy_balance(parts.virtual, parts.momentum, sizes)
 
     @compiled
@@ -331,7 +203,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
             move(t + j * h, ahead, queue[j * m : (j + 1) * m], past, p, h, work)
             if j == 0:
                 copy(ahead, z, length)
-        health = held(acts, acts, ahead, past, p, h, u, work)
+        health = held(acts, acts, ahead, past, x[changed.start : changed.stop], p, h, u, work)
         allocate(acts, ahead, u, p, demanded)
         if offsets > 0 and acts < standing[2 * offsets]:
             for i in range(channels):
