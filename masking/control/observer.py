@@ -155,6 +155,7 @@ class Differences:
     """Positions as the sensors tell them, velocities as their differences; nothing is predicted."""
 
     order = 0
+    at = None
 
     def gain(self, plan: Plan | WholePlan, offset: int) -> Array:
         """Coordinates per unit of reading (n, sensors); a ModelError where one has no sensor."""
@@ -182,6 +183,7 @@ class Kalman:
     Args:
         order: how the unknown acceleration (the disturbance) continues: 0 for none, 1 as a constant, 2 as a line.
         bandwidth: rad/s, one or one for each coordinate; chosen by the rule of `bandwidths` where it is None.
+        at: where a disturbance acts on a rig whose inputs act through dynamics of their own, "inputs" or "masses", too.
 
     Raises:
         ModelError: there is no such order.
@@ -189,6 +191,7 @@ class Kalman:
 
     order: int = 0
     bandwidth: float | tuple[float, ...] | None = None
+    at: str | None = None
 
     def __post_init__(self) -> None:
         if self.order not in {0, 1, 2}:

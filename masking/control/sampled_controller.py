@@ -100,13 +100,27 @@ class SampledController:
 
     @cached_property
     def _estimates_forces(self) -> bool:
-        law, order = self.controller, self.observer.order
-        return law.is_direct or whole_rig.tells_forces(law, self.instruments, self.end, self.internal, order=order)
+        law, known, at = self.controller, self.instruments, self.observer.at
+        if law.is_direct and at is not None:
+            raise ModelError(
+                f"controller.observer.at: the inputs of {law.model.name} change accelerations at once, so that a "
+                "disturbance of these is one of the inputs; leave it out"
+            )
+        if law.is_direct or at == "inputs":
+            return law.is_direct
+        tells = whole_rig.tells_forces(law, known, self.end, self.internal, order=self.observer.order)
+        if at == "masses" and not tells:
+            raise ModelError(
+                f"controller.observer.at: masses: the sensors ({', '.join(known.sensors)}) do not tell a force on a "
+                f"mass from one of the inputs ({', '.join(law.model.inputs)}), with the derivatives that the law asks "
+                "for; write 'at: inputs', leave it out, or add a sensor"
+            )
+        return tells
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """Sensors that are not followed, as `whole_rig.unused`; none where the inputs act at once."""
-        return () if self._estimates_forces else whole_rig.unused(self.instruments)
+        """Sensors that are not followed, as `whole_rig.unused`; none where the model is declared to be right."""
+        return () if self._estimates_forces or self.observer.at else whole_rig.unused(self.instruments)
 
     @cached_property
     def _memory_steps(self) -> int:

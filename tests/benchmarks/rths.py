@@ -5,7 +5,7 @@
 A storey of a steel frame with its hydraulic actuator, whose command acts in the fifth derivative of the displacement,
 moves as the first storey of a building under an earthquake. The evaluator knows nothing of `masking`; it calls the
 controller for a loop of one's own once a sample. Perturbed plants are drawn as the evaluator says; the controller knows
-of them the stiffness of the storey at most, which the evaluator takes out of the building.
+of them the stiffness of the storey, which the evaluator takes out of the building, and nothing of the actuator.
 Source: Silva, Gomez, Maghareh, Dyke and Spencer (2020), Mechanical Systems and Signal Processing 135, 106381.
 """
 
@@ -35,7 +35,8 @@ SHARED = Path(__file__).parents[3] / "shared" / "rths"
 QUAKES = ("elcentro", "kobe", "morgan")
 SCALE = 0.4  # of the earthquakes
 NOISE = 0.002  # V rms
-RATE, LVDT = 4096, 7.89  # Hz; mm/V
+RATE, LVDT, CELL = 4096, 7.89, 1096  # Hz; mm/V; N/V
+CONTROLLER = {"rate": f"{RATE} Hz", "observer": {"at": "inputs"}}  # the storey is known, the actuator is not
 HEAD = (
     "| case | plant | earthquake | J1 ms | J2 | J3 | J4 | J5 | J6 | J7 | J8 | J9 | noise alone |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|"
@@ -105,14 +106,20 @@ def building(case: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def rig(deviation: float) -> dict[str, Any]:
-    """Return the plant file; the deviation of a reading is in mm."""
+def rig() -> dict[str, Any]:
+    """Return the plant file: a displacement sensor, and a load cell between the actuator and the storey."""
     return {
         "name": "storey",
         "model": "storey.yaml",
-        "sensors": {"lvdt": {"measures": "x1", "gain": {"value": 1000, "unit": "mm/m"}, "unit": "mm"}},
+        "sensors": {
+            "lvdt": {"measures": "x1", "gain": {"value": 1000, "unit": "mm/m"}, "unit": "mm"},
+            "cell": {"measures": "f", "unit": "N"},
+        },
         "limits": {"inputs": {"u": {"max": 3.8 * LVDT / 1000, "unit": "m"}}},
-        "effects": {"noise": {"effect": "noise", "at": "lvdt", "parameters": {"sigma": deviation}}},
+        "effects": {
+            f"{name}_noise": {"effect": "noise", "at": name, "parameters": {"sigma": NOISE * unit}}
+            for name, unit in (("lvdt", LVDT), ("cell", CELL))
+        },
     }
 
 
@@ -123,10 +130,10 @@ def experiment(folder: Path, case: int, quake: str, of: Any) -> masking.Experime
     np.savetxt(folder / "quake.csv", table, delimiter=",", header="t,ground", comments="")
     run = {
         "name": f"building {case}, {quake}", "plant": "rig.yaml", "virtual": "building.yaml", "time_scale": 1,
-        "duration": float(t[-1]), "initial": {"x1": 0}, "controller": {"rate": f"{RATE} Hz"},
+        "duration": float(t[-1]), "initial": {"x1": 0}, "controller": CONTROLLER,
         "inputs": {"ground": {"file": "quake.csv", "interpolation": "linear"}},
     }  # fmt: skip
-    files = {"storey": storey(of), "building": building(case), "rig": rig(NOISE * LVDT), "run": run}
+    files = {"storey": storey(of), "building": building(case), "rig": rig(), "run": run}
     for name, content in files.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     return masking.Experiment.load(folder / "run.yaml")
@@ -149,7 +156,7 @@ class Ours:
 
     def __call__(self, displacement: float, force: float, ground: float) -> tuple[float, Array]:
         """Return the command in m, and the storeys (3,) in m."""
-        command = float(self.step([1000.0 * displacement])[0])
+        command = float(self.step([1000.0 * displacement, force])[0])
         return command, self.step.estimate[self.floors]
 
 
@@ -165,17 +172,17 @@ class OfC(Ours):
         super().reset()
         self.begun = False
 
-    def answer(self, reading: float) -> float:
-        """Return the command in m to a reading in mm."""
+    def answer(self, readings: list[float]) -> float:
+        """Return the command in m to readings in mm and N."""
         if not self.begun:
-            self.unit.init([reading])
+            self.unit.init(readings)
             self.begun = True
-        return float(self.unit.step([reading])[0])
+        return float(self.unit.step(readings)[0])
 
     def __call__(self, displacement: float, force: float, ground: float) -> tuple[float, Array]:
         """Return the command in m, and the storeys (3,) in m."""
         _, storeys = super().__call__(displacement, force, ground)
-        return self.answer(1000.0 * displacement), storeys
+        return self.answer([1000.0 * displacement, force]), storeys
 
 
 class OfFmu(OfC):
@@ -186,12 +193,12 @@ class OfFmu(OfC):
         path, *_ = write(sampled_unit(of.sampled, "controller", 0.02), folder)
         self.slave, self.index = fmu_slave.Slave(path, folder / "unpacked"), 0
 
-    def answer(self, reading: float) -> float:
-        """Return the command in m to a reading in mm."""
+    def answer(self, readings: list[float]) -> float:
+        """Return the command in m to readings in mm and N."""
         if not self.begun:
-            self.slave.begin([reading])
+            self.slave.begin(readings)
             self.begun = True
-        self.slave.set([reading])
+        self.slave.set(readings)
         self.slave.step(self.index / RATE, 1.0 / RATE)
         self.index += 1
         return float(self.slave.get()[0])
@@ -202,12 +209,12 @@ def table(
     quakes: Sequence[str] = QUAKES,
     perturbed: int = 0,
     *,
-    known: bool = False,
+    known: bool = True,
     by: str = "python",
 ) -> Iterator[str]:
     """Give the lines of a table: each case under each earthquake, with the nominal plant and with perturbed ones.
 
-    Where it is known, the controller has the stiffness of the perturbed storey.
+    Where it is known, the controller has the stiffness of the perturbed storey, as the evaluator has.
     """
     of = evaluator()
     yield HEAD
@@ -219,7 +226,7 @@ def table(
             yield row(of, called, (case, "nominal", quake), {})
             for number in range(1, perturbed + 1):
                 drawn = {key: of.NOMINAL[key] + of.STD[key] * float(generator.standard_normal()) for key in of.STD}
-                settings = {"rate": f"{RATE} Hz", "parameters": {"k": drawn["ke"]} if known else {}}
+                settings = CONTROLLER | {"parameters": {"k": drawn["ke"]} if known else {}}
                 yield row(of, Ours(made.changed(controller=settings)), (case, f"perturbed {number}", quake), drawn)
 
 
@@ -237,10 +244,10 @@ def main() -> int:
     parser.add_argument("--cases", type=int, nargs="*", default=[1, 2, 3, 4])
     parser.add_argument("--quakes", nargs="*", default=[*QUAKES])
     parser.add_argument("--perturbed", type=int, default=0, metavar="N", help="perturbed plants of each case")
-    parser.add_argument("--known", action="store_true", help="the controller knows the stiffness of the storey")
+    parser.add_argument("--unknown", action="store_true", help="the stiffness of the storey is not known, either")
     parser.add_argument("--by", choices=("python", "c", "fmu"), default="python", help="of the nominal plants")
     chosen = parser.parse_args()
-    for line in table(chosen.cases, chosen.quakes, chosen.perturbed, known=chosen.known, by=chosen.by):
+    for line in table(chosen.cases, chosen.quakes, chosen.perturbed, known=not chosen.unknown, by=chosen.by):
         print(line, flush=True)
     return 0
 

@@ -533,6 +533,55 @@ def test_a_voice_coil_is_masked_from_what_it_has_of_sensors(tmp_path, name):
         assert made.manifest["masking_error"]["x"] <= off
 
 
+STOREY = """
+        name: rig
+        model: model.yaml
+        sensors: {lvdt: {measures: x, unit: m}, cell: {measures: f, unit: N}}
+        limits: {inputs: {u: {max: 1, unit: m}}}
+        effects:
+          noise: {effect: noise, at: lvdt, parameters: {sigma: 1e-5}}
+          more: {effect: noise, at: cell, parameters: {sigma: 2}}
+"""
+
+
+def test_a_load_cell_is_followed_where_the_masses_are_known(tmp_path):
+    """A valve whose stiffness is 10 % off does not count then; without the load cell it is 45 times worse."""
+    written(tmp_path, RIGS["hydraulic cylinder"])
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in STOREY.splitlines()))
+    found = Experiment.load(tmp_path / "run.yaml", changes=KINDS["Duffing"] | {"a": 300, "f": 4})
+    settings = {"rate": "4 kHz", "parameters": {"b2": 1.1e5}}
+    errors = {}
+    for at in (None, "inputs"):
+        changed = found.changed(controller=settings | {"observer": {"at": at}}, initial={"x": 0, "x'": 0})
+        assert changed.sampled.unused == (() if at else ("cell",))
+        errors[at] = changed.run().manifest["masking_error"]["x"]
+    assert errors["inputs"] <= 0.015
+    assert errors[None] >= 20 * errors["inputs"]
+
+
+def test_where_a_disturbance_acts_is_refused_where_it_cannot_be_told(tmp_path):
+    written(tmp_path, RIGS["hydraulic cylinder"])
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in STOREY.splitlines()))
+    found = Experiment.load(tmp_path / "run.yaml")
+    settings = {"rate": "4 kHz", "observer": {"at": "masses"}}
+    with pytest.raises(
+        ModelError, match=r"observer\.at: masses: the sensors \(lvdt, cell\) do not tell a force on a mass"
+    ):
+        found.changed(controller=settings, initial={"x": 0, "x'": 0}).validate()
+    mass = """
+        coordinates: {x: {unit: m}}
+        inputs: {u: {unit: N}}
+        parameters: {m: {value: 1, unit: kg}}
+        equations: {x'': u/m}
+    """
+    written(tmp_path, mass)
+    lines = SENSING.replace("unit: V", "unit: N").splitlines()
+    (tmp_path / "plant.yaml").write_text("\n".join(line[8:] for line in lines))
+    found = Experiment.load(tmp_path / "run.yaml")
+    with pytest.raises(ModelError, match=r"observer\.at: the inputs of rig change accelerations at once"):
+        found.changed(controller={"rate": "1 kHz", "observer": {"at": "inputs"}}, initial={"x": 0, "x'": 0}).validate()
+
+
 def test_a_run_without_homing_begins_where_something_holds_the_rig(tmp_path):
     """The mass is 10 mm out: the other end of the spring is there, too, and no force acts."""
     written(tmp_path, ELASTIC)

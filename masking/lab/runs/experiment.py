@@ -176,9 +176,9 @@ class Experiment:
     @cached_property
     def observer(self) -> Observer:
         """Observer of a sampled controller."""
-        kind, order = self.observer_settings.kind, self.observer_settings.order
-        known = Kalman(0 if kind == "kalman" else order, self.observer_settings.bandwidth)
-        return Differences() if kind == "differences" else known
+        known = self.observer_settings
+        order = 0 if known.kind == "kalman" else known.order
+        return Differences() if known.kind == "differences" else Kalman(order, known.bandwidth, known.at)
 
     @cached_property
     def instruments(self) -> Instruments:

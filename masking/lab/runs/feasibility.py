@@ -259,7 +259,10 @@ class Motion:
         match, model = self.experiment.match, self.experiment.law.model.name
         if match.is_same:
             idle = self.experiment.sampled.unused if self.experiment.has_observer else ()
-            why = "others tell the coordinates, and the model alone ties what it reads to them"
+            why = (
+                "others tell the coordinates, and the model alone ties what it reads to them; 'observer: {at: inputs}' "
+                "follows it where that model is right"
+            )
             return tuple(f"{name}: not used, {why}" for name in idle)
         own = ", ".join(match.own)
         words = f" ({self.experiment.passive.words})" if self.experiment.passive else ""

@@ -225,13 +225,15 @@ class ObserverSettings(Block):
     `exact` takes the true state, as only a simulation can give it; `differences` differences the positions; `kalman`
     follows the model; `disturbance` also estimates what the model lacks. `bandwidth` is in rad/s; `noise` is the
     standard deviation of a reading, in the sensors' units; `order` says how a disturbance is expected to continue: 1 as
-    a constant, 2 as a straight line.
+    a constant, 2 as a straight line. `at` says where it acts on a rig whose inputs act through dynamics of their own:
+    at the `inputs` alone, or at the `masses`, too; by default at these where the sensors tell both apart.
     """
 
     kind: Literal["exact", "differences", "kalman", "disturbance"] = "disturbance"
     bandwidth: Positive | None = None
     noise: Positive | None = None
     order: Natural = 2
+    at: Literal["inputs", "masses"] | None = None
 
 
 class Regulation(Block):
