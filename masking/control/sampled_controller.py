@@ -39,6 +39,7 @@ SETTLED = 5.0
 # measured: with four steps in a sample, a hysteresis and bristles are resolved as finely as the motion is known.
 MOST_MEMORY_STEPS = 4
 MEMORY_STEP = 0.2  # rad; its fifth power over 120 is what a step is off by: 3e-6 of the motion
+LEVELS = 7  # of noise, each twice the one before, for which an observer is designed where noise is measured at rest
 HALVINGS = 8  # of the logarithm of the range in which an actuator bandwidth is sought
 
 
@@ -54,7 +55,7 @@ class SampledController:
     noise: float | None
     homing: float  # seconds before the release in which the rig is brought to its initial state; 0 where it is there
     end: Array  # coordinates (n,) of the rig's initial state
-    # seconds before homing in which the rig rests without commands and the sensors' offsets are measured
+    # seconds before homing in which the rig rests without commands and the sensors' offsets and noise are measured
     rest: float = 0.0
     feed: Feed = NOTHING  # what the virtual system gets as inputs while it runs
     remembered: tuple[float, ...] = ()  # the virtual system's internal states at the release
@@ -163,11 +164,17 @@ class SampledController:
 
     @cached_property
     def gain(self) -> Array:
-        """Observer's gain, C-contiguous.
+        """Observer's gain (levels estimate, sensors), C-contiguous: for the noise that is known, and louder ones.
 
-        A ModelError where it is faster than the sampling allows, or the noise or a limit is not known.
+        Those count where the noise is measured at rest. A ModelError where it is faster than the sampling allows, or
+        the noise or a limit is not known.
         """
-        return np.ascontiguousarray(self.observer.gain(self.plan, self.sizes.states - 2 * self.sizes.coordinates))
+        offset = self.sizes.states - 2 * self.sizes.coordinates
+        found = [self.observer.gain(self.plan, offset)]
+        with contextlib.suppress(ModelError):  # too much noise for any observer
+            for level in range(1, LEVELS if self.rest and self.has_model and self.controller.is_direct else 1):
+                found.append(self.observer.gain(replace(self.plan, noise=2.0**level * self.plan.noise), offset))
+        return np.ascontiguousarray(np.concatenate(found))
 
     @cached_property
     def plan(self) -> Plan | WholePlan:
@@ -343,12 +350,14 @@ class SampledController:
         return np.concatenate([[-1.0, 1.0 / self.rate], self.lags, np.tile(values, sizes.kept)])
 
     def _standing(self, q: Array) -> Array:
-        """Memory of a rest at coordinates (n,), as `Sizes.rest` says."""
+        """Memory of a rest at coordinates (n,), as `sampled_loop.stand_still` says."""
         if not self.rest:
             return np.empty(0)
         part = -np.expm1(-SETTLED / (self.rest * self.rate))
-        expected = self.instruments.readings(q)
-        return np.concatenate([np.zeros(len(expected)), expected, [-self.homing, part]])
+        expected, noise = self.instruments.readings(q), self.plan.noise
+        weights = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=noise > 0.0)
+        begun = (expected, weights, *np.zeros((2, len(expected))), -np.ones(len(expected)))
+        return np.concatenate([[-self.homing, part], np.ravel(begun, order="F")])
 
 
 @dataclass(frozen=True, eq=False)

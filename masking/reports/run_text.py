@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
 from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, nested, parameters
 from masking.reports.text import capital, short
@@ -19,6 +20,9 @@ _AWAY = 0.02  # of the largest initial coordinate: what homing may leave
 _MUCH = 1.1  # times its limit: from here on an input is stated in multiples, below in percent
 _NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
+_ORDER, _ENOUGH = 8, 100  # of differences of readings; readings in which noise is looked for
+_MEDIAN = 0.6745  # of the magnitude of normal noise, in parts of its deviation
+_LOUD = 2.0  # times the noise that is known
 _NO_PHASE = "no fixed phase"
 _STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
 _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be shown
@@ -27,7 +31,7 @@ _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to b
 def warnings(study: Study) -> list[str]:
     """Sentences on what limits the validity of the result; empty if all is well."""
     manifest = study.recording.manifest
-    found = [text for text in (exceeded(study.inputs), cut(study.inputs)) if text]
+    found = [text for text in (exceeded(study.inputs), cut(study.inputs), louder(study.recording)) if text]
     rate = float(manifest.get("rate") or 0.0)
     compensates = (manifest.get("observer") or {}).get("kind") in _WITH_MODEL
     is_late = manifest.get("mode") == "sampled" and rate > 0.0 and not compensates
@@ -102,6 +106,24 @@ def cut(uses: Iterable[InputUse]) -> str:
         demand = f"{percent(use.demand / use.limit)} of {limit}" if use.limit else f"{number(use.demand)} {use.unit}"
         sentences.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
     return f"{'; '.join(sentences)}; the rig could not follow there." if sentences else ""
+
+
+def louder(recording: Recording) -> str:
+    """Sensors that scatter by more than the noise for which the observer is designed; "" where none do.
+
+    Of a smooth motion, differences of a high order leave nothing; what white noise leaves is known.
+    """
+    noise, found = (recording.manifest.get("observer") or {}).get("noise") or {}, dict[str, str]()
+    for name, deviation in noise.items():
+        readings = recording[f"sensor.{name}"] if f"sensor.{name}" in recording.columns else np.empty(0)
+        if len(readings) > _ENOUGH and deviation > 0.0:
+            left = float(np.median(np.abs(np.diff(readings, _ORDER))))
+            times = left / (_MEDIAN * deviation * math.sqrt(math.comb(2 * _ORDER, _ORDER)))
+            if times > _LOUD:
+                found[name] = number(times)
+    words = f"{', '.join(found)} scatter{'s' * (len(found) == 1)} by {'/'.join(found.values())} times the known noise"
+    remedy = "declare it, so that the observer is designed for it: an effect of the plant, or controller.observer.noise"
+    return f"{words}; {remedy}." if found else ""
 
 
 def observer(facts: Study) -> str:

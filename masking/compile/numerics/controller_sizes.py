@@ -21,7 +21,7 @@ class Sizes:
     # derivatives of a disturbance that are estimated: 0 for none, 1 for a constant one, 2 for a straight line
     order: int
     balanced: int = 0  # virtual coordinates whose energy balance is held; 0 where none is
-    offsets: int = 0  # sensors whose offset is measured at rest; 0 where none is
+    offsets: int = 0  # sensors whose offset and noise are measured at rest; 0 where none is
     remembered: int = 0  # internal states of the virtual system
     lags: int = 0  # its delayed expressions
     kept: int = 0  # samples of them that are kept; 0 where there are none
@@ -70,11 +70,8 @@ class Sizes:
 
     @property
     def rest(self) -> slice:
-        """Where offsets of sensors, their readings at rest without offset, and two numbers are.
-
-        The numbers are the time at which the rest ends, and the part of a difference that a sample corrects.
-        """
-        return slice(self.balance.stop, self.balance.stop + (2 * self.offsets + 2 if self.offsets else 0))
+        """Where what is measured at rest is, as `sampled_loop.stand_still` says."""
+        return slice(self.balance.stop, self.balance.stop + (5 * self.offsets + 2 if self.offsets else 0))
 
     @property
     def past(self) -> slice:

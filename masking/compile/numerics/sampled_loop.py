@@ -32,6 +32,7 @@ from masking.compile.numerics.runge_kutta import classical_step, copy, fault
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.compile.numerics.virtual_memory import follow_memory, notice_past, recall_past
 
+LOUDER = 1.5  # times the noise for which an observer is designed: beyond, one for twice as much is taken
 # Of readings s, which a gain (estimate, sensors) takes into the estimate.
 OF_READINGS = ("unit.gain.shape[1] >= len(s)", "work.shape[1] >= len(s)")
 
@@ -150,11 +151,46 @@ def observe_past(follow: Kernel, notice: Kernel, recall: Kernel, sizes: Sizes) -
     return observe
 
 
+def stand_still(sizes: Sizes) -> Kernel:
+    """Make `stand(t, s, standing, expected, levels) -> level`, what is measured of the sensors at rest before homing.
+
+    Their offsets follow what they read beyond the model's rest position, their noise the differences of readings. The
+    level says how many times it is that for which the observer is designed, as a power of 2 below `levels`. `standing`
+    holds the time at which the rest ends, the part of a difference that a sample corrects, and of each sensor the
+    reading at rest without offset, the inverse of its variance, the offset, the last reading, and the variance in parts
+    of the one that was expected, which is negative before the first reading.
+    """
+    count, louder = sizes.offsets, LOUDER**2
+
+    @compiled
+    def stand(t, s, standing, expected, levels):
+        level, loudest = 0, 0.0
+        for j in range(count):
+            k = 2 + 5 * j
+            if t < standing[0]:
+                step = s[j] - standing[k + 3]
+                standing[k + 2] += standing[1] * (s[j] - standing[k] - standing[k + 2])
+                if standing[k + 4] < 0.0:
+                    standing[k + 4] = 0.0
+                else:
+                    standing[k + 4] += standing[1] * (0.5 * step * step * standing[k + 1] - standing[k + 4])
+                standing[k + 3] = s[j]
+            expected[j] += standing[k + 2]
+            loudest = max(loudest, standing[k + 4])
+        for _ in range(levels - 1):
+            if loudest > louder:
+                level += 1
+                loudest /= 4.0
+        return level
+
+    return stand
+
+
 def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     """Make the step of a controller that follows the rig with a model: observe, predict, T, D, L, G, hold, limit.
 
-    What was applied, not what was demanded, moves the model: in saturation nothing winds up. While the rig is at rest
-    before homing, the offsets of the sensors follow what they read beyond the model's rest position.
+    What was applied, not what was demanded, moves the model: in saturation nothing winds up. At rest before homing, the
+    sensors are measured as `stand_still` says; the gain has rows (estimate,) for each level of noise.
 
     Returns `control(t, h, s, unit, demanded, applied, work) -> health` for the readings `s` at time t.
     """
@@ -165,6 +201,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
     remembers, recall, notice = sizes.remembered + sizes.lags > 0, recall_past(sizes), notice_past(parts.lagged, sizes)
     (follow, glide, mean_jump), then = follow_memory(parts.remember, recall, parts.conditions, sizes), sizes.past
     observe = observe_past(follow, notice, recall, sizes)
+    stand = stand_still(sizes)
     step, held, limit = predict(rate, sizes), hold(parts.law, rate, (glide, mean_jump, recall), sizes), limiter(sizes)
     balance = energy_balance(parts.virtual, parts.momentum, sizes)
 
@@ -186,13 +223,10 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
         ahead, u, expected = work[rows.AHEAD], work[rows.INPUTS][:m], work[rows.EXPECTED]
         acts, standing, past = t + delay * h, x[rest.start : rest.stop], x[then.start : then.stop]
         measure(t, z, p, expected)
-        for j in range(offsets):
-            if t < standing[2 * offsets]:
-                standing[j] += standing[2 * offsets + 1] * (s[j] - standing[offsets + j] - standing[j])
-            expected[j] += standing[j]
+        first = length * stand(t, s, standing, expected, gain.shape[0] // length)
         for i in range(length):
             for j in range(s.size):
-                z[i] += gain[i, j] * (s[j] - expected[j])
+                z[i] += gain[first + i, j] * (s[j] - expected[j])
         observe(t, h, x, z, p, work)
         if is_balanced:
             balanced, momentum = work[rows.BALANCED], work[rows.MOMENTUM]
@@ -205,7 +239,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
                 copy(ahead, z, length)
         health = held(acts, acts, ahead, past, x[changed.start : changed.stop], p, h, u, work)
         allocate(acts, ahead, u, p, demanded)
-        if offsets > 0 and acts < standing[2 * offsets]:
+        if offsets > 0 and acts < standing[0]:
             for i in range(channels):
                 demanded[i] = 0.0
         limit(demanded, table, power, h, applied)

@@ -15,6 +15,7 @@ from masking.errors import IntegrationError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import run_twin
 from masking.model.declaration import registry
+from masking.reports.run_report import warnings
 
 OURS = {"rate": "1 kHz", "observer": "disturbance"}
 SPRINGS = {**OURS, "model": "setup_springs"}
@@ -130,6 +131,18 @@ def test_clocks_never_synchronise_the_thesis_way(listed_only):
     """Friction stops the pendula away from their equilibria."""
     found = clocks("thesis", listed_only=listed_only)
     assert found.together > 0.8
+
+
+@pytest.mark.parametrize("rest", [0.0, 5.0])
+def test_a_rest_measures_that_sensors_are_ten_times_as_noisy(rest):
+    """Untold, the noise takes most of the beam's actuator; measured at rest, an eighth of that."""
+    controller = {**SPRINGS, "homing": 3, "energy_balance": 0.3, "observer": {"noise": 1e-4}}
+    controller |= {"rest": rest} if rest else {}
+    louder = {"noise": {"parameters": {"sigma": 1e-3}}}
+    found = experiment("huygens_rig", "tue_rig", controller, effects=louder, duration=100).run()
+    largest = np.abs(found["demanded.V3"]).max()
+    assert largest <= 0.1 if rest else largest >= 0.3
+    assert warnings(found)[-1].startswith("s1, s2, s3 scatter by ")
 
 
 # Other virtual systems, on the full twin.
