@@ -25,6 +25,7 @@ from masking.model.modelling.model import load_model
 from tests.app.workflows import test_discover, test_discover_components, test_measure
 from tests.benchmarks import (
     authentication,
+    by_hand,
     clocks,
     components,
     exported,
@@ -203,6 +204,12 @@ def masking_errors() -> str:
 def official_benchmarks(*names: str) -> str:
     """Return the table of measured benchmarks in their official form."""
     return official.table(names)
+
+
+@slow_value
+def actuators_by_hand() -> str:
+    """Return the table of rigs whose actuators have dynamics, by our controller and by two others."""
+    return "\n".join(by_hand.table())
 
 
 @slow_value
