@@ -33,6 +33,7 @@ NOISE_PART = 0.02
 # A bandwidth that makes too much noise is lowered by this factor until it does not.
 LOWERED = 0.9
 SLOWEST = 1e-3  # of the fastest bandwidth
+SMALL = 1e-9  # of the fastest motion: what rounding makes
 # Of what a largest command makes of a reading: where sensors tell inputs from forces, they are trusted no further than
 # the model may be off. measured: a current that is known to 0.3 mA made a coil unstable whose parameters are 5 % off.
 DOUBT = 1e-3
@@ -338,6 +339,29 @@ def check_followed(dynamics: Array, hidden: Sequence[int], coordinates: Sequence
             f"no sensor measures {names}, and in the model it does not come to rest by itself: where it is cannot be "
             "known; declare a sensor that measures it"
         )
+
+
+def check_told(dynamics: Array, sensing: Array, states: Sequence[str], sensors: Sequence[str]) -> None:
+    """Refuse sensors that do not tell a motion that does not come to rest by itself, by the test of Hautus.
+
+    `dynamics` (states, states): d y / dt = dynamics y of the model at rest, `sensing` (sensors, states) readings per
+    unit of y; the states are named after coordinates, in which a motion is named.
+    """
+    balanced, scale = linalg.matrix_balance(dynamics, permute=False)
+    seen = sensing @ scale
+    seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-300)
+    speeds = np.linalg.eigvals(balanced)
+    size = max(float(np.abs(speeds).max()), 1e-300)
+    for speed in speeds[speeds.real >= -SMALL * size]:
+        tested = np.vstack([(balanced - speed * np.eye(len(balanced))) / size, seen])
+        _, parts, motions = np.linalg.svd(tested)
+        if parts[-1] <= SMALL:
+            moved = np.abs(motions[-1])
+            names = dict.fromkeys(n.rstrip("'") for n, x in zip(states, moved, strict=True) if x > 0.01 * moved.max())
+            raise ModelError(
+                f"the sensors ({', '.join(sensors)}) do not tell {', '.join(names)}, and in the model it does not come "
+                "to rest by itself: where it is cannot be known; declare a sensor that measures it"
+            )
 
 
 def check_sensing(sensing: Array, coordinates: Sequence[str], sensors: Sequence[str]) -> None:

@@ -181,11 +181,10 @@ def _refused(model: Model, transform: Transform, direct: Array, degrees: Sequenc
     first = dict[float, list[str]]()
     for name, degree in zip(names, degrees, strict=True):
         first.setdefault(degree, []).append(name)
-    parts = [
-        f"{'never in' if math.isinf(r) else f'in derivative {r:.0f} of'} {', '.join(n)}"
-        for r, n in sorted(first.items())
-    ]
-    appears = f". An input appears first {', '.join(parts)}" if model.inputs else ""
+    never = first.pop(math.inf, [])
+    parts = [f"in derivative {r:.0f} of {', '.join(n)}" for r, n in sorted(first.items())]
+    appears = f". An input appears first {', '.join(parts)}" if parts else ""
+    appears += f"{'; no' if parts else '. No'} input ever appears in {', '.join(never)}" if never else ""
     if not any(map(math.isinf, degrees)) and len(have.split(", ")) >= len(names):
         soon = next(name for name, column in zip(model.inputs, at.T, strict=True) if column.any())
         appears += (

@@ -28,7 +28,7 @@ from masking.control.coordinate_match import CoordinateMatch
 from masking.control.homing import Homing
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
-from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan
+from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan, check_told
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
 from masking.lazy_imports import sampled_loop, single_step
@@ -238,6 +238,7 @@ class SampledController:
                                 *(STEP * lengths * self.rate**k for k in (2, 3))])  # fmt: skip
         sensing, by = jacobian(readings, x[:-n], steps[:-n]), jacobian(commands, x, steps)
         dynamics = jacobian(lambda y: rates(y, off), x[:own], steps[:own])
+        check_told(dynamics, sensing[:, :own], self.controller.model.state_names, self.instruments.sensors)
         driven = np.hstack([np.eye(own)[:, n : n + forced], jacobian(lambda u: rates(x[:own], u), off, np.ones(m))])
         sensing = np.hstack([sensing[:, : own + forced], np.zeros((len(sensing), m))])
         fed = -allocated / self.limits[:, [LARGEST]]
