@@ -230,6 +230,15 @@ def table(
                 yield row(of, Ours(made.changed(controller=settings)), (case, f"perturbed {number}", quake), drawn)
 
 
+def worst(perturbed: int, quake: str = "elcentro") -> Iterator[str]:
+    """Give the lines of a table of the worst of several perturbed plants of each case under an earthquake."""
+    yield "| case | J4 | J5 | J6 | J7 | J8 | J9 | noise alone |\n|---|---|---|---|---|---|---|---|"
+    for case in (1, 2, 3, 4):
+        _, _, *lines = table((case,), (quake,), perturbed)
+        cells = np.array([line.split("|")[7:14] for line in lines], dtype=float)
+        yield f"| {case} | {' | '.join(f'{value:.2f}' for value in cells.max(axis=0))} |"
+
+
 def row(of: Any, called: Ours, what: tuple[int, str, str], over: dict[str, float]) -> str:
     """Return the row of a case and a plant under an earthquake."""
     case, plant, quake = what

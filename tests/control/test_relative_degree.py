@@ -12,7 +12,7 @@ from masking import Experiment
 from masking.control.blocks import Transform
 from masking.control.law import Controller
 from masking.control.relative_degree import relative_degrees
-from masking.errors import ActuationError, ModelError
+from masking.errors import ActuationError, DeclarationError, ModelError
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model
 
@@ -580,6 +580,14 @@ def test_where_a_disturbance_acts_is_refused_where_it_cannot_be_told(tmp_path):
     found = Experiment.load(tmp_path / "run.yaml")
     with pytest.raises(ModelError, match=r"observer\.at: the inputs of rig change accelerations at once"):
         found.changed(controller={"rate": "1 kHz", "observer": {"at": "inputs"}}, initial={"x": 0, "x'": 0}).validate()
+
+
+def test_where_a_disturbance_acts_is_said_of_one_that_is_estimated(tmp_path):
+    found = written(tmp_path, RIGS["hydraulic cylinder"])
+    with pytest.raises(
+        DeclarationError, match=r"controller\.observer\.at: at says where a disturbance acts, and 'kalman'"
+    ):
+        found.changed(controller={"rate": "4 kHz", "observer": {"kind": "kalman", "at": "inputs"}})
 
 
 def test_a_run_without_homing_begins_where_something_holds_the_rig(tmp_path):

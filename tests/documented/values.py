@@ -219,6 +219,12 @@ def rths_benchmark() -> str:
 
 
 @slow_value
+def rths_perturbed(count: str) -> str:
+    """Return the table of the worst of so many perturbed plants of each of its cases."""
+    return "\n".join(rths.worst(int(count)))
+
+
+@slow_value
 def wishes_table() -> str:
     """Return the table of what a new user asks for, beside a controller written by hand."""
     return "\n".join(wishes.rows())

@@ -274,6 +274,9 @@ def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
         message = f"{observer.order} is not an order of a disturbance"
         remedy = "allowed: 1 (a constant), 2 (a straight line)"
         yield problem_at(experiment, "controller.observer.order", message, remedy)
+    if observer is not None and observer.at is not None and observer.kind != "disturbance":
+        message = f"at says where a disturbance acts, and '{observer.kind}' estimates none"
+        yield problem_at(experiment, "controller.observer.at", message, "take 'kind: disturbance', or leave it out")
 
 
 def _following(experiment: ExperimentDeclaration) -> Iterator[Problem]:
