@@ -215,7 +215,7 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
             notice(t + h, z, past, p, work[rows.MEMORY])
 
     @compiled
-    @requires(*OF_READINGS)
+    @requires(*OF_READINGS, f"unit.gain.shape[0] >= {length}")
     def control(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         x, p, gain, table = unit
         now, power, z, queue = x[:length], x[powers.start : powers.stop], x[following.start : following.stop], x[fixed:]
