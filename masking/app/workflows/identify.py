@@ -12,7 +12,7 @@ import numpy as np
 from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import check_folder
 from masking.app.workflows.settings_keywords import showing
-from masking.errors import DeclarationError, Problem, RecordError, nearest
+from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
 from masking.inference.estimation import extended_kalman, unit_check
 from masking.inference.estimation import fit as fits
@@ -23,6 +23,7 @@ from masking.reports import fit_figures, fit_files, identification_page
 
 Method = Literal["least-squares", "kalman"]
 METHODS = get_args(Method)
+LESS = 0.5  # of chi: what another hold must leave of it to be told of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +95,33 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         notes += one.notes
         if doubt is not None and doubt.stands(declared, found.values, left):
             notes.append(doubt.note(twin, one))
+    if isinstance(found, fits.Fit) and given.hold is None and any(one.hold == "zero-order" for one in train):
+        notes += _between_samples(given, records, found)
     found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
     if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)
         fit_files.save(found, given.out)
         identification_page.save_fit(found, figures, sentence, given.out)
     return found
+
+
+def _between_samples(given: Identify, records: Sequence[str | Path], found: fits.Fit) -> list[str]:
+    """Note where inputs that go in straight lines between samples leave far less than those that are held."""
+    if not any(chi > max(fits.BEYOND * found.floor[name], fits.EXACT) for name, chi in found.chi.items()):
+        return []
+    settings = {**given.reading, "hold": "first-order"}
+    lines = [Data.read(path, found.twin, **settings) for path in records]
+    try:
+        again = fits.fit(found.twin, lines, found.names, shooting_interval=given.shooting_interval)
+    except IntegrationError:
+        return []
+    if any(again.chi[name] > LESS * chi for name, chi in found.chi.items()):
+        return []
+    errors = ", ".join(f"{again.chi[name]:.2g} in place of {chi:.2g} in {name}" for name, chi in found.chi.items())
+    return [
+        f"inputs that go in straight lines between samples leave chi {errors}: if they were measured, and not sent "
+        "sample by sample, give 'hold: first-order' (--hold first-order)"
+    ]
 
 
 def _check_method(given: Identify, records: int) -> None:
