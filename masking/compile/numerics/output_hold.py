@@ -190,7 +190,7 @@ def _behind(law: Kernel, rate: Kernel, memory: tuple[Kernel, Kernel, Kernel], al
 
     What cancels these dynamics is by far larger than what is wanted of them, and what a state that is off makes of it
     must not count: the motion is found in passes. measured: a hydraulic rig of 431 rad/s, approached with 80 rad/s at
-    8 kHz, swings as a pendulum of 6 rad/s with chi 2e-4 over 5 s; where its internal states are those at the samples,
+    8 kHz, swings as a pendulum of 6 rad/s with chi 3e-4 over 5 s; where its internal states are those at the samples,
     it stops instead.
     """
     (_, mean_jump, _), (disturbance, remind, shift, settle) = memory, along
