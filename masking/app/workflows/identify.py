@@ -23,7 +23,7 @@ from masking.reports import fit_figures, fit_files, identification_page
 
 Method = Literal["least-squares", "kalman"]
 METHODS = get_args(Method)
-LESS = 0.5  # of chi: what another hold must leave of it to be told of
+LESS = 0.5  # of chi: a hold that leaves no more of it is proposed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         if doubt is not None and doubt.stands(declared, found.values, left):
             notes.append(doubt.note(twin, one))
     if isinstance(found, fits.Fit) and given.hold is None and any(one.hold == "zero-order" for one in train):
-        notes += _between_samples(given, records, found)
+        notes += _between_samples(found, train, given.shooting_interval)
     found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
     if given.out is not None:
         figures, sentence = fit_figures.figures(found, train, held_out)
@@ -105,14 +105,12 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     return found
 
 
-def _between_samples(given: Identify, records: Sequence[str | Path], found: fits.Fit) -> list[str]:
+def _between_samples(found: fits.Fit, records: Sequence[Data], interval: float | None) -> list[str]:
     """Note where inputs that go in straight lines between samples leave far less than those that are held."""
     if not any(chi > max(fits.BEYOND * found.floor[name], fits.EXACT) for name, chi in found.chi.items()):
         return []
-    settings = {**given.reading, "hold": "first-order"}
-    lines = [Data.read(path, found.twin, **settings) for path in records]
     try:
-        again = fits.fit(found.twin, lines, found.names, shooting_interval=given.shooting_interval)
+        again = fits.fit(found.twin, [one.first_order() for one in records], found.names, shooting_interval=interval)
     except IntegrationError:
         return []
     if any(again.chi[name] > LESS * chi for name, chi in found.chi.items()):

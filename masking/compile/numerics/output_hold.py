@@ -195,7 +195,8 @@ def _behind(law: Kernel, rate: Kernel, memory: tuple[Kernel, Kernel, Kernel], al
     """
     (_, mean_jump, _), (disturbance, remind, shift, settle) = memory, along
     n, size, m = sizes.coordinates, sizes.states, sizes.inputs
-    width, jumping, is_forced = n + n * (orders(sizes)[0] > 0), sizes.events > 0, orders(sizes)[0] > 0
+    is_forced, jumping = orders(sizes)[0] > 0, sizes.events > 0
+    width = 2 * n if is_forced else n
     saved, spare, shifting = _rows(sizes)
 
     @compiled

@@ -40,7 +40,7 @@ from masking.inference.discovery.readings import Reading
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.verdict import Key, Scored
-from masking.inference.estimation.identification_data import NOT_LATE, Data
+from masking.inference.estimation.identification_data import Data
 from masking.lab.records.noise import rounding_steps
 from masking.model.effects import ROUNDING
 
@@ -124,7 +124,7 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     """Errors with first-order hold of commands; None if they are no smaller."""
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
-    problem = replace(found.problem, record=replace(found.record, hold="first-order", late=NOT_LATE))
+    problem = replace(found.problem, record=found.record.first_order())
     with threadpool_limits(1), suppress(IntegrationError):
         other = fitting.fit(problem)
         size = found.record.readings.size

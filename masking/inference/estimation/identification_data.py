@@ -269,6 +269,10 @@ class Data:
         count = round(seconds * self.rate)
         return replace(self, commands=self.commands[:count], readings=self.readings[:count])
 
+    def first_order(self) -> Data:
+        """Record with inputs that go in straight lines between samples, and act when they are measured."""
+        return replace(self, hold="first-order", late=NOT_LATE)
+
     def band_limited(self) -> Data:
         """Record with a first-order hold that acts as band-limited inputs through its samples would.
 

@@ -37,11 +37,13 @@ def record(folder, *, held):
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_coil_is_identified_and_how_its_input_went_is_told(tmp_path, held):
+def test_a_coil_is_identified_and_the_hold_of_its_input_is_proposed(tmp_path, held):
     path = record(tmp_path, held=held)
     found = identify(path, model=tmp_path / "coil.yaml")
-    told = [note for note in found.notes if note.startswith("inputs that go in straight lines between samples leave")]
-    assert len(told) == (not held)
+    proposed = [
+        note for note in found.notes if note.startswith("inputs that go in straight lines between samples leave")
+    ]
+    assert len(proposed) == (not held)
     right = found if held else identify(path, model=tmp_path / "coil.yaml", hold="first-order")
     assert max(right.chi.values()) <= 1.1 * max(right.floor.values())
     np.testing.assert_allclose(right.values, [TRUE[name] for name in right.names], rtol=2e-3)
