@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import json
+import pickle
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 
-from masking.app.workflows.batch_run import facts
+from masking.app.workflows.batch_run import Try, facts
 from masking.app.workflows.recover import TICKS, recover
 from masking.errors import MaskingError, RecordError
+from masking.lab.plants.authentication import Key
 from masking.lab.records import stream
 from masking.lab.records.child_process import Child
 from masking.lab.records.journal import Journal
@@ -113,8 +116,8 @@ def run(
         if not batch_plan.begin(journal.entries, wanted, folder):
             journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
         found = batch_plan.progress(runs, journal.entries)
-        options = [*(["--plant", plant] if plant else []), *(["--key", key] if key else [])]
-        why = _Worker(plan, declared, folder, journal, found, experiment, options, say).work(progress)
+        server = plant or declared.plant, None if key is None else Key.read(key)
+        why = _Worker(declared, folder, journal, found, experiment, *server, say).work(progress)
     made = Batch(folder, declared.name, tuple(found), why)
     batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
     return made
@@ -125,13 +128,13 @@ def run(
 class _Worker:
     """Makes the runs of a batch, and keeps up to date what is known of each."""
 
-    plan: str | Path
     declared: BatchDeclaration
     folder: Path
     journal: Journal
     found: Sequence[Progress]
     experiment: Experiment
-    options: Sequence[str]  # of each run's process
+    address: str | None  # of the plant; None for the twin
+    key: Key | None  # of the plant's server
     say: Callable[[str], None]
     has_run: bool = False
     outcome: Mapping[str, Any] = field(default_factory=dict)  # of the last try
@@ -177,20 +180,25 @@ class _Worker:
             time.sleep(self.declared.cool)
             begin["cooled"] = round(time.monotonic() - self.ended, 3)
         one.tries += 1
-        place = self._place(one)
+        place, declared = self._place(one), self.declared
+        made = batch_plan.changed(self.experiment, one.run.settings)
+        batch_plan.write(made, place)
         self.journal.add(**begin, **{"try": one.tries}, settings=dict(one.run.settings))
         one.open, self.has_run = one.tries, True
         zeros = [end["zero"] for other in self.found for end in other.ends if end.get("zero")]
-        arguments = [str(self.plan), str(one.run.number), str(place), *self.options]
-        arguments += ["--zero", json.dumps(zeros[0] if zeros else {})]
+        server, rest = (self.address, self.key, declared.lockstep), (declared.drift, declared.patience)
         begun = time.monotonic()
-        # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
-        child = Child("masking.app.workflows.batch_run", arguments, is_apart=False, handles=[self.journal.handle])
-        try:
-            said = child.output(_ENDS)
-        except BaseException:
-            self._end(one, self._left(place, {"end": INTERRUPTED}))
-            raise
+        with tempfile.TemporaryFile() as file:
+            file.write(pickle.dumps(Try(made, place, *server, *rest, zeros[0] if zeros else {})))
+            file.seek(0)
+            # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
+            handles = [self.journal.handle, file.fileno()]
+            child = Child("masking.app.workflows.batch_run", [str(file.fileno())], is_apart=False, handles=handles)
+            try:
+                said = child.output(_ENDS)
+            except BaseException:
+                self._end(one, self._left(place, {"end": INTERRUPTED}))
+                raise
         lines = [line for line in said.splitlines() if line.startswith("{")]
         outcome: dict[str, Any] = {"end": FAILED, "why": f"its process ended with status {child.wait()}"}
         outcome = json.loads(lines[-1]) if lines else {**outcome, "seconds": time.monotonic() - begun}

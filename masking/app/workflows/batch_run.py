@@ -1,19 +1,22 @@
 """Run of a batch: a process of its own for each try, so that what ends it ends one try alone.
 
-    python -m masking.app.workflows.batch_run PLAN NUMBER FOLDER [--plant ADDRESS] [--key FILE] [--zero JSON]
+    python -m masking.app.workflows.batch_run HANDLE
 
-It looks whether the rig is at rest and where its sensors were before the first run, runs, saves the recording, and
-prints what became of it as a line of JSON. It ends in order when the process that started it is gone.
+It is given an open file with the try, as the batch has read it: what becomes of files meanwhile changes nothing. It
+looks whether the rig is at rest and where its sensors were before the first run, runs, saves the recording, and prints
+what became of it as a line of JSON. It ends in order when the process that started it is gone.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
+import os
+import pickle
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,22 +45,30 @@ _STILL: Final = 0.01  # of a limit, within which a rig that is at rest may move
 _OFF: Final = 8.0  # standard deviations of noise that no motion is
 
 
+@dataclass(frozen=True)
+class Try:
+    """All that a try is made of."""
+
+    experiment: Experiment  # with the values of its run
+    folder: Path  # of the recording
+    address: str | None  # of the plant; None for the twin
+    key: Key | None  # of the plant's server
+    lockstep: bool
+    drift: float  # of a limit, that the sensors' zeros may have moved
+    patience: float  # s until the rig is at rest
+    zero: Mapping[str, float]  # readings at rest before the first run; empty in the first
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a try; return the exit status."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("plan")
-    parser.add_argument("number", type=int)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--plant")
-    parser.add_argument("--key")
-    parser.add_argument("--zero", type=json.loads, default={})
-    chosen = parser.parse_args(arguments)
     end_with_parent()
+    with os.fdopen(int((sys.argv[1:] if arguments is None else arguments)[0]), "rb") as file:
+        wanted: Try = pickle.load(file)  # noqa: S301  (a file without a name, that its parent wrote)
     began = time.monotonic()
     try:
-        outcome = _outcome(chosen)
+        outcome = _outcome(wanted)
     except PlantLostError as error:
-        is_there = stream.is_in(chosen.folder)
+        is_there = stream.is_in(wanted.folder)
         outcome = {"end": FAILED if is_there else batch_plan.UNREACHABLE, "why": str(error)}
     except PlantRefusedError as error:
         outcome = {"end": batch_plan.UNREACHABLE, "why": str(error)}
@@ -67,32 +78,28 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _outcome(chosen: argparse.Namespace) -> dict[str, Any]:
-    plan, experiment, runs = batch_plan.load(chosen.plan)
-    varied = batch_plan.changed(experiment, runs[chosen.number - 1].settings)
-    made = Experiment.load(batch_plan.write(varied, chosen.folder))
-    address = chosen.plant or plan.plant
-    lockstep = plan.lockstep or address is None
+def _outcome(wanted: Try) -> dict[str, Any]:
+    made, folder, lockstep = wanted.experiment, wanted.folder, wanted.lockstep or wanted.address is None
 
     def plant() -> Plant:
-        key = Key.read(chosen.key) if chosen.key is not None else None
-        return adapters.connect(address, key) if address else SimulatedPlant(made.twin, made.declaration.seed)
+        address = wanted.address
+        return adapters.connect(address, wanted.key) if address else SimulatedPlant(made.twin, made.declaration.seed)
 
     kept: list[Recording] = []
     with Operator() as operator:
         try:
-            zero = _at_rest(made, plant(), chosen.zero, plan.drift, plan.patience, lockstep=lockstep, operator=operator)
+            zero = _at_rest(wanted, plant(), lockstep=lockstep, operator=operator)
             settings = hardware.RunSettings(
-                lockstep=lockstep, acknowledge=True, keep=kept.append, stream=chosen.folder, operator=operator
+                lockstep=lockstep, acknowledge=True, keep=kept.append, stream=folder, operator=operator
             )
             kept.append(hardware.run(made, plant(), settings))
         except MaskingError as error:
             if kept and isinstance(error, PlantError):
-                return _saved(made, kept[0], chosen.folder) | {"why": str(error), "zero": zero}
+                return _saved(made, kept[0], folder) | {"why": str(error), "zero": zero}
             if kept or operator.trip is None or operator.trip.cause in _LOST:
                 raise
             return {"end": TRIPPED, "why": str(operator.trip), "cause": operator.trip.cause.name}  # before the release
-    return _saved(made, kept[0], chosen.folder) | {"zero": zero}
+    return _saved(made, kept[0], folder) | {"zero": zero}
 
 
 def _saved(experiment: Experiment, recording: Recording, folder: Path) -> dict[str, Any]:
@@ -118,17 +125,9 @@ def facts(experiment: Experiment, recording: Recording) -> dict[str, Any]:
     return found | ({} if trip is None else {"why": trip["sentence"], "cause": trip["cause"]})
 
 
-def _at_rest(
-    made: Experiment,
-    plant: Plant,
-    first: Mapping[str, float],
-    drift: float,
-    patience: float,
-    *,
-    lockstep: bool,
-    operator: Operator,
-) -> dict[str, float]:
+def _at_rest(wanted: Try, plant: Plant, *, lockstep: bool, operator: Operator) -> dict[str, float]:
     """Wait until a rig is at rest, and return its readings; refuse one that moves, or a sensor whose zero has moved."""
+    made, first, drift, patience = wanted.experiment, wanted.zero, wanted.drift, wanted.patience
     rate, twin = made.sampled.rate, made.twin
     held = safety_limits.without_model(safety_limits.rules(made.instruments, rate, twin))
     many, read, noise = max(2, round(_LOOKED * rate)), list[Array](), twin.noise()

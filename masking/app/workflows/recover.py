@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 
 from masking.app.workflows.output_folders import RUN, check_folder
 from masking.compile.numerics.arrays import Array
-from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import CLOSED
@@ -21,13 +19,14 @@ from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import is_running
 from masking.lab.records.stream_reader import Stream
 from masking.lab.records.tick_times import timing
-from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import RowLayout, samples_after
 from masking.lab.runs.stopping import KILLED
+from masking.model.declaration import registry
 from masking.reports import run_report
 
 TICKS: Final = "ticks"
+_AS_THEN: Final = ("created", "commit", "files", "versions", "declarations")
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,8 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
     """Make the recording of a run on a rig that was killed, or whose recording could not be saved.
 
     `ticks` below the folder gets a row for each tick, the homing included. The run since the release becomes what it
-    would have been, if the files of the experiment are still those that it was read from. Once all is saved, the stream
-    is removed, unless something in it was damaged.
+    would have been, whatever became of the files of the experiment since, but for those that its inputs come from. Once
+    all is saved, the stream is removed, unless something in it was damaged.
 
     Args:
         folder: that the run was to be saved in.
@@ -146,13 +145,11 @@ def _run(found: Stream, table: Array, column: dict[str, Array], lost: dict[str, 
     """Recording since the release; or None, and why."""
     if not (column["index"] >= 0).any():
         return None, "the run ended in the homing, before the release"
-    read_from = found.manifest["read_from"]
-    remedy = "put them back as they were, and recover it again"
     try:
-        experiment = Experiment.load(read_from["experiment"], plant=read_from["plant"])
-        content = manifest.content(experiment.assembly, experiment.virtual, {})
-        if json.loads(json_text(content["declarations"])) != found.manifest["declarations"]:
-            return None, f"{read_from['experiment']} or what it names has changed since the run; {remedy}"
+        experiment = Experiment(registry.restored(found.manifest["declarations"]))
+        for name, entry in experiment.inputs.entry().items():
+            if entry.get("sha256") != found.manifest["inputs"][name].get("sha256"):
+                return None, f"{entry['file']} has changed since the run; put it back as it was, and recover it again"
         layout = RowLayout(experiment)
         if [*layout.columns.items()] != [*found.manifest["columns"].items()]:
             return None, "another version of this program has written it; recover it with that version"
@@ -162,6 +159,8 @@ def _run(found: Stream, table: Array, column: dict[str, Array], lost: dict[str, 
         clock = {} if is_lockstep else {"lateness": column["lateness"]}
         times = timing(column["tick"].astype(np.int64), **clock, controller=column["duration"])
         outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost), "timing": times}
-        return layout.recording(table, after, lockstep=is_lockstep, outcome=outcome), ""
+        made = layout.recording(table, after, lockstep=is_lockstep, outcome=outcome)
+        made.manifest.update({name: found.manifest[name] for name in _AS_THEN})
+        return made, ""
     except MaskingError as error:
         return None, f"the run since the release could not be made: {error}"

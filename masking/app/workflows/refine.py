@@ -230,7 +230,7 @@ def refined(experiment: Experiment, found: Discovery, files: Files, folder: Path
     model = discovery_files.paths(found, folder).model
     controller = made.declaration.controller.model_copy(update={"model": str(model)})
     declaration = made.declaration.model_copy(update={"controller": controller})
-    return Experiment(replace(made.assembly, experiment=declaration))
+    return replace(made, assembly=replace(made.assembly, experiment=declaration))
 
 
 def _creeping(explained: Explanation) -> Explanation:

@@ -48,7 +48,7 @@ class Plan:
     def __reduce__(self) -> tuple[type[Plan], tuple[object, ...]]:
         """Pickled form: without compiled code, which each process has of its own."""
         others = (self.design, self.measures, self.virtual, self.continuation, self.trajectories)
-        return Plan, (Experiment(self.experiment.assembly), *others)
+        return Plan, (self.experiment, *others)
 
     @cached_property
     def places(self) -> tuple[tuple[Place, ...], ...]:

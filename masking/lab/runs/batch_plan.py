@@ -99,7 +99,7 @@ def changed(experiment: Experiment, settings: Mapping[str, float]) -> Experiment
 def write(experiment: Experiment, folder: Path) -> Path:
     """Write the file of an experiment with replaced values into a folder, made if need be; return its path.
 
-    A run of that file can be recovered by itself, as one of any other file. A RecordError where it cannot be written.
+    A RecordError where it cannot be written.
     """
     path = folder / EXPERIMENT
     try:

@@ -129,7 +129,8 @@ def run(experiment: Experiment, wanted: bool | None = None, progress: Progress |
 def in_full(experiment: Experiment, duration: float | None = None) -> Experiment:
     """Experiment that nothing ends before its duration, or before another one in virtual time."""
     changes = {"stop": None, "duration": duration or experiment.declaration.duration}
-    return Experiment(replace(experiment.assembly, experiment=experiment.declaration.model_copy(update=changes)))
+    changed = experiment.declaration.model_copy(update=changes)
+    return replace(experiment, assembly=replace(experiment.assembly, experiment=changed))
 
 
 def expected_time(experiment: Experiment, recording: Recording) -> float:

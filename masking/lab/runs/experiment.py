@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from masking.control.zero_dynamics import Held
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.lab.records.recording import Recording
 from masking.lab.runs import experiment_card, manifest, offline, record_rate
-from masking.lab.runs.experiment_inputs import VirtualInputs, live_inputs
+from masking.lab.runs.experiment_inputs import InputFiles, VirtualInputs, live_inputs
 from masking.lab.runs.ideal_motion import Ideal, Reached
 from masking.lab.runs.offline import Mapped, Run, TwinRun
 from masking.lab.runs.passive_coordinates import Passive
@@ -43,6 +43,12 @@ class Experiment:
     """Which plant moves as which virtual system, from where, for how long, under which controller."""
 
     assembly: registry.Assembly
+    files: InputFiles = field(default_factory=InputFiles, compare=False)
+
+    def __reduce__(self) -> tuple[type[Experiment], tuple[registry.Assembly, InputFiles]]:
+        """Pickled form: what was declared and read, without compiled code."""
+        self.files.read(self.declaration)
+        return Experiment, (self.assembly, self.files)
 
     def __repr__(self) -> str:
         return f"<Experiment {self.declaration.name}: {experiment_card.in_words(self.assembly)}>"
@@ -71,11 +77,10 @@ class Experiment:
             DeclarationError: a declaration is wrong; lists every problem with its place.
         """
         declaration = registry.load_experiment(name_or_path, Reference(counts=counts or {}))
-        if changes:
-            wrong = [name for name, value in changes.items() if not isinstance(value, int | float)]
-            if wrong:
-                raise DeclarationError(Problem(None, wrong[0], f"must be a number, not {changes[wrong[0]]!r}"))
-            declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, **changes}})
+        for name, value in (changes or {}).items():
+            if not isinstance(value, int | float):
+                raise DeclarationError(Problem(None, name, f"must be a number, not {value!r}"))
+            declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, name: value}})
         return cls(registry.assemble(declaration, plant))
 
     def changed(self, **sections: object) -> Experiment:
@@ -86,10 +91,7 @@ class Experiment:
         Raises:
             DeclarationError: as for a file.
         """
-        declaration = registry.changed_experiment(self.declaration, sections)
-        is_given = declaration.plants or {"plant", "plants"} & sections.keys()
-        here = None if is_given else next(iter(self.assembly.plant.files), None)
-        return Experiment(registry.assemble(declaration, here))
+        return replace(self, assembly=registry.changed_assembly(self.assembly, sections))
 
     @property
     def declaration(self) -> schema.ExperimentDeclaration:
@@ -142,7 +144,7 @@ class Experiment:
     @cached_property
     def inputs(self) -> VirtualInputs:
         """Inputs of the virtual system that are no expressions."""
-        return VirtualInputs(self.declaration, self.virtual, self.law)
+        return VirtualInputs(self.declaration, self.virtual, self.law, self.files)
 
     @property
     def time_scale(self) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -20,12 +20,55 @@ from masking.control.virtual_inputs import Feed, FromPush, FromSensor
 from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
 from masking.lab import signals
 from masking.lab.records import column_units, readers
+from masking.lab.records.recording import TABLE
 from masking.lab.runs.offline import TwinRun
 from masking.model.declaration import registry, schema
 from masking.model.declaration.input_definitions import CELLS, cell
 from masking.model.declaration.input_source import InputSource
 from masking.model.modelling.input_series import Schedule, Series
 from masking.model.modelling.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class InputColumn:
+    """A column of a file that an input comes from, as it was when it was read."""
+
+    times: Array  # (m,), s
+    values: Array  # (m,)
+    sha256: str  # of the file
+
+
+@final
+class InputFiles:
+    """Files that inputs come from: each column is read once, whatever becomes of its file."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Path, str], InputColumn] = {}
+
+    def column(self, experiment: schema.ExperimentDeclaration, name: str) -> InputColumn:
+        """Column of an input of an experiment, that of the input's name where none is named.
+
+        Its file is looked up from the folder of the experiment; a RecordError where there is no such column.
+        """
+        source = experiment.inputs[name]
+        folder = registry.refer(experiment, f"inputs.{name}.file").folder
+        path, wanted = ((folder or Path()) / str(source.file)).absolute(), source.column or name
+        if (path, wanted) not in self._known:
+            recording = readers.read(path)
+            names = (wanted, column_units.split(wanted)[0], f"input.{wanted}")
+            column = next((c for c in names if c in recording.columns), None)
+            if column is None:
+                raise RecordError(f"{path}: no column '{wanted}'; {nearest(wanted, [*recording.columns])}")
+            file = path / TABLE if path.is_dir() else path
+            digest = hashlib.sha256(file.read_bytes()).hexdigest()
+            self._known[path, wanted] = InputColumn(recording.t, recording[column], digest)
+        return self._known[path, wanted]
+
+    def read(self, experiment: schema.ExperimentDeclaration) -> None:
+        """Read the files of all inputs of an experiment."""
+        for name, source in experiment.inputs.items():
+            if source.file is not None:
+                self.column(experiment, name)
 
 
 @dataclass(frozen=True)
@@ -35,6 +78,7 @@ class VirtualInputs:
     experiment: schema.ExperimentDeclaration  # the declaration, with the sources
     virtual: Model  # the virtual system, whose inputs have become definitions
     law: Controller  # the control law
+    files: InputFiles  # that inputs come from
 
     @cached_property
     def series(self) -> dict[str, Series]:
@@ -44,19 +88,17 @@ class VirtualInputs:
 
     def _read(self, name: str, source: InputSource) -> Series:
         try:
-            times, values = _file(self.path(name), source, name) if source.file else _signal(source)
+            if source.file:
+                read = self.files.column(self.experiment, name)
+                times, values = read.times, read.values
+            else:
+                times, values = _signal(source)
             unit, size = self._unit(name)
             own = self.virtual.units.conversions[unit].factor / size
             return Series(times, values * own, source.interpolation or "linear")
         except MaskingError as error:
             path = f"inputs.{name}"
             raise DeclarationError(Problem(self.experiment.key_place(path), path, str(error))) from None
-
-    def path(self, name: str) -> Path:
-        """File of an input, which is looked up from the folder of the experiment."""
-        file = Path(str(self.experiment.inputs[name].file))
-        folder = registry.refer(self.experiment, f"inputs.{name}.file").folder
-        return file if folder is None else folder / file
 
     def _unit(self, name: str) -> tuple[str, float]:
         """Declared unit of an input, and the size in it of what the virtual system counts in: 1 but for its scales."""
@@ -123,7 +165,7 @@ class VirtualInputs:
         for name, source in self.experiment.inputs.items():
             found[name] = source.model_dump(mode="json", exclude_defaults=True)
             if source.file is not None:
-                found[name]["sha256"] = hashlib.sha256(self.path(name).read_bytes()).hexdigest()
+                found[name]["sha256"] = self.files.column(self.experiment, name).sha256
         return found
 
 
@@ -150,17 +192,6 @@ def _slow(times: Array, values: Array, speed: float, low: float, period: float) 
         low += part * (values[i] - low)
         found[i] = low
     return found
-
-
-def _file(path: Path, source: InputSource, name: str) -> tuple[Array, Array]:
-    """Times and values of a column of a file: that of the input's name where none is named."""
-    wanted = source.column or name
-    recording = readers.read(path)
-    names = (wanted, column_units.split(wanted)[0], f"input.{wanted}")
-    column = next((c for c in names if c in recording.columns), None)
-    if column is None:
-        raise RecordError(f"{path}: no column '{wanted}'; {nearest(wanted, [*recording.columns])}")
-    return recording.t, recording[column]
 
 
 def _signal(source: InputSource) -> tuple[Array, Array]:

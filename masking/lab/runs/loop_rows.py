@@ -23,6 +23,7 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import TwinRun, samples_until
 from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Known
 from masking.lab.runs.stopping import SYNCHRONISED
+from masking.model.declaration import registry
 
 
 @dataclass(frozen=True)
@@ -114,13 +115,10 @@ class StreamedRows:
 
     def __init__(self, experiment: Experiment, folder: Path, spare: Path, **more: object) -> None:
         self.layout, self._folder = RowLayout(experiment), folder
-        declaration = experiment.declaration
-        content = manifest.content(experiment.assembly, experiment.virtual, more)
-        files = experiment.assembly.plant.files
-        content["read_from"] = {
-            "experiment": str(Path(next(iter(declaration.files), declaration.name)).absolute()),
-            "plant": str(Path(next(iter(files), "")).absolute()) if files and not declaration.plants else None,
-        }
+        content = manifest.content(
+            experiment.assembly, experiment.virtual, {**more, "inputs": experiment.inputs.entry()}
+        )
+        content["declarations"]["experiment"] = registry.canonical(experiment.declaration)
         content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
         self.recorder = Recorder(folder, self.layout.columns, experiment.sampled.rate, spare, **content)
         self.put = self.recorder.ring.put

@@ -39,6 +39,7 @@ def content(assembly: registry.Assembly, virtual: Model, entries: Mapping[str, A
             "plant_model": assembly.plant_model.canonical(),
             "virtual": assembly.virtual_model.canonical(),
             "controller_model": assembly.controller_model.canonical(),
+            **({"dictionaries": [one.canonical() for one in own]} if (own := assembly.plant.dictionaries) else {}),
         },
         "parameters": virtual.parameter_values(),
         "virtual_name": virtual.name,

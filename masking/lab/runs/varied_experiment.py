@@ -108,7 +108,8 @@ def varied(experiment: Experiment, settings: Sequence[tuple[Place, float, bool]]
             sections.setdefault(path[0], whole.get(path[0], {}))
             sections[path[0]] = _put(sections[path[0]], path[1:], one)
     if is_light:
-        return Experiment(replace(experiment.assembly, experiment=own.model_copy(update=sections)))
+        changed = own.model_copy(update=sections)
+        return replace(experiment, assembly=replace(experiment.assembly, experiment=changed))
     made = experiment.changed(**sections) if sections else experiment
     return _with_plant(made, parameters) if parameters else made
 
@@ -141,4 +142,4 @@ def _with_plant(experiment: Experiment, parameters: Mapping[str, float]) -> Expe
     controller = declaration.controller.model_copy(update={"parameters": assumed})
     changed = declaration.model_copy(update={"controller": controller})
     plant = assembly.plant.model_copy(update={"parameters": {**assembly.plant.parameters, **parameters}})
-    return Experiment(replace(assembly, experiment=changed, plant=plant))
+    return replace(experiment, assembly=replace(assembly, experiment=changed, plant=plant))

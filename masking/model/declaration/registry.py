@@ -47,6 +47,7 @@ class Assembly:
     plant_model: ModelDeclaration
     virtual_model: ModelDeclaration
     controller_model: ModelDeclaration
+    declared_virtual: ModelDeclaration  # the virtual system with its inputs as its file declares them
 
 
 def load_model(name_or_path: str | Path, reference: Reference = NOWHERE) -> ModelDeclaration:
@@ -152,7 +153,7 @@ def name_from(declaration: Declaration, start: Path | None = None) -> str:
 def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
     """Content of an experiment's file for a folder, from which it names other files."""
     declared = assembly.experiment
-    made = declared.canonical()
+    made = canonical(declared)
     made["virtual"] = name_from(assembly.virtual_model, start)
     if declared.plants:
         made["plants"] = {part.name: name_from(part.plant, start) for part in parts(declared)}
@@ -160,11 +161,33 @@ def content_from(assembly: Assembly, start: Path) -> dict[str, Any]:
         made["plant"] = name_from(assembly.plant, start)
     if declared.controller.model is not None:
         made["controller"]["model"] = name_from(assembly.controller_model, start)
-    for name, source in declared.inputs.items():
+    return made
+
+
+def canonical(experiment: ExperimentDeclaration) -> dict[str, Any]:
+    """Experiment as JSON can hold it, which names the files of its inputs by their whole paths."""
+    made = experiment.canonical()
+    for name, source in experiment.inputs.items():
         if source.file is not None:
-            folder = refer(declared, f"inputs.{name}").folder
+            folder = refer(experiment, f"inputs.{name}").folder
             made["inputs"][name]["file"] = str(((folder or Path()) / source.file).resolve())
     return made
+
+
+def restored(declared: Mapping[str, Any]) -> Assembly:
+    """Assembly from what the manifest of its run declares; of its files, only those of inputs are needed.
+
+    A DeclarationError or a KeyError where the manifest is of another version of this program.
+    """
+
+    def own(kind: type[D], content: Mapping[str, Any]) -> D:
+        return read(kind, dict(content), Places(), {}, lambda *_: [])
+
+    experiment, plant = own(ExperimentDeclaration, declared["experiment"]), own(PlantDeclaration, declared["plant"])
+    plant = plant.with_dictionaries(*(own(DictionaryDeclaration, one) for one in declared.get("dictionaries", ())))
+    names = ("plant_model", "virtual", "controller_model")
+    rig, virtual, assumed = (own(ModelDeclaration, declared[name]) for name in names)
+    return Assembly(experiment, plant, rig, virtual, assumed, virtual)
 
 
 def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str, object]) -> ExperimentDeclaration:
@@ -178,14 +201,42 @@ def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str,
 def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
     """Load all that an experiment refers to, `plant` in place of its own; a `DeclarationError` lists misfits."""
     rig, plant_model = _rig(experiment, plant)
-    virtual_model = load_model(experiment.virtual, refer(experiment, "virtual"))
+    virtual = load_model(experiment.virtual, refer(experiment, "virtual"))
     assumed = experiment.controller.model
     controller_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
-    problems = check_experiment(experiment, rig, plant_model, virtual_model, controller_model)
-    problems += check_inputs(experiment, rig, plant_model, virtual_model)
+    return _assembled(experiment, rig, plant_model, virtual, controller_model)
+
+
+def changed_assembly(known: Assembly, sections: Mapping[str, object]) -> Assembly:
+    """Assembly with some sections of the experiment's file replaced, checked as if the file said so.
+
+    Only the files that these sections name are read.
+    """
+    experiment = changed_experiment(known.experiment, sections)
+    rig, plant_model = _rig(experiment, None) if {"plant", "plants"} & {*sections} else (known.plant, known.plant_model)
+    is_other = "virtual" in sections
+    virtual = load_model(experiment.virtual, refer(experiment, "virtual")) if is_other else known.declared_virtual
+    assumed, controller_model = experiment.controller.model, known.controller_model
+    if not assumed:
+        controller_model = plant_model
+    elif assumed != known.experiment.controller.model:
+        controller_model = load_model(assumed, refer(experiment, "controller.model"))
+    return _assembled(experiment, rig, plant_model, virtual, controller_model)
+
+
+def _assembled(
+    experiment: ExperimentDeclaration,
+    rig: PlantDeclaration,
+    plant_model: ModelDeclaration,
+    virtual: ModelDeclaration,
+    controller_model: ModelDeclaration,
+) -> Assembly:
+    problems = check_experiment(experiment, rig, plant_model, virtual, controller_model)
+    problems += check_inputs(experiment, rig, plant_model, virtual)
     if problems:
         raise DeclarationError(in_order(problems))
-    return Assembly(experiment, rig, plant_model, with_inputs(virtual_model, experiment.inputs), controller_model)
+    given = with_inputs(virtual, experiment.inputs)
+    return Assembly(experiment, rig, plant_model, given, controller_model, virtual)
 
 
 def parts(experiment: ExperimentDeclaration) -> list[Part]:
@@ -210,9 +261,8 @@ def _rig(experiment: ExperimentDeclaration, plant: str | None) -> tuple[PlantDec
 def check_units(assembly: Assembly) -> list[Problem]:
     """List the units of an experiment and its plant that do not go with those of the models; needs pint."""
     problems = check_plant_units(assembly.plant, assembly.plant_model)
-    experiment = assembly.experiment
-    virtual = load_model(experiment.virtual, refer(experiment, "virtual"))  # with its inputs as declared
-    return problems + check_experiment_units(experiment, assembly.plant, assembly.plant_model, virtual)
+    declared = assembly.experiment, assembly.plant, assembly.plant_model, assembly.declared_virtual
+    return problems + check_experiment_units(*declared)
 
 
 def refer(declaration: Declaration, path: str) -> Reference:

@@ -221,6 +221,20 @@ def test_a_run_whose_process_is_killed_is_kept_and_made_again(bench, tmp_path_fa
     assert np.array_equal(kept, whole[: len(kept)])  # the same twin, the same seed: an exact prefix
 
 
+def test_a_plan_and_an_experiment_that_are_edited_meanwhile_change_nothing(tmp_path):
+    plan = written(tmp_path, {"vary": {"initial.x1": [-0.6, -0.5]}})
+
+    def edit(_):
+        written(tmp_path, {"vary": {"initial.x1": [-0.1]}}, initial={"x2": 0.3}, duration=30)
+
+    made = batch.run(plan, tmp_path / "out", say=edit)
+    assert made.done == 2
+    for number, start in ((1, -0.6), (2, -0.5)):
+        declared = Recording.load(tmp_path / "out" / "runs" / f"{number}-1").manifest["declarations"]["experiment"]
+        assert declared["initial"] == {"x1": start, "x2": -0.5}
+        assert declared["duration"] == 10
+
+
 def test_an_emergency_stop_ends_the_batch_and_every_run_is_in_the_table(bench, tmp_path):
     served = bench.served()
     plan = {"plant": served.address, "lockstep": True, "repeats": 3, "retries": 5}

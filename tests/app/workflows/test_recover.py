@@ -14,6 +14,7 @@ import pytest
 from masking.app import cli
 from masking.app.workflows.recover import recover
 from masking.app.workflows.run import report
+from masking.display.json_text import json_text
 from masking.errors import PlantLostError, RecordError
 from masking.lab.plants import operating_system
 from masking.lab.plants.interface import Sample
@@ -125,15 +126,15 @@ def test_in_the_homing_there_are_ticks_alone(experiment, tmp_path):
     assert not (tmp_path / "recording.parquet").exists()
 
 
-def test_where_the_files_have_changed_the_ticks_are_recovered(experiment, tmp_path):
+def test_a_run_is_recovered_as_it_was_declared_whatever_became_of_its_files(experiment, tmp_path):
     path = written(tmp_path, controller={"homing": 0.2}, duration=10)
     made = Experiment.load(path)
-    hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=tmp_path / "run"))
-    written(tmp_path, controller={"homing": 0.2}, duration=11)
-    found = recover(tmp_path / "run", out=tmp_path / "out")
-    assert found.recording is None
-    assert found.why.startswith(f"{path} or what it names has changed since the run; put them back as they were")
-    assert len(Recording.load(tmp_path / "out" / "ticks")) == found.rows
+    whole = hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=tmp_path / "run"))
+    path.write_text("name: another\n")
+    found = recover(tmp_path / "run", out=tmp_path / "out").recording
+    assert found.manifest["declarations"] == json.loads(json_text(whole.manifest["declarations"]))
+    assert found.manifest["files"] == whole.manifest["files"]
+    assert all(np.array_equal(found[name], whole[name]) for name in whole.columns)
 
 
 def damaged(folder, pages):

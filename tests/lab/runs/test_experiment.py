@@ -1,6 +1,8 @@
 """Experiments: what a run records, what can be changed from outside, what is refused and where."""
 
 import json
+import pickle
+import re
 from importlib.metadata import version
 from pathlib import Path
 
@@ -10,9 +12,10 @@ import pytest
 from masking.errors import DeclarationError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
-from masking.model.declaration import registry
+from masking.model.declaration import catalogue, registry
 from masking.model.modelling.model import Model
 
+COPIED = {"plant": "cart"}
 BASE = {"plant": "ideal", "virtual": "duffing", "duration": 20}
 
 
@@ -274,3 +277,27 @@ def test_only_effects_that_act_are_told_as_on():
     told = Experiment.load("duffing", plant="linear_rig").changed(duration=5, effects={"friction1": True}).run()
     assert told.manifest["effects"]["friction1"]
     assert not told.manifest["effects"]["delay"]
+
+
+def test_what_was_read_once_stays_whatever_becomes_of_the_files(tmp_path):
+    """A copy in another process, and one with other values, are those of the files as they were."""
+    rows = "\n".join(f"{i / 10},{i % 7 / 10}" for i in range(40))
+    texts = {"r.csv": f"t,r\n{rows}\n"}
+    texts |= {f"{kind}.yaml": catalogue.find(kind, name).read_text() for kind, name in COPIED.items()}
+    texts["plant.yaml"] = re.sub(r"(?m)^model: .*", "model: ./model.yaml", texts["plant.yaml"])
+    for name, text in (texts | {"model.yaml": catalogue.find("model", "cart").read_text()}).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "virtual.yaml").write_text(catalogue.find("model", "relaxing_mass").read_text())
+    path, source = tmp_path / "run.yaml", {"r": {"file": "r.csv", "interpolation": "linear"}}
+    own = {"plant": "./plant.yaml", "virtual": "./virtual.yaml", "inputs": source, "duration": 2}
+    path.write_text(json.dumps({"name": "run", **own}))
+    made, frozen = Experiment.load(path), pickle.dumps(Experiment.load(path))
+    before, shorter = made.run(), made.changed(duration=1).run()
+    for file in tmp_path.iterdir():
+        file.write_text("name: edited meanwhile\n")
+    copy = pickle.loads(frozen)  # noqa: S301
+    assert all(np.array_equal(copy.run()[name], before[name]) for name in before.columns)
+    assert all(np.array_equal(copy.changed(duration=1).run()[name], shorter[name]) for name in shorter.columns)
+    assert copy.run().manifest["inputs"] == before.manifest["inputs"]
+    with pytest.raises(DeclarationError, match=r"virtual\.yaml"):
+        copy.changed(virtual="./virtual.yaml")

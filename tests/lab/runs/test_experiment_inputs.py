@@ -15,6 +15,7 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
 from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
+from masking.model.declaration import registry
 from tests.lab.runs.test_hardware import serving
 
 HELD = {"rate": "500 Hz", "observer": "disturbance", "homing": 1}
@@ -62,7 +63,7 @@ def test_on_the_command_line_over_udp(tmp_path, capsys, name, plant, controller)
     declared = made.declaration.canonical()
     for source in declared.get("inputs", {}).values():
         if "file" in source:
-            source["file"] = str(made.inputs.path("r"))
+            source["file"] = registry.canonical(made.declaration)["inputs"]["r"]["file"]
     file.write_text(yaml.safe_dump(declared))
     with serving(plant, "--lockstep") as (_, address):
         capsys.readouterr()
