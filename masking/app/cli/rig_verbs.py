@@ -84,7 +84,7 @@ def _serve(call: Call) -> int:
 @verb("app.workflows.rig_settings:RunSettings", out="results/{experiment}_rig", metavars={"plant": "[NAME=]ADDRESS"})
 def _run(call: Call) -> int:
     """Run an experiment on a plant that runs by itself, and write its report."""
-    from masking.app.workflows.output_folders import RUN, check_folder
+    from masking.app.workflows.output_folders import RUN, own_folder
     from masking.app.workflows.run import save
     from masking.lab.plants.group import connect_each
     from masking.lab.records import stream
@@ -95,33 +95,37 @@ def _run(call: Call) -> int:
     chosen: RunSettings = call.do()
     made = Experiment.load(chosen.experiment)
     out = call.out
-    check_folder(out, *RUN, overwrite=chosen.overwrite)
-    stream.remove(out)
+    with own_folder(out, *RUN, overwrite=chosen.overwrite):
+        stream.remove(out)
 
-    def keep(recording: Recording) -> None:
-        bar.close()
-        written = save(recording, out)
-        content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
-        call.answer(content, f"{written.summary}\nreport: {written.path}")
+        def keep(recording: Recording) -> None:
+            bar.close()
+            written = save(recording, out)
+            content = {name: recording.manifest[name] for name in ("masking_error", "rig")} | {"recording": str(out)}
+            call.answer(content, f"{written.summary}\nreport: {written.path}")
 
-    try:
-        with Bar("running") as bar, _operator(chosen, bar) as operator:
-            plant = connect_each([*map(str, chosen.plant)], tuple(made.declaration.plants), _key(chosen.key))
-            if chosen.self_test:
-                found = self_test(
-                    made.twin, plant, rate=made.sampled.rate, lockstep=chosen.lockstep, acknowledge=chosen.acknowledge
-                )
-                found.check()
-            settings = hardware.RunSettings(
-                lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep, stream=out,
-                spare=chosen.spare, operator=operator,
-            )  # fmt: skip
-            recording = hardware.run(made, plant, settings)
-        keep(recording)
-        operator.wait()
-    finally:
-        if stream.is_in(out):
-            print(f"masking: {out} holds what was recorded; {stream.MEND.format(out)}", file=sys.stderr)
+        try:
+            with Bar("running") as bar, _operator(chosen, bar) as operator:
+                plant = connect_each([*map(str, chosen.plant)], tuple(made.declaration.plants), _key(chosen.key))
+                if chosen.self_test:
+                    found = self_test(
+                        made.twin,
+                        plant,
+                        rate=made.sampled.rate,
+                        lockstep=chosen.lockstep,
+                        acknowledge=chosen.acknowledge,
+                    )
+                    found.check()
+                settings = hardware.RunSettings(
+                    lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep, stream=out,
+                    spare=chosen.spare, operator=operator,
+                )  # fmt: skip
+                recording = hardware.run(made, plant, settings)
+            keep(recording)
+            operator.wait()
+        finally:
+            if stream.is_in(out):
+                print(f"masking: {out} holds what was recorded; {stream.MEND.format(out)}", file=sys.stderr)
     note = recording.manifest["rig"].get("recorder", {}).get("note")
     if note:
         print(f"masking: {note}", file=sys.stderr)

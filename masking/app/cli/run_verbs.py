@@ -17,7 +17,7 @@ _EITHER = {"name_or_path": "MODEL_OR_EXPERIMENT"}
 @verb(out="results/{name_or_path}", metavars={"name_or_path": "EXPERIMENT"})
 def _run(call: Call) -> int:
     """Run an experiment, save its recording and write its report."""
-    from masking.app.workflows.output_folders import RUN, check_folder
+    from masking.app.workflows.output_folders import RUN, own_folder
     from masking.app.workflows.run import record, save
     from masking.lab.runs.experiment import Experiment
     from masking.reports import run_report
@@ -26,21 +26,21 @@ def _run(call: Call) -> int:
     changes = dict(written.get("changes", ()))
     made = Experiment.load(written["name_or_path"], plant=written.get("plant"), changes=changes)
     out = call.out
-    check_folder(out, *RUN, overwrite=written.get("overwrite", False))
-    before = None  # when the recording was made that is there
-    with contextlib.suppress(OSError, ValueError, KeyError):
-        before = str(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["created"])
-    if not made.is_compiled:
-        say_compiling()
-    raise_interrupts()
-    try:
-        with Bar("running") as bar:
-            recording = record(made, out, written.get("budget"), bar)
-    except MaskingError:
-        if before:
-            print(f"{out} still holds the run of {before}", file=sys.stderr)
-        raise
-    page = save(recording, out)
+    with own_folder(out, *RUN, overwrite=written.get("overwrite", False)):
+        before = None  # when the recording was made that is there
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            before = str(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["created"])
+        if not made.is_compiled:
+            say_compiling()
+        raise_interrupts()
+        try:
+            with Bar("running") as bar:
+                recording = record(made, out, written.get("budget"), bar)
+        except MaskingError:
+            if before:
+                print(f"{out} still holds the run of {before}", file=sys.stderr)
+            raise
+        page = save(recording, out)
     content = {
         "masking_error": recording.manifest["masking_error"],
         "limits_used": run_report.limits_used(recording),

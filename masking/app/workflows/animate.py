@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from masking.app.workflows.output_folders import beside, check_folder
+from masking.app.workflows.output_folders import beside, own_folder
 from masking.errors import RecordError
 from masking.lab.records.recording import Recording
 from masking.lab.records.time_slice import Part
@@ -49,19 +49,19 @@ def animate(
     file = page if out is None else Path(out)
     if file.suffix not in FORMATS:
         raise RecordError(f"{file}: an animation ends in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}")
-    check_folder(file.parent, file.name, overwrite=overwrite or file.resolve() == page.resolve())
-    shown = animation.Animation(_cut(Recording.load(part.file), part))
-    first, last = shown.recording.t[[0, -1]]
-    if at is not None and not first <= at <= last:
-        raise RecordError(f"at {at:g} s there is nothing: the recording goes from {first:g} s to {last:g} s")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    if file.suffix == ".html":
-        animation.save(shown, file)
-    elif file.suffix in animation_frames.FILMS:
-        animation_frames.film(shown, file, progress or (lambda fraction: None))
-    else:
-        animation_frames.picture(shown, 0.5 * (first + last) if at is None else at, file)
-    return file
+    with own_folder(file.parent, file.name, overwrite=overwrite or file.resolve() == page.resolve()):
+        shown = animation.Animation(_cut(Recording.load(part.file), part))
+        first, last = shown.recording.t[[0, -1]]
+        if at is not None and not first <= at <= last:
+            raise RecordError(f"at {at:g} s there is nothing: the recording goes from {first:g} s to {last:g} s")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.suffix == ".html":
+            animation.save(shown, file)
+        elif file.suffix in animation_frames.FILMS:
+            animation_frames.film(shown, file, progress or (lambda fraction: None))
+        else:
+            animation_frames.picture(shown, 0.5 * (first + last) if at is None else at, file)
+        return file
 
 
 def _cut(recording: Recording, part: Part) -> Recording:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import pickle
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +24,7 @@ from masking.lab.plants.authentication import Key
 from masking.lab.records import stream
 from masking.lab.records.child_process import Child
 from masking.lab.records.journal import Journal
+from masking.lab.records.owned_folder import OwnedFolder
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan
 from masking.lab.runs.batch_plan import Progress
@@ -111,15 +113,17 @@ def run(
     """
     declared, experiment, runs = batch_plan.load(plan)
     folder = Path(out)
-    with Journal(folder / JOURNAL, _OTHERS) as journal:
+    if sys.platform == "win32":
+        raise RecordError(f"{folder}: Windows has no lock that processes hand on, as a batch needs; run it on Linux")
+    with OwnedFolder(folder, _OTHERS) as owned, Journal(folder / JOURNAL) as journal:
         wanted = batch_plan.identity(experiment, runs)
         if not batch_plan.begin(journal.entries, wanted, folder):
             journal.add(event="batch", plan=wanted, name=declared.name, runs=len(runs))
         found = batch_plan.progress(runs, journal.entries)
         server = plant or declared.plant, None if key is None else Key.read(key)
-        why = _Worker(declared, folder, journal, found, experiment, *server, say).work(progress)
-    made = Batch(folder, declared.name, tuple(found), why)
-    batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
+        why = _Worker(declared, owned, journal, found, experiment, *server, say).work(progress)
+        made = Batch(folder, declared.name, tuple(found), why)
+        batch_page.save(declared.name, made.sentence, made.rows, made.as_dict(), folder)
     return made
 
 
@@ -129,7 +133,7 @@ class _Worker:
     """Makes the runs of a batch, and keeps up to date what is known of each."""
 
     declared: BatchDeclaration
-    folder: Path
+    owned: OwnedFolder  # of the results
     journal: Journal
     found: Sequence[Progress]
     experiment: Experiment
@@ -172,7 +176,7 @@ class _Worker:
         return ""
 
     def _place(self, one: Progress) -> Path:
-        return self.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
+        return self.owned.folder / RUNS / f"{one.run.number:0{len(str(len(self.found)))}}-{one.tries}"
 
     def _try(self, one: Progress) -> None:
         begin: dict[str, Any] = {"event": "begin", "run": one.run.number}
@@ -191,8 +195,8 @@ class _Worker:
         with tempfile.TemporaryFile() as file:
             file.write(pickle.dumps(Try(made, place, *server, *rest, zeros[0] if zeros else {})))
             file.seek(0)
-            # The lock of the journal is the child's, too: who goes on after a crash waits for its end.
-            handles = [self.journal.handle, file.fileno()]
+            # The folder is the child's, too: who goes on after a crash waits for its end.
+            handles = [self.owned.handle, file.fileno()]
             child = Child("masking.app.workflows.batch_run", [str(file.fileno())], is_apart=False, handles=handles)
             try:
                 said = child.output(_ENDS)

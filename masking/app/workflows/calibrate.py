@@ -11,7 +11,7 @@ from pathlib import Path
 
 from masking.app.workflows import calibration_excitation
 from masking.app.workflows.calibration_excitation import Progress, Say
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
@@ -101,28 +101,30 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
     if seconds < PERIOD:
         message = f"records of {seconds:g} s are shorter than the excitation's period"
         raise ModelError(f"{message}; give at least {PERIOD:g} s")
-    check_folder(settings.out, NUMBERS, overwrite=settings.overwrite)
-    twin.validate()
-    folder, tell = Path(settings.out), settings.say or (lambda text: None)
-    candidates = tuple(_candidates(twin, settings.model))
-    costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
-    costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
-    parts = iter(_parts(progress, costs))
-    made = calibration_excitation.make(
-        twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, say=tell, progress=next(parts)
-    )
-    stages = []
-    for candidate, part in zip(candidates, parts, strict=False):
-        names = independent(candidate.twin, made.fit, candidate.parameters)
-        tell(f"fitting {candidate.name}: {len(names)} parameters")
-        found = fit(candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part)
-        stages.append(Stage(candidate.name, found, candidate.parameters))
-    calibration = Calibration(twin, made, tuple(stages), folder)
-    fit_files.save(calibration.best.fit, folder)
-    calibration_page.save(calibration)
-    (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
-    progress(1.0)
-    return calibration
+    with own_folder(settings.out, NUMBERS, overwrite=settings.overwrite):
+        twin.validate()
+        folder, tell = Path(settings.out), settings.say or (lambda text: None)
+        candidates = tuple(_candidates(twin, settings.model))
+        costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
+        costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
+        parts = iter(_parts(progress, costs))
+        made = calibration_excitation.make(
+            twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, say=tell, progress=next(parts)
+        )
+        stages = []
+        for candidate, part in zip(candidates, parts, strict=False):
+            names = independent(candidate.twin, made.fit, candidate.parameters)
+            tell(f"fitting {candidate.name}: {len(names)} parameters")
+            found = fit(
+                candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part
+            )
+            stages.append(Stage(candidate.name, found, candidate.parameters))
+        calibration = Calibration(twin, made, tuple(stages), folder)
+        fit_files.save(calibration.best.fit, folder)
+        calibration_page.save(calibration)
+        (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
+        progress(1.0)
+        return calibration
 
 
 def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from masking.app.workflows.output_folders import beside, check_folder
+from masking.app.workflows.output_folders import beside, own_folder
 from masking.lab.records.recording import Recording
 from masking.reports import comparison_page
 from masking.reports.run_comparison import Comparison
@@ -24,11 +24,11 @@ def compare(
     Raises:
         RecordError: there is no such recording, or the page cannot be written.
     """
-    check_folder(out, comparison_page.PAGE, overwrite=overwrite)
-    made = Comparison(Recording.load(first), Recording.load(second), names(first, second))
-    if out is not None:
-        comparison_page.save(made, Path(out))
-    return made
+    with own_folder(out, comparison_page.PAGE, overwrite=overwrite):
+        made = Comparison(Recording.load(first), Recording.load(second), names(first, second))
+        if out is not None:
+            comparison_page.save(made, Path(out))
+        return made
 
 
 def names(first: str | Path, second: str | Path) -> tuple[str, str]:

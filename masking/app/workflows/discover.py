@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from masking.app.workflows import discovery_inputs
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.inference.discovery import discovery_stages as discovery
 from masking.inference.discovery.discovery_result import Discovery
@@ -49,11 +49,11 @@ def discover(record: str | Path, settings: Discover) -> Discovery:
     Raises:
         MaskingError: a declaration, a name, a setting or a record is wrong; the message says what to do about it.
     """
-    check_folder(settings.out, discovery_files.NUMBERS, "plant.yaml", overwrite=settings.overwrite)
-    twin = discovery_inputs.with_effects(discovery_inputs.rig(settings.model, settings.plant), settings.effects)
-    given = discovery_inputs.read(twin, record, settings.validation, settings)
-    named = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
-    found = discovery.discover(twin, given.record, given.validation, named, tell=settings.tell)
-    if settings.out is not None:
-        discovery_page.save(found, settings.out, given.origin)
-    return found
+    with own_folder(settings.out, discovery_files.NUMBERS, "plant.yaml", overwrite=settings.overwrite):
+        twin = discovery_inputs.with_effects(discovery_inputs.rig(settings.model, settings.plant), settings.effects)
+        given = discovery_inputs.read(twin, record, settings.validation, settings)
+        named = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
+        found = discovery.discover(twin, given.record, given.validation, named, tell=settings.tell)
+        if settings.out is not None:
+            discovery_page.save(found, settings.out, given.origin)
+        return found

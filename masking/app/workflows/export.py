@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.exports import unit_files
 from masking.control.exports.controllers import law_unit, sampled_unit
@@ -91,8 +91,8 @@ def export(name_or_path: str | Path, settings: ExportSettings) -> Exported:
             raise DeclarationError(Problem(None, option, f"{value:g} is no positive number", "give one, such as 1000"))
     folder = Path("exported") / Path(name_or_path).stem if settings.out is None else Path(settings.out)
     unit = _unit(name_or_path, settings)
-    check_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=settings.overwrite)
-    return Exported(unit.title, unit.kind, unit_files.write(unit, folder, to, real), unit.notes)
+    with own_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=settings.overwrite):
+        return Exported(unit.title, unit.kind, unit_files.write(unit, folder, to, real), unit.notes)
 
 
 def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:

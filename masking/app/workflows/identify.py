@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from masking.app.workflows import discovery_inputs
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import showing
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, nearest
 from masking.inference.discovery import prior
@@ -75,34 +75,34 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     """
     given = Identify(**settings)
     _check_method(given, len(records))
-    check_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite)
-    twin = discovery_inputs.rig(given.model, given.plant)
-    names = given.parameters or prior.uncertain(twin)
-    train, held_out = (
-        [Data.read(path, twin, **given.reading) for path in paths] for paths in (records, given.validation)
-    )
-    doubts = [(one, unit_check.checked(twin, one, names)) for one in (*train, *held_out)]
-    more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
-    found: fits.Fit | KalmanFit
-    if given.method == "kalman":
-        form = extended_kalman.FilterSettings(square_root=given.square_root, iterated=given.iterated)
-        found = extended_kalman.extended_kalman(twin, train[0], names, form, **more)
-    else:
-        found = fits.fit(twin, train, names, shooting_interval=given.shooting_interval, **more)
-    declared, left = np.array([twin.parameter_value(name) for name in names]), max(found.chi.values())
-    notes = list[str]()
-    for one, doubt in doubts:
-        notes += one.notes
-        if doubt is not None and doubt.stands(declared, found.values, left):
-            notes.append(doubt.note(twin, one))
-    if isinstance(found, fits.Fit) and given.hold is None and any(one.hold == "zero-order" for one in train):
-        notes += _between_samples(found, train, given.shooting_interval)
-    found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
-    if given.out is not None:
-        figures, sentence = fit_figures.figures(found, train, held_out)
-        fit_files.save(found, given.out)
-        identification_page.save_fit(found, figures, sentence, given.out)
-    return found
+    with own_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite):
+        twin = discovery_inputs.rig(given.model, given.plant)
+        names = given.parameters or prior.uncertain(twin)
+        train, held_out = (
+            [Data.read(path, twin, **given.reading) for path in paths] for paths in (records, given.validation)
+        )
+        doubts = [(one, unit_check.checked(twin, one, names)) for one in (*train, *held_out)]
+        more: dict[str, Any] = {"validation": held_out, "progress": given.progress}
+        found: fits.Fit | KalmanFit
+        if given.method == "kalman":
+            form = extended_kalman.FilterSettings(square_root=given.square_root, iterated=given.iterated)
+            found = extended_kalman.extended_kalman(twin, train[0], names, form, **more)
+        else:
+            found = fits.fit(twin, train, names, shooting_interval=given.shooting_interval, **more)
+        declared, left = np.array([twin.parameter_value(name) for name in names]), max(found.chi.values())
+        notes = list[str]()
+        for one, doubt in doubts:
+            notes += one.notes
+            if doubt is not None and doubt.stands(declared, found.values, left):
+                notes.append(doubt.note(twin, one))
+        if isinstance(found, fits.Fit) and given.hold is None and any(one.hold == "zero-order" for one in train):
+            notes += _between_samples(found, train, given.shooting_interval)
+        found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
+        if given.out is not None:
+            figures, sentence = fit_figures.figures(found, train, held_out)
+            fit_files.save(found, given.out)
+            identification_page.save_fit(found, figures, sentence, given.out)
+        return found
 
 
 def _between_samples(found: fits.Fit, records: Sequence[Data], interval: float | None) -> list[str]:

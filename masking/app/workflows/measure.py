@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import Parameter, parameters, show
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
@@ -75,10 +75,10 @@ def measure(
     takes_one = not any(p.kind is p.VAR_POSITIONAL for p in declared)
     if not records or (takes_one and len(records) > 1):
         raise RecordError(f"{procedure} takes {'one record' if takes_one else 'records'}; {len(records)} are given")
-    check_folder(out, f"{procedure}.json", overwrite=overwrite)
-    twin = None if plant is None else Twin.load(plant)
-    sources = [Source(str(record), Recording.load(Path(record)), twin) for record in records]
-    found = PROCEDURES[procedure](*sources, **settings)
-    if out is not None:
-        identification_page.save(found, out)
-    return found
+    with own_folder(out, f"{procedure}.json", overwrite=overwrite):
+        twin = None if plant is None else Twin.load(plant)
+        sources = [Source(str(record), Recording.load(Path(record)), twin) for record in records]
+        found = PROCEDURES[procedure](*sources, **settings)
+        if out is not None:
+            identification_page.save(found, out)
+        return found

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.app.workflows.output_folders import RUN, check_folder
+from masking.app.workflows.output_folders import RUN, own_folder
 from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import stream, stream_reader
@@ -74,30 +74,32 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
     """
     target = Path(folder if out is None else out)
     found = stream_reader.read(folder)
-    check_folder(target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite)
-    numbers, table = _with_ring(found)
-    if not len(table):
-        unread = f"no tick of the run is readable ({'; '.join(found.damages)})"
-        why = unread if found.damages else "the run ended before its first tick"
-        raise RecordError(f"{folder}: {why}; remove {stream.MANIFEST} and {stream.ROWS}")
-    names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
-    column = dict(zip(names, table.T, strict=True))
-    missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
-    end = _end(found)
-    lost = {"missing": missing, "end": end, "damages": list(found.damages)}
-    _ticks(found, column, numbers / rate, lost).save(target / TICKS, overwrite=True)
-    recording, why = _run(found, table, column, lost)
-    if recording is not None:
-        recording.save(target, overwrite=True)
-        run_report.report(recording, target)
-    if not found.damages:
-        stream.remove(folder)
-        reader = _ring(found)
-        if reader is not None and not is_running(reader.process):
-            reader.path.unlink(missing_ok=True)
-    seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / rate
-    homing = int(np.count_nonzero(column["index"] < 0))
-    return Recovered(target, len(table), homing, seconds, missing, end, found.damages, recording, why)
+    with own_folder(
+        target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite
+    ):
+        numbers, table = _with_ring(found)
+        if not len(table):
+            unread = f"no tick of the run is readable ({'; '.join(found.damages)})"
+            why = unread if found.damages else "the run ended before its first tick"
+            raise RecordError(f"{folder}: {why}; remove {stream.MANIFEST} and {stream.ROWS}")
+        names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
+        column = dict(zip(names, table.T, strict=True))
+        missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
+        end = _end(found)
+        lost = {"missing": missing, "end": end, "damages": list(found.damages)}
+        _ticks(found, column, numbers / rate, lost).save(target / TICKS, overwrite=True)
+        recording, why = _run(found, table, column, lost)
+        if recording is not None:
+            recording.save(target, overwrite=True)
+            run_report.report(recording, target)
+        if not found.damages:
+            stream.remove(folder)
+            reader = _ring(found)
+            if reader is not None and not is_running(reader.process):
+                reader.path.unlink(missing_ok=True)
+        seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / rate
+        homing = int(np.count_nonzero(column["index"] < 0))
+        return Recovered(target, len(table), homing, seconds, missing, end, found.damages, recording, why)
 
 
 def _end(found: Stream) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from masking.app.workflows import discovery_inputs
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
@@ -168,35 +168,41 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
         MaskingError: a declaration, a name, a setting or a record is wrong, or the experiment cannot be run.
     """
     out, tell = settings.out, settings.tell
-    check_folder(out, NUMBERS, EXPERIMENT, discovery_files.NUMBERS, overwrite=settings.overwrite)
-    experiment = Experiment.load(name_or_path, plant=settings.plant)
-    if experiment.declaration.plants and settings.plant is None:
-        raise ModelError(f"{experiment.declaration.name} has several plants: refine each in an experiment of its own")
-    say = tell or (lambda text, part: None)
-    twin = discovery_inputs.with_effects(assumed(experiment), settings.effects)
-    if not twin.sensors:
-        message, remedy = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
-        raise DeclarationError(Problem(None, "sensors", message, remedy))
-    given = discovery_inputs.read(twin, settings.record, settings.validation, settings)
-    own = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
-    say("running with the model as it is", 0.0)
-    before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
-    found = discover(
-        twin, given.record, given.validation, own, tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part)
-    )
-    # What sticks is stiffer than the samples of a controller.
-    law = found.law and replace(found.law, explanation=_creeping(found.law.explanation))
-    found = replace(found, explanation=_creeping(found.explanation), law=law)
-    folder = None if out is None else Path(out)
-    with html.staged(folder) as made:
-        files = discovery_page.save(found, made, given.origin, lies=folder)
-        better = refined(experiment, found, files, folder or made)
-        after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
-        kept = None if folder is None else discovery_files.paths(found, folder)
-        result = Refinement(before, after, found, better, given.origin, folder, kept)
-        if folder is not None:
-            _write(result, made, folder)
-    return result
+    with own_folder(out, NUMBERS, EXPERIMENT, discovery_files.NUMBERS, overwrite=settings.overwrite):
+        experiment = Experiment.load(name_or_path, plant=settings.plant)
+        if experiment.declaration.plants and settings.plant is None:
+            raise ModelError(
+                f"{experiment.declaration.name} has several plants: refine each in an experiment of its own"
+            )
+        say = tell or (lambda text, part: None)
+        twin = discovery_inputs.with_effects(assumed(experiment), settings.effects)
+        if not twin.sensors:
+            message, remedy = f"{twin.declaration.name} declares no sensors", "declare what the record holds of the rig"
+            raise DeclarationError(Problem(None, "sensors", message, remedy))
+        given = discovery_inputs.read(twin, settings.record, settings.validation, settings)
+        own = replace(settings, parameters=discovery_inputs.parameters(twin, settings.parameters))
+        say("running with the model as it is", 0.0)
+        before = _run(experiment, lambda part: say("running with the model as it is", _BEGIN * part))
+        found = discover(
+            twin,
+            given.record,
+            given.validation,
+            own,
+            tell=lambda text, part: say(text, _BEGIN + (_FOUND - _BEGIN) * part),
+        )
+        # What sticks is stiffer than the samples of a controller.
+        law = found.law and replace(found.law, explanation=_creeping(found.law.explanation))
+        found = replace(found, explanation=_creeping(found.explanation), law=law)
+        folder = None if out is None else Path(out)
+        with html.staged(folder) as made:
+            files = discovery_page.save(found, made, given.origin, lies=folder)
+            better = refined(experiment, found, files, folder or made)
+            after = _run(better, lambda part: say("running with what was found", _FOUND + (1.0 - _FOUND) * part))
+            kept = None if folder is None else discovery_files.paths(found, folder)
+            result = Refinement(before, after, found, better, given.origin, folder, kept)
+            if folder is not None:
+                _write(result, made, folder)
+        return result
 
 
 def assumed(experiment: Experiment) -> Twin:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from masking.app.workflows.output_folders import RUN, beside, check_folder
+from masking.app.workflows.output_folders import RUN, beside, own_folder
 from masking.errors import ModelError
 from masking.lab.records import stream
 from masking.lab.records.recording import TABLE, Recording
@@ -40,10 +40,10 @@ def run(
         MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
     """
     wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
-    check_folder(out, *RUN, overwrite=overwrite)
-    made = record(wanted, out, budget, progress)
-    if out is not None:
-        save(made, Path(out))
+    with own_folder(out, *RUN, overwrite=overwrite):
+        made = record(wanted, out, budget, progress)
+        if out is not None:
+            save(made, Path(out))
     return made
 
 
@@ -91,5 +91,5 @@ def report(record: str | Path, out: str | Path | None = None, *, overwrite: bool
     """
     own = beside(record)
     folder = own if out is None else Path(out)
-    check_folder(folder, run_report.PAGE, overwrite=overwrite or folder.resolve() == own.resolve())
-    return run_report.report(Recording.load(record), folder)
+    with own_folder(folder, run_report.PAGE, overwrite=overwrite or folder.resolve() == own.resolve()):
+        return run_report.report(Recording.load(record), folder)

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 from masking.app.workflows import discovery_inputs
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.errors import ColumnError, DeclarationError, IntegrationError, ModelError, Problem
 from masking.inference.estimation import simulation, unit_check
@@ -57,37 +57,39 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
         MaskingError: a declaration, a name, a setting or the record is wrong; the message says what to do about it.
     """
     record, plant, initial, interval = settings.record, settings.plant, settings.initial, settings.shooting_interval
-    check_folder(settings.out, "simulation.json", overwrite=settings.overwrite)
-    twin = discovery_inputs.rig(model, plant)
-    try:
-        given = Data.read(record, twin, **settings.reading)
-    except ColumnError as error:
-        if plant is not None or catalogue.kind_of(model) == "plant":
-            raise
-        remedy = "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
-        raise ColumnError(f"{error}; {remedy}") from None
-    if initial is not None and interval is not None:
-        message = "each shooting interval has an initial state of its own"
-        raise DeclarationError(Problem(None, "initial", message, "give only one of initial and shooting_interval"))
-    for name, seconds in (("initial", initial), ("shooting_interval", interval)):
-        if seconds is not None and not 2 <= round(seconds * given.rate) <= len(given):
-            least, most = 2.0 / given.rate, len(given) / given.rate
-            message = f"{seconds:g} s do not hold 2 readings or more of the record"
-            raise DeclarationError(Problem(None, name, message, f"give {least:g} ... {most:g} s"))
-    doubt = unit_check.checked(twin, given)
-    if doubt is not None:
-        given = replace(given, notes=(*given.notes, doubt.note(twin, given)))
-    try:
-        if interval is None:
-            made = simulation.simulate(twin, given, initial=initial)
-        else:
-            made = simulation.in_intervals(twin, given, interval)
-    except IntegrationError as error:
-        raise ModelError(
-            f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "
-            f"or simulate a shorter part, such as {record}@0:1"
-        ) from error
-    if settings.out is not None:
-        figures = [fit_figures.fit(made, ""), fit_figures.overview(made)]
-        identification_page.save_simulation(made, figures, fit_figures.verdict(made, ""), settings.out)
-    return made
+    with own_folder(settings.out, "simulation.json", overwrite=settings.overwrite):
+        twin = discovery_inputs.rig(model, plant)
+        try:
+            given = Data.read(record, twin, **settings.reading)
+        except ColumnError as error:
+            if plant is not None or catalogue.kind_of(model) == "plant":
+                raise
+            remedy = (
+                "if the record has the sensors and actuators of a plant, name that with --plant (in Python, plant=)"
+            )
+            raise ColumnError(f"{error}; {remedy}") from None
+        if initial is not None and interval is not None:
+            message = "each shooting interval has an initial state of its own"
+            raise DeclarationError(Problem(None, "initial", message, "give only one of initial and shooting_interval"))
+        for name, seconds in (("initial", initial), ("shooting_interval", interval)):
+            if seconds is not None and not 2 <= round(seconds * given.rate) <= len(given):
+                least, most = 2.0 / given.rate, len(given) / given.rate
+                message = f"{seconds:g} s do not hold 2 readings or more of the record"
+                raise DeclarationError(Problem(None, name, message, f"give {least:g} ... {most:g} s"))
+        doubt = unit_check.checked(twin, given)
+        if doubt is not None:
+            given = replace(given, notes=(*given.notes, doubt.note(twin, given)))
+        try:
+            if interval is None:
+                made = simulation.simulate(twin, given, initial=initial)
+            else:
+                made = simulation.in_intervals(twin, given, interval)
+        except IntegrationError as error:
+            raise ModelError(
+                f"{model}: its motion over {record} is not finite; check signs and units of its parameters, "
+                f"or simulate a shorter part, such as {record}@0:1"
+            ) from error
+        if settings.out is not None:
+            figures = [fit_figures.fit(made, ""), fit_figures.overview(made)]
+            identification_page.save_simulation(made, figures, fit_figures.verdict(made, ""), settings.out)
+        return made

@@ -11,7 +11,7 @@ import numpy as np
 
 from masking.analysis.stability.lyapunov_exponent import largest_exponent
 from masking.analysis.stability.study import LoopModes, Stability, loop_modes, study
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import loop_state, rig_state
@@ -50,27 +50,27 @@ def stability(
         DeclarationError: a declaration is wrong, or of another kind.
         ModelError: the box names what is no coordinate or velocity, or no rig position gives the virtual equilibrium.
     """
-    check_folder(out, "stability.json", overwrite=overwrite)
-    known = kind or catalogue.kind_of(name_or_path)
-    if known not in {"model", "experiment"}:
-        message = f"{name_or_path} is a {known}, which has no stability of its own"
-        raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
-    experiment = None if known == "model" else Experiment.load(name_or_path, changes=changes)
-    if experiment is None:
-        model = load_model(name_or_path).with_parameters(**(changes or {}))
-        model = model.dimensionless() if model.declaration.scales else model
-    else:
-        model = experiment.virtual
-    found, say = study(model, box), tell or (lambda text, part: None)
-    if exponent is not None:
-        motion = largest_exponent(model, exponent, progress=lambda part: say("following the motion", part))
-        found = replace(found, exponent=motion)
-    if experiment is not None and found.rest is not None and found.rest.points:
-        say("compiling the closed loop", 0.5)
-        found = replace(found, loop=_loop(experiment, found))
-    if out is not None:
-        stability_page.save(found, out)
-    return found
+    with own_folder(out, "stability.json", overwrite=overwrite):
+        known = kind or catalogue.kind_of(name_or_path)
+        if known not in {"model", "experiment"}:
+            message = f"{name_or_path} is a {known}, which has no stability of its own"
+            raise DeclarationError(Problem(None, "", message, "name a model or an experiment"))
+        experiment = None if known == "model" else Experiment.load(name_or_path, changes=changes)
+        if experiment is None:
+            model = load_model(name_or_path).with_parameters(**(changes or {}))
+            model = model.dimensionless() if model.declaration.scales else model
+        else:
+            model = experiment.virtual
+        found, say = study(model, box), tell or (lambda text, part: None)
+        if exponent is not None:
+            motion = largest_exponent(model, exponent, progress=lambda part: say("following the motion", part))
+            found = replace(found, exponent=motion)
+        if experiment is not None and found.rest is not None and found.rest.points:
+            say("compiling the closed loop", 0.5)
+            found = replace(found, loop=_loop(experiment, found))
+        if out is not None:
+            stability_page.save(found, out)
+        return found
 
 
 def _loop(experiment: Experiment, found: Stability) -> LoopModes:

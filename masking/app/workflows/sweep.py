@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from masking.app.workflows.output_folders import check_folder
+from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
 from masking.app.workflows.sweep_work import work
@@ -31,6 +31,7 @@ from masking.reports import html, run_measures, sweep_page
 
 PLAN: Final = "sweep.json"
 ROWS: Final = "rows"
+CHECK: Final = "sha256"  # of all else in the plan
 Tell = Callable[[str, float], None]
 
 
@@ -146,22 +147,24 @@ def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep
     first, last = _range(plan, given.part)
     folder = Path(given.out or f"results/{whole.stem}_sweep")
     facts = _facts(plan)
-    check_folder(folder)
-    _begin(folder, facts, overwrite=given.overwrite)
-    missing = table_chunks.missing(table_chunks.done(folder / ROWS), first, last)
-    count = min(given.workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
-    begun, before, done, todo = 0.0, 0, 0, sum(b - a for a, b in missing)
-    for a, b, columns, _ in work(plan, missing, workers=count):
-        table_chunks.write(folder / ROWS, a, b, columns)
-        done += b - a
-        begun, before = (begun, before) if begun else (time.monotonic(), done)  # the first chunk waits for compilers
-        if tell is not None:
-            left = (time.monotonic() - begun) * (todo - done) / max(done - before, 1)
-            finished = last - first - todo + done
-            more = f", {_clock(left)} left" if done > before else ""
-            tell(f"{finished} of {last - first} runs{more}", finished / (last - first))
-    found = load_sweep(folder)
-    sweep_page.save(facts, found.columns, found.sentence, folder)
+    with own_folder(folder):
+        _begin(folder, facts, overwrite=given.overwrite)
+        missing = table_chunks.missing(table_chunks.done(folder / ROWS), first, last)
+        count = min(given.workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
+        begun, before, done, todo = 0.0, 0, 0, sum(b - a for a, b in missing)
+        for a, b, columns, _ in work(plan, missing, workers=count):
+            table_chunks.write(folder / ROWS, a, b, columns, facts["identity"])
+            done += b - a
+            begun, before = (
+                (begun, before) if begun else (time.monotonic(), done)
+            )  # the first chunk waits for compilers
+            if tell is not None:
+                left = (time.monotonic() - begun) * (todo - done) / max(done - before, 1)
+                finished = last - first - todo + done
+                more = f", {_clock(left)} left" if done > before else ""
+                tell(f"{finished} of {last - first} runs{more}", finished / (last - first))
+        found = load_sweep(folder)
+        sweep_page.save(facts, found.columns, found.sentence, folder)
     return found
 
 
@@ -176,7 +179,7 @@ def load_sweep(folder: str | Path) -> Sweep:
     """
     path = Path(folder)
     facts = _read(path)
-    columns = table_chunks.read(path / ROWS)
+    columns = table_chunks.read(path / ROWS, facts["identity"])
     return Sweep(path, facts["name"], columns, facts["rows"], sweep_page.sentence(facts, columns), facts)
 
 
@@ -226,17 +229,24 @@ def _begin(folder: Path, facts: Mapping[str, Any], *, overwrite: bool) -> None:
         with html.writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             with replacing(path) as stream:
-                stream.write(json_text(facts).encode())
+                stream.write(json_text({**facts, CHECK: _check(facts)}).encode())
     table_chunks.clear(folder / ROWS)
 
 
 def _read(folder: Path) -> dict[str, Any]:
+    path = folder / PLAN
     try:
-        found: dict[str, Any] = json.loads((folder / PLAN).read_text(encoding="utf-8"))
-        _ = found["identity"], found["rows"]
-    except (OSError, ValueError, KeyError, TypeError):
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        check = found.pop(CHECK)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordError(f"{folder} holds no sweep: there is no {PLAN} in it that can be read") from None
+    if check != _check(found):
+        raise RecordError(f"{path} was changed since it was written; begin anew in another folder")
     return found
+
+
+def _check(facts: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json_text(facts).encode()).hexdigest()
 
 
 def _clock(seconds: float) -> str:

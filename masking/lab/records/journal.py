@@ -9,58 +9,39 @@ from __future__ import annotations
 
 import json
 import os
-import sys
-import time
 import zlib
 from pathlib import Path
-from typing import Any, Final, Self, final
+from typing import Any, Self, final
 
 from masking.errors import RecordError
-
-if sys.platform != "win32":
-    import fcntl
-
-_TRIES: Final = 0.05  # s between looks at a lock
 
 
 @final
 class Journal:
-    """A journal that this process, and those that it starts with `handle`, have alone; a context.
+    """A journal of a folder that this process owns; a context.
 
-    Its file is made if need be; another process is waited for `patience` s. `entries` is all that is in it, in order. A
-    RecordError where the file cannot be written, another process has it, a line was changed, or the system is Windows.
+    Its file is made if need be; `entries` is all that is in it, in order. A RecordError where the file cannot be
+    written, or a line was changed.
     """
 
-    def __init__(self, path: Path, patience: float = 0.0) -> None:
-        if sys.platform == "win32":
-            message = "Windows has no lock that processes hand on, as a journal needs"
-            raise RecordError(f"{path}: {message}; run it on Linux")
-        self.path, until = path, time.monotonic() + patience
+    def __init__(self, path: Path) -> None:
+        self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self.handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            self._handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
             raise RecordError(f"{path} cannot be written ({error}); name another folder") from error
-        while True:
-            try:
-                fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except OSError:
-                if time.monotonic() > until:
-                    os.close(self.handle)
-                    raise RecordError(f"{path}: another process writes it; wait for its end, or stop it") from None
-                time.sleep(_TRIES)
         try:
             self.entries = self._read()
         except BaseException:
-            os.close(self.handle)
+            os.close(self._handle)
             raise
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        os.close(self.handle)
+        os.close(self._handle)
 
     def _read(self) -> list[dict[str, Any]]:
         """Entries; leave out a last line that is cut off."""
@@ -75,22 +56,22 @@ class Journal:
                 break
             found.append(json.loads(text))
             good += len(line)
-        os.ftruncate(self.handle, good)
-        os.lseek(self.handle, good, os.SEEK_SET)
+        os.ftruncate(self._handle, good)
+        os.lseek(self._handle, good, os.SEEK_SET)
         return found
 
     def add(self, **entry: Any) -> None:  # noqa: ANN401
         """Add an entry, as JSON can hold it, and bring it to disk; where no place is left, take it back."""
         text = json.dumps(entry, ensure_ascii=False).encode()
-        line, begin = text + b"\t" + _check(text) + b"\n", os.lseek(self.handle, 0, os.SEEK_CUR)
+        line, begin = text + b"\t" + _check(text) + b"\n", os.lseek(self._handle, 0, os.SEEK_CUR)
         try:
-            written = os.write(self.handle, line)
+            written = os.write(self._handle, line)
             if written < len(line):
                 raise OSError("no place is left")
-            os.fsync(self.handle)
+            os.fsync(self._handle)
         except OSError as error:
-            os.ftruncate(self.handle, begin)
-            os.lseek(self.handle, begin, os.SEEK_SET)
+            os.ftruncate(self._handle, begin)
+            os.lseek(self._handle, begin, os.SEEK_SET)
             remedy = "make room, then start the same again"
             raise RecordError(f"{self.path} cannot be written ({error}); {remedy}") from error
         self.entries.append(json.loads(text))

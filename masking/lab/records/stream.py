@@ -45,9 +45,12 @@ def is_in(folder: str | Path) -> bool:
 
 
 def remove(folder: str | Path) -> None:
-    """Remove the stream that a folder holds, if any, with all its parts."""
-    for path in (*parts(Path(folder)), Path(folder) / MANIFEST):
-        path.unlink(missing_ok=True)
+    """Remove the stream that a folder holds, if any, with all its parts; a RecordError where it is being written."""
+    for path in parts(Path(folder)):
+        if path.exists():
+            os.close(_locked(path, os.O_RDWR))
+            path.unlink(missing_ok=True)
+    (Path(folder) / MANIFEST).unlink(missing_ok=True)
 
 
 def begin(folder: str | Path, manifest: Mapping[str, Any]) -> None:
@@ -109,6 +112,19 @@ def written(folder: str | Path) -> int:
                 lost = int(json.loads(last.payload)["lost"]) if last.kind == END else 0
                 return last.first + last.rows - lost
     return 0
+
+
+def _locked(path: Path, flags: int) -> int:
+    """Open a part for this process alone."""
+    file = os.open(path, flags | os.O_APPEND | getattr(os, "O_CLOEXEC", 0), 0o600)
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(file)
+            message = f"{path}: another process records into this stream; wait until it has ended"
+            raise RecordError(message) from error
+    return file
 
 
 @final
@@ -198,7 +214,7 @@ class StreamWriter:
             try:
                 path = self._paths[number]
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = self._locked(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+                self._file = _locked(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC)
                 self._end = 0
                 if self._is_written(stream_pages.part_head(number, self._chain)):
                     sync_folder(path.parent)
@@ -210,21 +226,9 @@ class StreamWriter:
         places = " and ".join(str(path.parent) for path in self._paths)
         raise NoSpaceError(f"{places} are full; make room, or name another second place with --spare")
 
-    def _locked(self, path: Path, flags: int) -> int:
-        """Open a part for this process alone."""
-        file = os.open(path, flags | os.O_APPEND | getattr(os, "O_CLOEXEC", 0), 0o600)
-        if sys.platform != "win32":
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                os.close(file)
-                message = f"{path}: another process records into this stream; wait until it has ended"
-                raise RecordError(message) from error
-        return file
-
     def _go_on(self, path: Path) -> bool:
         """Continue a part behind its last whole page; tell whether there is one."""
-        file = self._locked(path, os.O_RDWR)
+        file = _locked(path, os.O_RDWR)
         last = next((page for page in reversed(_last_pages(file)) if page.kind != END), None)
         if last is None:
             os.close(file)

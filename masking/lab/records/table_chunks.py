@@ -1,5 +1,7 @@
 """Chunks of a table that grows: a folder of parquet files, each with the rows that its name says, whole or not there.
 
+Each has the identity of its table in its metadata: rows of another one are refused.
+
 Together they are one data set, which anything that reads parquet reads. What is on disk is what is done.
 """
 
@@ -24,6 +26,7 @@ Columns: TypeAlias = dict[str, Column]
 
 _NAME: Final = re.compile(r"rows-(\d+)-(\d+)\.parquet")
 _PARTIAL: Final = ".rows-*.partial"  # what a process that was killed had begun
+_IDENTITY: Final = b"masking.table"
 _NUMBERS: Final = {np.dtype(np.float64): pa.float64(), np.dtype(np.int64): pa.int64()}
 
 
@@ -32,16 +35,17 @@ def path(folder: Path, first: int, last: int) -> Path:
     return folder / f"rows-{first:09}-{last:09}.parquet"
 
 
-def write(folder: Path, first: int, last: int, columns: Mapping[str, Column]) -> None:
+def write(folder: Path, first: int, last: int, columns: Mapping[str, Column], identity: str) -> None:
     """Write the rows from `first` to before `last` into a folder, made if need be; then they are on disk for sure.
 
     A column has numbers, texts, or a row of numbers in each row. A RecordError where it cannot be written.
     """
-    arrays = {name: _array(column) for name, column in columns.items()}
+    table = pa.table({name: _array(column) for name, column in columns.items()})
+    table = table.replace_schema_metadata({_IDENTITY: identity})
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(path(folder, first, last)) as stream:
-            pq.write_table(pa.table(arrays), stream, compression="zstd", write_page_checksum=True)
+            pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
     except OSError as error:
         raise RecordError(
             f"{folder} cannot be written ({error}); make room, then start the same again: finished runs are kept"
@@ -87,8 +91,11 @@ def clear(folder: Path) -> None:
         file.unlink(missing_ok=True)
 
 
-def read(folder: Path) -> Columns:
-    """Read all rows of a folder, in order, each once; a RecordError where there are none, or a file is damaged."""
+def read(folder: Path, identity: str) -> Columns:
+    """Read all rows of a folder, in order, each once.
+
+    A RecordError where there are none, or a file is damaged or has another identity.
+    """
     tables, reached = list[pa.Table](), 0
     for first, last in done(folder):
         if last <= reached:  # the same rows in chunks of another size
@@ -99,6 +106,8 @@ def read(folder: Path) -> Columns:
         except (pa.ArrowException, OSError) as error:
             remedy = "remove it, then start the same sweep again"
             raise RecordError(f"{path(folder, first, last)} is cut off or damaged; {remedy}") from error
+        if (table.schema.metadata or {}).get(_IDENTITY) != identity.encode():
+            raise RecordError(f"{path(folder, first, last)} has rows of another sweep; remove it")
         tables.append(table.slice(max(0, reached - first)))
         reached = last
     if not tables:

@@ -47,8 +47,7 @@ class Experiment:
 
     def __reduce__(self) -> tuple[type[Experiment], tuple[registry.Assembly, InputFiles]]:
         """Pickled form: what was declared and read, without compiled code."""
-        self.files.read(self.declaration)
-        return Experiment, (self.assembly, self.files)
+        return Experiment, (self.assembly, self.files.read(self.declaration))
 
     def __repr__(self) -> str:
         return f"<Experiment {self.declaration.name}: {experiment_card.in_words(self.assembly)}>"
@@ -80,8 +79,8 @@ class Experiment:
         for name, value in (changes or {}).items():
             if not isinstance(value, int | float):
                 raise DeclarationError(Problem(None, name, f"must be a number, not {value!r}"))
-            declaration = declaration.model_copy(update={"parameters": {**declaration.parameters, name: value}})
-        return cls(registry.assemble(declaration, plant))
+        whole = {"parameters": {**declaration.parameters, **(changes or {})}}
+        return cls(registry.assemble(declaration.model_copy(update=whole), plant))
 
     def changed(self, **sections: object) -> Experiment:
         """Experiment with sections of its file replaced, each as YAML would give it.
@@ -337,8 +336,7 @@ class Experiment:
         self.twin.validate()
         _ = self.assumed_effects
         largest = cross_checks.LARGEST_RECORDING if self.ideal.needs_memory else cross_checks.LARGEST_ON_DISK
-        problems = [*registry.check_units(self.assembly), *self._check_size(largest)]
-        if problems:
+        if problems := [*registry.check_units(self.assembly), *self._check_size(largest)]:
             raise DeclarationError(problems)
         self.match.check_units()
         _ = self.instruments, self.loop if not self.has_observer else None

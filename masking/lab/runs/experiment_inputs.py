@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Self, final
 
 import numpy as np
 
@@ -64,11 +64,12 @@ class InputFiles:
             self._known[path, wanted] = InputColumn(recording.t, recording[column], digest)
         return self._known[path, wanted]
 
-    def read(self, experiment: schema.ExperimentDeclaration) -> None:
-        """Read the files of all inputs of an experiment."""
+    def read(self, experiment: schema.ExperimentDeclaration) -> Self:
+        """Read the files of all inputs of an experiment, and return these files."""
         for name, source in experiment.inputs.items():
             if source.file is not None:
                 self.column(experiment, name)
+        return self
 
 
 @dataclass(frozen=True)

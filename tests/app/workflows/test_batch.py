@@ -142,7 +142,7 @@ def test_every_changed_byte_of_a_journal_is_found(tmp_path):
             Journal(path)
 
 
-def test_one_process_has_a_journal_and_a_full_disk_takes_nothing_from_it(tmp_path):
+def test_a_full_disk_takes_nothing_from_a_journal(tmp_path):
     path = tmp_path / "a.journal"
     code = (
         "import resource, sys; from pathlib import Path; from masking.lab.records.journal import Journal\n"
@@ -152,8 +152,6 @@ def test_one_process_has_a_journal_and_a_full_disk_takes_nothing_from_it(tmp_pat
         "try: journal.add(event='a longer line than what is left of the disk')\n"
         "except RecordError as error: print(error)\n"
     )
-    with Journal(path), pytest.raises(RecordError, match="another process writes it"):
-        Journal(path)
     said = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True).stdout
     assert "make room, then start the same again" in said
     with Journal(path) as journal:

@@ -1,5 +1,6 @@
 """Sweeps: rows that depend on their number alone, that survive any end, and that closed forms confirm."""
 
+import contextlib
 import json
 import shutil
 
@@ -290,3 +291,19 @@ def test_rows_that_are_missing_are_found():
     assert missing([(0, 2), (1, 3), (7, 9)], 0, 12) == [(3, 7), (9, 12)]
     assert missing([(0, 20)], 5, 12) == []
     assert sweep_work._Sizes(3).rows == 3
+
+
+def test_rows_of_another_sweep_and_every_changed_byte_of_a_plan_are_refused(tmp_path):
+    over = {"w3": np.linspace(0.4, 0.7, 4)}
+    for name, values in (("a", over), ("b", {"w3": over["w3"] - 0.2})):
+        sweep("duffing", over=values, virtual=True, duration=20, workers=1, out=tmp_path / name)
+    for file in (tmp_path / "a" / "rows").iterdir():
+        shutil.copy(file, tmp_path / "b" / "rows")
+    with pytest.raises(RecordError, match=r"rows-0.*\.parquet has rows of another sweep; remove it"):
+        load_sweep(tmp_path / "b")
+    plan = tmp_path / "a" / "sweep.json"
+    data, whole = plan.read_bytes(), dict(load_sweep(tmp_path / "a").facts)
+    for at in range(0, len(data), 7):
+        plan.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with contextlib.suppress(RecordError):  # but for a blank that is no part of what the plan says
+            assert dict(load_sweep(tmp_path / "a").facts) == whole
