@@ -2,17 +2,28 @@
 
 The address has a random token: who does not know it gets nothing, so that other users and pages from elsewhere cannot
 press STOP, nor read. A name that is made to lead here, by DNS rebinding, is refused by its Host header.
+
+One thread answers all connections and waits for none of them; another one looks at the rows, so that STOP waits for no
+look. A request must be whole within `_DEADLINE`. There is always a place for whoever shows the token: where all are
+taken, a new connection gets that of the oldest one that has not shown it.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hmac
+import http.client
+import io
 import json
 import secrets
+import socket
 import threading
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final, final
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Final, final
 
 from masking.errors import OperatorError
 from masking.lab.records.stop_switch import Presser, Switch
@@ -20,11 +31,14 @@ from masking.reports import html
 from masking.reports.live_monitor import Monitor
 
 HOST: Final = "127.0.0.1"
-GONE: Final = 3.0  # s without a request, after which nobody looks any more
 _LOOK, _PHASE = 0.04, 0.25  # s between looks at the rows, and at the phases
-_TIMEOUT: Final = 5.0  # s that a request may take
-_CONNECTIONS: Final = 32
+_DEADLINE: Final = 1.0  # s from the first byte of a request to its last; a stranger's first byte comes as soon
+_PATIENCE: Final = 5.0  # s that a client may take to read an answer
+_CONNECTIONS: Final = 512
+_WAITING: Final = 4096  # connections that wait to be accepted
+_HEAD: Final = 16_384  # bytes of a request without its content
 _LONGEST: Final = 1024  # bytes of a request's content
+_CHUNK: Final = 65_536
 _HEADERS: Final = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -36,6 +50,57 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
+_Task = asyncio.Task[None]
+
+
+@dataclass(frozen=True)
+class _Answer:
+    status: HTTPStatus
+    content: bytes = b"there is nothing here\n"
+    kind: str = "text/plain; charset=utf-8"
+
+    def encoded(self, *, is_last: bool) -> bytes:
+        """Bytes to send; behind the last answer the connection is closed."""
+        fields = {**_HEADERS, "Content-Type": self.kind, "Content-Length": str(len(self.content))}
+        fields |= {"Connection": "close"} if is_last else {}
+        lines = [f"HTTP/1.1 {self.status.value} {self.status.phrase}", *(f"{name}: {fields[name]}" for name in fields)]
+        return "\r\n".join([*lines, "", ""]).encode() + self.content
+
+
+@dataclass(frozen=True)
+class _Request:
+    """A request without its content; `refused` is the status of one that cannot be answered, 0 for any other."""
+
+    method: str = ""
+    token: str = ""
+    path: str = ""  # behind the token
+    query: str = ""
+    host: str = ""
+    origin: str | None = None
+    length: int = 0  # bytes of its content
+    is_last: bool = True  # the connection is closed behind its answer
+    refused: int = 0
+
+    @classmethod
+    def of(cls, head: bytes) -> _Request:
+        line, _, rest = head.partition(b"\r\n")
+        words = line.decode("latin-1").split(" ")
+        if len(words) != 3 or not words[2].startswith("HTTP/1."):
+            return cls(refused=HTTPStatus.BAD_REQUEST)
+        try:
+            headers = http.client.parse_headers(io.BytesIO(rest))
+        except http.client.HTTPException:
+            return cls(refused=HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+        length = headers.get("Content-Length") or "0"
+        if "Transfer-Encoding" in headers or not (length.isascii() and length.isdigit()):
+            return cls(refused=HTTPStatus.BAD_REQUEST)
+        if len(length) > 8 or int(length) > _LONGEST:
+            return cls(refused=HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        path, _, query = words[1].partition("?")
+        token, _, path = path.removeprefix("/").partition("/")
+        is_last = words[2] == "HTTP/1.0" or headers.get("Connection", "").lower() == "close"
+        host, origin = headers.get("Host", ""), headers.get("Origin")
+        return cls(words[0], token, path, query, host, origin, int(length), is_last)
 
 
 @final
@@ -48,160 +113,163 @@ class OperatorPage:
     def __init__(self, monitor: Monitor, switch: Switch, port: int = 0) -> None:
         self.monitor, self.switch = monitor, switch
         self.token = secrets.token_urlsafe(18)
-        self._lock, self._ended, self._looked = threading.Lock(), threading.Event(), 0.0
         self._page = html.render("operator", facts=monitor.facts()).encode()
         try:
-            self._server = _Server((HOST, port), self)
+            self.listener = socket.create_server((HOST, port), backlog=_WAITING)
         except (OSError, OverflowError) as error:
-            raise OperatorError(f"--page {port}: this port cannot be had ({error}); name another, or none") from error
-        self.port = int(self._server.server_address[1])
-        self._threads = [
-            threading.Thread(target=self._watch, daemon=True),
-            threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+            remedy = "name another, or none; a page that shows a trip gives its port back once that is acknowledged"
+            raise OperatorError(f"--page {port}: this port cannot be had ({error}); {remedy}") from error
+        self.listener.setblocking(False)
+        self.port = int(self.listener.getsockname()[1])
+        self._names = {f"{name}:{self.port}" for name in (HOST, "localhost")}
+        self._origins = {None, *(f"http://{name}" for name in self._names)}
+        self._rows = ThreadPoolExecutor(1)  # the thread that uses the monitor
+        self._phased = 0.0
+        # Those that have not shown the token, the oldest first, and those that have, the one first that asked first.
+        self._strangers, self._holders = dict[_Task, None](), dict[_Task, None]()
+        self._runner, self._ended = asyncio.Runner(loop_factory=asyncio.new_event_loop), asyncio.Event()
+        self._loop = self._runner.get_loop()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     def __enter__(self) -> OperatorPage:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._server.shutdown()
-        self._server.server_close()
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._thread.join()
 
     @property
     def address(self) -> str:
         """Address of the page."""
         return f"http://{HOST}:{self.port}/{self.token}/"
 
-    @property
-    def is_looked_at(self) -> bool:
-        """Whether a browser shows the page."""
-        return self._looked > 0.0 and time.monotonic() - self._looked < GONE
+    def _run(self) -> None:
+        with self._rows, self.listener, self._runner:
+            self._runner.run(self._serve())
 
-    def _watch(self) -> None:
-        """Read rows until the service ends."""
-        phase = 0.0
-        while not self._ended.wait(_LOOK):
-            now = time.monotonic()
-            with self._lock:
-                self.monitor.look(now)
-                if now - phase > _PHASE:
-                    self.monitor.look_at_phase()
-                    phase = now
+    async def _serve(self) -> None:
+        tasks = [asyncio.create_task(self._watch()), asyncio.create_task(self._accept())]
+        await self._ended.wait()
+        for task in tasks:
+            task.cancel()
 
-    def get(self, path: str, query: str) -> tuple[str, bytes] | None:
-        """Type and the content of a path behind the token; None where there is nothing."""
-        if path == "":
-            return "text/html; charset=utf-8", self._page
-        if path == "data":
-            digits = query.removeprefix("since=")
-            number = int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 16 else 0
-            self._looked = time.monotonic()
+    async def _watch(self) -> None:
+        """Look at the rows until the service ends."""
+        while True:
+            await asyncio.sleep(_LOOK)
+            await self._loop.run_in_executor(self._rows, self._look)
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        self.monitor.look(now)
+        if now - self._phased > _PHASE:
+            self.monitor.look_at_phase()
+            self._phased = now
+
+    def _data(self, query: str) -> bytes:
+        """State and the bins from a number on, as JSON."""
+        digits = query.removeprefix("since=")
+        number = int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 16 else 0
+        return json.dumps(self.monitor.since(number, time.monotonic()), allow_nan=False).encode()
+
+    async def _accept(self) -> None:
+        """Accept connections until the service ends."""
+        while True:
+            if len(self._strangers) + len(self._holders) >= _CONNECTIONS:
+                self._drop()
+            try:
+                connection, _ = await self._loop.sock_accept(self.listener)
+            except OSError:  # such as too many open files
+                self._drop()
+                await asyncio.sleep(_LOOK)
+                continue
+            task = asyncio.create_task(self._converse(connection))
+            self._strangers[task] = None
+            task.add_done_callback(self._forget)
+            await asyncio.sleep(0)  # others go on
+
+    def _drop(self) -> None:
+        task = next(iter(self._strangers or self._holders), None)
+        if task is not None:
+            self._forget(task)
+            task.cancel()
+
+    def _forget(self, task: _Task) -> None:
+        self._strangers.pop(task, None)
+        self._holders.pop(task, None)
+
+    async def _converse(self, connection: socket.socket) -> None:
+        """Answer the requests of a connection, and close it."""
+        held, is_last = bytearray(), False
+        with connection, contextlib.suppress(OSError):  # it has gone, or a deadline has passed
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            while not is_last:
+                request = await self._request(connection, held)
+                answer = await self._answer(request)
+                is_last = request.is_last or answer.status != HTTPStatus.OK
+                async with asyncio.timeout(_PATIENCE):
+                    await self._loop.sock_sendall(connection, answer.encoded(is_last=is_last))
+
+    async def _request(self, connection: socket.socket, held: bytearray) -> _Request:
+        """Next request, of which `held` has what came with the one before."""
+        task = asyncio.current_task()
+        assert task is not None  # noqa: S101  # each connection has one
+        is_idle = task in self._holders and not held
+        async with asyncio.timeout(None if is_idle else _DEADLINE) as limit:
+            while (end := held.find(b"\r\n\r\n")) < 0:
+                if len(held) > _HEAD:
+                    return _Request(refused=HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+                held += await self._received(connection)
+                if limit.when() is None:
+                    limit.reschedule(self._loop.time() + _DEADLINE)
+            request = _Request.of(bytes(held[: end + 4]))
+            del held[: end + 4]
+            if self._is_known(request):
+                self._forget(task)
+                self._holders[task] = None
+            while len(held) < request.length:
+                held += await self._received(connection)
+            del held[: request.length]
+        return request
+
+    async def _received(self, connection: socket.socket) -> bytes:
+        found = await self._loop.sock_recv(connection, _CHUNK)
+        if not found:
+            raise ConnectionError
+        return found
+
+    def _is_known(self, request: _Request) -> bool:
+        """Whether a request has the token and is for this host."""
+        is_token = hmac.compare_digest(request.token.encode("utf-8", "replace"), self.token.encode())
+        return is_token and request.host in self._names
+
+    async def _answer(self, request: _Request) -> _Answer:
+        if request.refused:
+            return _Answer(HTTPStatus(request.refused))
+        if request.method == "POST":
+            return self._press(request)
+        if request.method != "GET":
+            return _Answer(HTTPStatus.NOT_IMPLEMENTED)
+        if self._is_known(request) and request.path == "":
+            return _Answer(HTTPStatus.OK, self._page, "text/html; charset=utf-8")
+        if self._is_known(request) and request.path == "data":
             self.switch.see()
-            with self._lock:
-                found = self.monitor.since(number, self._looked)
-            return "application/json", json.dumps(found, allow_nan=False).encode()
-        return None
+            content = await self._loop.run_in_executor(self._rows, self._data, request.query)
+            return _Answer(HTTPStatus.OK, content, "application/json")
+        return _Answer(HTTPStatus.NOT_FOUND)
 
-    def post(self, path: str) -> bool:
-        """Do what a button says; return whether there is such a button."""
-        if path == "stop":
-            self.switch.press(Presser.PAGE)
-        elif path == "acknowledge":
-            self.switch.acknowledge()
-        else:
-            return False
-        return True
-
-
-class _Server(ThreadingHTTPServer):
-    """A server whose requests run in threads, at most `_CONNECTIONS` of them."""
-
-    daemon_threads, block_on_close, request_queue_size = True, False, _CONNECTIONS
-    allow_reuse_address = True
-
-    def __init__(self, address: tuple[str, int], page: OperatorPage) -> None:
-        super().__init__(address, _Handler)
-        self.page, self._free = page, threading.Semaphore(_CONNECTIONS)
-
-    def process_request(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        if not self._free.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._free.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ANN401
-        """Say nothing of a client that has gone."""
-
-
-class _Handler(BaseHTTPRequestHandler):
-    """One connection: GET of the page and its data, POST of a button."""
-
-    protocol_version, timeout = "HTTP/1.1", _TIMEOUT
-    server_version, sys_version = "masking", ""
-    disable_nagle_algorithm = True
-    wbufsize = -1  # heads and content in one segment
-    server: _Server
-
-    def do_GET(self) -> None:
-        """Answer with the page, or with data."""
-        path = self._path()
-        if path is None or (found := self.server.page.get(*path)) is None:
-            self._refuse(404)
-        else:
-            self._answer(200, *found)
-
-    def do_POST(self) -> None:
+    def _press(self, request: _Request) -> _Answer:
         """Do what a button says."""
-        length = self.headers.get("Content-Length") or "0"
-        if "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdigit()):
-            self._refuse(400)
-        elif len(length) > 8 or int(length) > _LONGEST:
-            self._refuse(413)
+        if not self._is_known(request) or request.origin not in self._origins:
+            return _Answer(HTTPStatus.FORBIDDEN)
+        if request.path == "stop":
+            self.switch.press(Presser.PAGE)
+        elif request.path == "acknowledge":
+            try:
+                self.switch.acknowledge()
+            except OperatorError as error:
+                return _Answer(HTTPStatus.CONFLICT, f"{error}\n".encode())
         else:
-            self.rfile.read(int(length))
-            path, origin = self._path(), self.headers.get("Origin")
-            if path is None or origin not in {None, *(f"http://{name}" for name in self._names())}:
-                self._refuse(403)
-            elif self.server.page.post(path[0]):
-                self._answer(200, "application/json", b"{}")
-            else:
-                self._refuse(404)
-
-    def _names(self) -> set[str]:
-        return {f"{name}:{self.server.page.port}" for name in (HOST, "localhost")}
-
-    def _path(self) -> tuple[str, str] | None:
-        """Path behind the token and the query; None without the token, or for another host."""
-        if self.headers.get("Host", "") not in self._names():
-            return None
-        path, _, query = self.path.partition("?")
-        token, _, rest = path.removeprefix("/").partition("/")
-        if not hmac.compare_digest(token.encode("utf-8", "replace"), self.server.page.token.encode()):
-            return None
-        return rest, query
-
-    def _refuse(self, status: int) -> None:
-        self.close_connection = True
-        self._answer(status, "text/plain; charset=utf-8", b"there is nothing here\n")
-
-    def _answer(self, status: int, kind: str, content: bytes) -> None:
-        self.send_response(status)
-        for name, value in {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}.items():
-            self.send_header(name, value)
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(content)
-        self.wfile.flush()
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Write no log."""
+            return _Answer(HTTPStatus.NOT_FOUND)
+        return _Answer(HTTPStatus.OK, b"{}", "application/json")

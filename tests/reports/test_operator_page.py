@@ -8,16 +8,19 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 import time
+import urllib.parse
 
 import numpy as np
 import pytest
 
-from masking.app.workflows.operator_process import attend
-from masking.errors import MaskingError, RecordError
+from masking.app.workflows.operator_process import GONE, attend
+from masking.errors import MaskingError, OperatorError, RecordError
 from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import Ring, RingReader
 from masking.lab.records.stop_switch import Presser, Switch, switches
+from masking.reports import operator_page
 from masking.reports.live_monitor import BINS, Monitor, phase_between
 from masking.reports.operator_page import OperatorPage
 from tests.support import chromium, stub_loop
@@ -122,10 +125,15 @@ def test_a_switch_is_shared_and_goes_with_its_loop():
     other.see()
     assert made.pressed == Presser.COMMAND_LINE
     assert 0.0 <= made.silence < 1.0
+    with pytest.raises(OperatorError, match="nothing has tripped"):
+        other.acknowledge()
     made.publish(end="tripped", trip={"cause": "ESTOP"})
     assert other.published == {"end": "tripped", "trip": {"cause": "ESTOP"}}
-    made.publish(text="x" * 50_000)
-    assert other.published["text"] == "x" * 1000
+    made.publish(trip={"cause": "CONTROLLER_EXCEPTION", "detail": "\N{SNOWMAN}" * 50_000})
+    assert other.published["trip"]["cause"] == "CONTROLLER_EXCEPTION"
+    assert len(other.published["trip"]["detail"]) > 1000
+    made.acknowledge()
+    assert other.is_acknowledged
     made.remove()
     with pytest.raises(RecordError, match="no switch of a running loop"):
         Switch(made.path)
@@ -181,16 +189,148 @@ def test_nobody_but_who_knows_the_address_reads_or_stops(page):
 
 
 def test_the_page_is_served_on_this_machine_alone(page):
-    assert page._server.server_address[0] == "127.0.0.1"
+    assert page.listener.getsockname()[0] == "127.0.0.1"
     with pytest.raises(MaskingError, match="this port cannot be had"):
         OperatorPage(page.monitor, page.switch, page.port)
 
 
-def test_a_client_that_says_nothing_keeps_nobody_away(page):
-    idle = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(20)]
-    assert asked(page, "GET", f"/{page.token}/")[0] == 200
-    for one in idle:
-        one.close()
+def connected(page, text=b""):
+    """Return a connection over which a text was sent."""
+    made = socket.create_connection(("127.0.0.1", page.port), timeout=20)
+    made.sendall(text)
+    return made
+
+
+@pytest.fixture
+def slow(page):
+    """Give 200 clients that send a byte now and then, and begin anew once they are turned away."""
+    over = threading.Event()
+
+    def drip():
+        clients = [connected(page, b"GET / HTTP/1.1\r\nX: ") for _ in range(200)]
+        dripping.set()
+        while not over.wait(0.1):
+            for n, client in enumerate(clients):
+                try:
+                    client.sendall(b"a")
+                except OSError:
+                    client.close()
+                    clients[n] = connected(page, b"GET / HTTP/1.1\r\nX: ")
+        for client in clients:
+            client.close()
+
+    dripping, thread = threading.Event(), threading.Thread(target=drip, daemon=True)
+    thread.start()
+    assert dripping.wait(30)
+    yield
+    over.set()
+    thread.join()
+
+
+def test_stop_is_heard_beside_200_slow_clients(page, slow):
+    for _ in range(20):
+        begun = time.monotonic()
+        assert asked(page, "POST", f"/{page.token}/stop")[0] == 200
+        assert time.monotonic() - begun < 5.0
+    assert page.switch.pressed == Presser.PAGE
+
+
+@pytest.mark.parametrize("begun", ["", "GET /", "POST /{}/stop HTTP/1.1\r\nContent-Length: 500\r\n\r\n"])
+def test_a_request_that_does_not_become_whole_is_given_up(page, begun):
+    is_closed, until = False, time.monotonic() + 20.0
+    with connected(page, begun.format(page.token).encode()) as client:
+        client.settimeout(0.2)
+        while not is_closed and time.monotonic() < until:
+            try:
+                client.sendall(b"x" if begun else b"")
+                is_closed = client.recv(100) == b""
+            except TimeoutError:
+                pass
+            except ConnectionError:
+                is_closed = True
+    assert is_closed
+    assert not page.switch.pressed
+
+
+def test_whoever_shows_the_token_keeps_its_place(page, monkeypatch):
+    monkeypatch.setattr(operator_page, "_CONNECTIONS", 8)
+    known = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    with contextlib.ExitStack() as way_out:
+        way_out.callback(known.close)
+        for turn in range(3):
+            known.request("GET", f"/{page.token}/data?since=0")
+            answer = known.getresponse()
+            assert answer.status == 200
+            assert answer.read()
+            strangers = [way_out.enter_context(connected(page)) for _ in range(30)]
+            assert strangers[0].recv(1) == b"", turn  # the oldest goes first
+        local = known.sock.getsockname()
+        known.request("POST", f"/{page.token}/stop")
+        assert known.getresponse().status == 200
+        assert known.sock.getsockname() == local
+
+
+def test_stop_does_not_wait_for_a_look_at_the_rows(page, monkeypatch):
+    looking, go_on = threading.Event(), threading.Event()
+
+    def look(now):
+        looking.set()
+        go_on.wait(30)
+
+    monkeypatch.setattr(page.monitor, "look", look)
+    assert looking.wait(10)
+    try:
+        assert asked(page, "GET", f"/{page.token}/")[0] == 200
+        assert asked(page, "POST", f"/{page.token}/stop")[0] == 200
+        assert page.switch.pressed == Presser.PAGE
+        with pytest.raises(TimeoutError), connected(page) as client:
+            client.sendall(f"GET /{page.token}/data HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
+            client.settimeout(0.3)
+            client.recv(1)
+        assert page.switch.silence < 10.0  # the operator is there all the same
+    finally:
+        go_on.set()
+
+
+def test_nothing_is_acknowledged_before_a_trip(page):
+    path = f"/{page.token}/acknowledge"
+    status, said = asked(page, "POST", path)
+    assert (status, said) == (409, b"nothing has tripped: there is no cause yet that could be acknowledged\n")
+    page.switch.press(Presser.PAGE)
+    assert asked(page, "POST", path)[0] == 409
+    assert not page.switch.is_acknowledged
+    page.switch.publish(end="tripped", trip={"cause": "ESTOP"})
+    assert asked(page, "POST", path)[0] == 200
+    assert page.switch.is_acknowledged
+
+
+def test_the_cause_of_a_trip_stays_until_it_is_read():
+    with looping(60) as (process, ring, switch):
+        attendant = attend(ring, switch, page=0)
+        at = urllib.parse.urlsplit(attendant.page)
+
+        def ask(method, path):
+            connection = http.client.HTTPConnection(at.hostname, at.port, timeout=10)
+            with contextlib.closing(connection):
+                connection.request(method, at.path + path)
+                return json.loads(connection.getresponse().read())
+
+        ask("GET", "data?since=0")
+        ask("POST", "stop")
+        process.wait(30)
+        time.sleep(GONE + 1.0)  # the browser was closed, and is opened again
+        shown = ask("GET", "data?since=0")["state"]
+        assert (shown["word"], shown["trip"]["cause"], shown["acknowledged"]) == ("TRIPPED", "ESTOP", False)
+        ask("POST", "acknowledge")
+        assert attendant.process.wait(20) == 0
+
+
+def test_a_page_that_nobody_opened_keeps_nobody_waiting():
+    with looping(60) as (process, ring, switch):
+        attendant = attend(ring, switch, page=0)
+        Switch(switch).press(Presser.COMMAND_LINE)
+        assert attendant.process.wait(60) == 0
+        process.wait(30)
 
 
 def test_stop_reaches_the_loop_within_two_ticks():

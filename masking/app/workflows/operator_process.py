@@ -2,7 +2,8 @@
 
 `attend` starts the process with the files of the loop's ring and switch; it prints one line of JSON: the address of the
 `page`, or an `error`. It ends with the loop; a page that is still looked at stays, so that the operator sees how the
-loop ended, until a trip is acknowledged or the browser has gone.
+loop ended, until the browser has gone for `GONE`. The cause of a trip stays on a page that was looked at until it is
+acknowledged, or the browser has gone for `UNREAD`.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import Switch, is_running
 from masking.reports.live_monitor import Monitor
-from masking.reports.operator_page import GONE, OperatorPage
+from masking.reports.operator_page import OperatorPage
 
+GONE: Final = 3.0  # s without a request of the page, after which nobody looks any more
+UNREAD: Final = 300.0  # the same of a page that has been looked at, after a trip; hidden pages ask once a minute
 _LOOK: Final = 0.02  # s between looks at the rows
 
 
@@ -102,7 +105,8 @@ def _attend(reader: RingReader, switch: Switch, page: OperatorPage | None, datag
             if not reader.is_closed:  # killed: it removes no names
                 reader.path.unlink(missing_ok=True)
                 switch.remove()
-            is_awaited = page is not None and (page.is_looked_at or now - ended < GONE)
+            patience = UNREAD if switch.has_tripped and switch.seen else GONE
+            is_awaited = page is not None and min(switch.silence, now - ended) < patience
             if not is_awaited or switch.is_acknowledged:
                 return
         time.sleep(_LOOK)

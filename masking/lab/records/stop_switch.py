@@ -22,7 +22,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, final
 
-from masking.errors import RecordError
+from masking.errors import OperatorError, RecordError
 from masking.lab.records.ring import MEMORY, shared_file
 
 MAGIC: Final = int.from_bytes(b"MASKSTOP", "little")
@@ -32,6 +32,13 @@ _MAGIC, _PROCESS, _PRESSED, _ACKNOWLEDGED, _SEEN, _BEGUN, _WHOLE, _TEXT = range(
 _SIZE: Final = 1 << 14
 _MOST: Final = _SIZE - 8 * _HEAD
 _TRIES: Final = 100
+
+
+def _shortened(value: Any, length: int) -> Any:  # noqa: ANN401  # trees of what JSON can hold
+    """The same with texts of at most some characters."""
+    if isinstance(value, dict):
+        return {name: _shortened(each, length) for name, each in value.items()}
+    return value[:length] if isinstance(value, str) else value
 
 
 class Presser(IntEnum):
@@ -88,8 +95,15 @@ class Switch:
         """Whether the operator has acknowledged why the loop tripped."""
         return bool(self._words[_ACKNOWLEDGED])
 
+    @property
+    def has_tripped(self) -> bool:
+        """Whether the loop has said why it tripped."""
+        return bool(self.published.get("trip"))
+
     def acknowledge(self) -> None:
-        """Note that the operator has seen the cause of the trip."""
+        """Note that the operator has seen the cause of the trip. An OperatorError where nothing has tripped yet."""
+        if not self.has_tripped:
+            raise OperatorError("nothing has tripped: there is no cause yet that could be acknowledged")
         self._words[_ACKNOWLEDGED] = 1
 
     @property
@@ -108,10 +122,13 @@ class Switch:
         return (time.monotonic_ns() - seen) * 1e-9 if seen else float("inf")
 
     def publish(self, **facts: Any) -> None:  # noqa: ANN401
-        """Write what the loop says of its state, as JSON can hold it, in place of what it said before."""
-        text = json.dumps(facts).encode()
-        if len(text) > _MOST:
-            text = json.dumps({name: str(value)[:1000] for name, value in facts.items()}).encode()[:_MOST]
+        """Write what the loop says of its state, as JSON can hold it, in place of what it said before.
+
+        Where there is no room for everything, texts are shortened.
+        """
+        length = _MOST
+        while len(text := json.dumps(_shortened(facts, length)).encode()) > _MOST:
+            length //= 2
         self._words[_BEGUN] += 1
         self._memory[8 * _HEAD : 8 * _HEAD + len(text)] = text
         self._words[_TEXT] = len(text)
