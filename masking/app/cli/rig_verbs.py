@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from masking.app.cli.progress import Bar
+from masking.app.cli.progress import Bar, raise_interrupts
 from masking.app.cli.verb import Call, Verb, verb
 from masking.errors import OperatorError
 
@@ -122,7 +122,6 @@ def _run(call: Call) -> int:
                 )  # fmt: skip
                 recording = hardware.run(made, plant, settings)
             keep(recording)
-            operator.wait()
         finally:
             if stream.is_in(out):
                 print(f"masking: {out} holds what was recorded; {stream.MEND.format(out)}", file=sys.stderr)
@@ -135,6 +134,10 @@ def _run(call: Call) -> int:
         trip = recording.manifest["rig"].get("trip")
         why = trip["sentence"] if trip else stopping.REASONS[end]
         print(f"masking: {end}: {why}; the record ends there", file=sys.stderr)
+        if trip and chosen.page is not None:
+            print("masking: the page shows this until it is acknowledged, there or here by Ctrl+C", file=sys.stderr)
+            raise_interrupts()
+            operator.wait()
     return int(not is_planned)
 
 
@@ -171,7 +174,10 @@ def _operator(chosen: RunSettings, bar: Bar) -> Operator:
 
 @verb("app.workflows.emergency_stop:stop", metavars={"processes": "PROCESS"})
 def _stop(call: Call) -> int:
-    """Press the emergency stop of every run on this machine that this user started; exit status 1 if there is none."""
+    """Press the emergency stop of a run of this user on this machine; of several, name some or say --all.
+
+    The exit status is 1 if there is no run, and 2 if one goes on and none was stopped, or not all that were named.
+    """
     stopped = call.do()
     text = f"stopped: {', '.join(f'process {process}' for process in stopped)}" if stopped else "no run to stop"
     call.answer({"stopped": stopped}, text)

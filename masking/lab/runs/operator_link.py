@@ -57,6 +57,7 @@ class Operator:
             raise OperatorError(f"{self._file}: there is no folder {self._file.parent}; make it, or name another file")
         self.switch, self.is_attended = Switch.make(), is_attended
         self._looked = 0
+        self._about: dict[str, object] = {}  # the run, as `masking rig stop` lists it
         self.trip: Trip | None = None
         self._shown: _Shown | None = None
         self._attendant: Attendant | None = None
@@ -75,6 +76,9 @@ class Operator:
 
     def begin(self, experiment: Experiment, controller: SampledStep, rules: Rules) -> None:
         """Show what a controller is about to do; in an attended run, wait until somebody looks."""
+        names = {"name": experiment.declaration.name, "plant": experiment.assembly.plant.name}
+        self._about = {**names, "since": time.time()}
+        self.switch.publish(**self._about)
         if self._attend is None:
             return
         self._shown = _Shown(experiment, controller, rules, is_attended=self.is_attended)
@@ -106,14 +110,20 @@ class Operator:
     def end(self, reason: str, trip: Trip | None) -> None:
         """Show the end of the run."""
         self.trip = trip
-        self.switch.publish(end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
+        self.switch.publish(**self._about, end=reason, **({} if trip is None else {"trip": trip.as_dict()}))
         if self._shown is not None:
             self._shown.ring.close()
 
     def wait(self) -> None:
-        """Wait until the operator has acknowledged why the run tripped, if it did, or nobody looks at the page."""
+        """Wait until the operator has acknowledged why the run tripped, if it did, or nobody looks at the page.
+
+        An interrupt, of whoever has read the cause in the terminal, acknowledges it too.
+        """
         if self.trip is not None and self._attendant is not None:
-            self._attendant.wait()
+            try:
+                self._attendant.wait()
+            except KeyboardInterrupt:
+                self.switch.acknowledge()
 
 
 @final

@@ -18,7 +18,7 @@ import pytest
 from masking.app import cli
 from masking.app.workflows.operator_process import attend
 from masking.errors import MaskingError
-from masking.lab.plants.safety_chain import Cause
+from masking.lab.plants.safety_chain import Cause, Trip
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import ring, stop_switch
 from masking.lab.records.recording import Recording
@@ -64,7 +64,9 @@ def test_what_is_shown_is_what_is_recorded(cart):
         table = {name: taken.table[:, i] for i, name in enumerate(reader.columns)}
         kept = (table["index"] >= 0) & (table["index"] % cart.every == 0)
         assert reader.is_closed
-        assert operator.switch.published == {"end": "finished"}
+        published = operator.switch.published
+    assert published.pop("since") == pytest.approx(time.time(), abs=600.0)
+    assert published == {"end": "finished", "name": cart.declaration.name, "plant": cart.assembly.plant.name}
     assert taken.missed == 0
     assert kept.sum() == len(recording.t) > 1000
     np.testing.assert_array_equal(table["index"][kept] / reader.rate, recording.t)
@@ -191,17 +193,69 @@ def alone(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "MEMORY", tmp_path)
 
 
-def test_the_command_line_stops_every_run(alone, capsys):
+@contextlib.contextmanager
+def another(folder, since, name):
+    """Give the switch of a run in another process, which says of itself what a run does."""
+    code = (
+        "import pathlib, sys\nfrom masking.lab.records import ring, stop_switch\n"
+        "ring.MEMORY = pathlib.Path(sys.argv[1])\nmade = stop_switch.Switch.make()\n"
+        "made.publish(name=sys.argv[3], plant='cart', since=float(sys.argv[2]))\nprint(made.path, flush=True)\ninput()"
+    )
+    command = [sys.executable, "-c", code, str(folder), str(since), name]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield Switch(process.stdout.readline().strip())
+        finally:
+            process.kill()
+
+
+def test_the_command_line_stops_the_one_run_there_is(alone, capsys):
     assert cli.main(["rig", "stop", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["stopped"] == []
-    with Operator() as first, Operator() as second:
+    with Operator() as operator:
+        assert cli.main(["rig", "stop", str(os.getpid() + 1)]) == 2
+        said = capsys.readouterr().err
+        assert f"there is no run of process {os.getpid() + 1}" in said
+        assert f"masking rig stop {os.getpid()}\n" in said
+        assert "--all" not in said
+        assert not operator.switch.pressed
         assert cli.main(["rig", "stop"]) == 0
-        assert capsys.readouterr().out.count(str(os.getpid())) == 2
-        assert {first.switch.pressed, second.switch.pressed} == {Presser.COMMAND_LINE}
-        assert cli.main(["rig", "stop", str(os.getpid() + 1)]) == 1
-        assert "no run to stop" in capsys.readouterr().out
-        assert cli.main(["rig", "stop", str(os.getpid())]) == 0
-    assert cli.main(["rig", "stop"]) == 1
+        assert capsys.readouterr().out == f"stopped: process {os.getpid()}\n"
+        assert operator.switch.pressed == Presser.COMMAND_LINE
+    assert cli.main(["rig", "stop", "--all"]) == 1
+    assert capsys.readouterr().out == "no run to stop\n"
+
+
+def test_the_command_line_asks_which_of_several_runs_it_stops(alone, capsys, tmp_path):
+    since = time.mktime((2031, 5, 4, 3, 2, 1, 0, 0, -1))
+    with Operator() as own, another(tmp_path, since, "first\x1b[2J") as first, another(tmp_path, 0, "second") as second:
+        assert cli.main(["rig", "stop"]) == 2
+        said = capsys.readouterr().err
+        assert "several runs go on" in said
+        assert f"process {first.process}: first?[2J on cart, since 2031-05-04 03:02:01\n" in said
+        assert f"process {os.getpid()}: about to begin\n" in said
+        assert all(f"    masking rig stop {one.process}\n" in said for one in (own.switch, first, second))
+        assert said.endswith("    masking rig stop --all\n")
+        assert [one.pressed for one in (own.switch, first, second)] == [0, 0, 0]
+        assert cli.main(["rig", "stop", str(first.process), "1"]) == 2
+        said = capsys.readouterr().err
+        assert f"process {first.process} stopped, but there is no run of process 1" in said
+        assert [one.pressed for one in (own.switch, first, second)] == [0, Presser.COMMAND_LINE, 0]
+        assert cli.main(["rig", "stop", "--all", "--json"]) == 0
+        assert {*json.loads(capsys.readouterr().out)["stopped"]} == {os.getpid(), first.process, second.process}
+        assert all(one.pressed for one in (own.switch, first, second))
+
+
+def test_an_interrupt_in_the_terminal_acknowledges_what_it_says():
+    class Interrupted:
+        def wait(self):
+            raise KeyboardInterrupt
+
+    with Operator() as operator:
+        operator._attendant = Interrupted()
+        operator.end("tripped", Trip(Cause.ESTOP, "on the page", 7))
+        operator.wait()
+        assert operator.switch.is_acknowledged
 
 
 def test_an_attended_run_needs_a_page(capsys, tmp_path):
