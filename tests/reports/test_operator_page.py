@@ -449,6 +449,24 @@ def test_everything_fits_on_a_screen(tab, page):
     assert complaints(tab) == []
 
 
+@browser
+def test_a_press_that_is_not_answered_is_repeated(tab):
+    lost = "if (options.method === 'POST' && presses++ < 3) throw new Error('lost');"
+    with looping(60) as (process, ring, switch):
+        attendant = attend(ring, switch, page=0)
+        tab.open(attendant.page)
+        tab.wait_for("view.answers > 2")
+        tab.value("window.presses = 0, window.through = window.fetch, 0")
+        tab.value(f"window.fetch = async (path, options) => {{ {lost} return through(path, options); }}, 0")
+        tab.value("document.getElementById('stop').click()")
+        tab.wait_for("document.querySelector('#state b').textContent === 'TRIPPED'")
+        assert tab.value("presses") == 4
+        assert json.loads(process.communicate(timeout=20)[0])["stopped"] is not None
+        tab.value("document.getElementById('acknowledge').click()")
+        attendant.process.wait(10)
+        tab.call("Page.navigate", url="about:blank")
+
+
 def test_an_attendant_says_what_is_wrong():
     path, switch = written(("a",), np.zeros((1, 1))), Switch.make()
     with pytest.raises(MaskingError, match="this is no host and port"):
