@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,9 +12,9 @@ import numpy as np
 from masking.app.workflows.output_folders import RUN, own_folder
 from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError, RecordError
-from masking.lab.records import stream, stream_reader
+from masking.lab.records import stream, stream_reader, tick_record
 from masking.lab.records.recorder import CLOSED
-from masking.lab.records.recording import Recording, with_finite
+from masking.lab.records.recording import Recording
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import is_running
 from masking.lab.records.stream_reader import Stream
@@ -26,7 +26,9 @@ from masking.model.declaration import registry
 from masking.reports import run_report
 
 TICKS: Final = "ticks"
-_AS_THEN: Final = ("created", "commit", "files", "versions", "declarations")
+_OF_RUN: Final = ("created", "commit", "files", "versions", "declarations")
+_OF_PLANT: Final = ("name", "created", "clock", "watchdog")
+_PLANTS: Final = "it is the plant's own record of a session, whose server was killed"
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Recovered:
     """Recording of a run that was killed."""
 
     folder: Path  # of the recordings
+    ticks: Path  # folder of the recording of all ticks
     rows: int  # ticks that are there, the homing included
     homing: int  # how many of them are in the homing
     seconds: float  # from the first to the last
@@ -44,7 +47,7 @@ class Recovered:
     why: str  # why there is none, or no other column than those of the loop; empty otherwise
 
     def __str__(self) -> str:
-        ticks = f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.folder / TICKS}"
+        ticks = f"{self.rows} ticks, {self.seconds:.3f} s, of which {self.homing} in the homing: {self.ticks}"
         missing = f"{self.missing} ticks are missing" if self.missing else "no tick is missing"
         run = self.why or f"the run since the release, {len(self.recording or ())} samples: {self.folder}"
         return "\n".join([ticks, missing, self.end, *self.damages, run])
@@ -54,7 +57,7 @@ class Recovered:
         names = ("rows", "homing", "seconds", "missing", "end", "why")
         found = {name: getattr(self, name) for name in names} | {"damages": list(self.damages)}
         recording = str(self.folder) if self.recording is not None else None
-        return {**found, "ticks": str(self.folder / TICKS), "recording": recording}
+        return {**found, "ticks": str(self.ticks), "recording": recording}
 
 
 def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: bool = False) -> Recovered:
@@ -74,21 +77,22 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
     """
     target = Path(folder if out is None else out)
     found = stream_reader.read(folder)
-    with own_folder(
-        target, *(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}", overwrite=overwrite
-    ):
-        numbers, table = _with_ring(found)
-        if not len(table):
+    held = [*(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}"]
+    with own_folder(target, *held, overwrite=overwrite):
+        whole, end = _with_ring(found), _end(found)
+        if not len(whole.numbers):
             unread = f"no tick of the run is readable ({'; '.join(found.damages)})"
             why = unread if found.damages else "the run ended before its first tick"
             raise RecordError(f"{folder}: {why}; remove {stream.MANIFEST} and {stream.ROWS}")
-        names, rate = list(found.manifest["columns"]), float(found.manifest["rate"])
-        column = dict(zip(names, table.T, strict=True))
-        missing = max(int(numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(numbers)
-        end = _end(found)
+        missing = max(int(whole.numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(whole.numbers)
         lost = {"missing": missing, "end": end, "damages": list(found.damages)}
-        _ticks(found, column, numbers / rate, lost).save(target / TICKS, overwrite=True)
-        recording, why = _run(found, table, column, lost)
+        is_plants = "declarations" not in found.manifest
+        kept = {name: found.manifest[name] for name in (_OF_PLANT if is_plants else _OF_RUN)}
+        kept |= {"recovered": lost} if is_plants else {"name": "the ticks of a run", "recovered": lost}
+        ticks = target if is_plants else target / TICKS
+        tick_record.save(whole, ticks, kept)
+        column = dict(zip(found.manifest["columns"], whole.table.T, strict=True))
+        recording, why = (None, _PLANTS) if is_plants else _run(whole, column, lost)
         if recording is not None:
             recording.save(target, overwrite=True)
             run_report.report(recording, target)
@@ -97,9 +101,10 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
             reader = _ring(found)
             if reader is not None and not is_running(reader.process):
                 reader.path.unlink(missing_ok=True)
-        seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / rate
-        homing = int(np.count_nonzero(column["index"] < 0))
-        return Recovered(target, len(table), homing, seconds, missing, end, found.damages, recording, why)
+        seconds = float(column["tick"][-1] - column["tick"][0] + 1.0) / float(found.manifest["rate"])
+        homing = 0 if is_plants else int(np.count_nonzero(column["index"] < 0))
+        counts = len(whole.numbers), homing, seconds, missing
+        return Recovered(target, ticks, *counts, end, found.damages, recording, why)
 
 
 def _end(found: Stream) -> str:
@@ -120,30 +125,18 @@ def _ring(found: Stream) -> RingReader | None:
     return reader if reader.facts.get("number") == found.manifest.get("number") else None
 
 
-def _with_ring(found: Stream) -> tuple[Array, Array]:
-    """Numbers and rows, with those that only memory still holds."""
+def _with_ring(found: Stream) -> Stream:
+    """Stream with the rows that only memory still holds."""
     reader = _ring(found) if found.end is None else None
     if reader is None:
-        return found.numbers, found.table
+        return found
     reader.next = int(found.numbers[-1]) + 1 if len(found.numbers) else 0
     rows = reader.take()
-    more = rows.first + np.arange(len(rows.table))
-    return np.concatenate([found.numbers, more]), np.concatenate([found.table, rows.table])
+    numbers = np.concatenate([found.numbers, rows.first + np.arange(len(rows.table))])
+    return replace(found, numbers=numbers, tables=(*found.tables, rows.table))
 
 
-def _ticks(found: Stream, column: Mapping[str, Array], times: Array, lost: Mapping[str, Any]) -> Recording:
-    """Rows as they were; what is not finite is 0 there, and 1 in `nonfinite.<column>`.
-
-    Where the plant's clock did not go on from each to the next, they are as far apart as they should be, at `times`.
-    """
-    rate = float(found.manifest["rate"])
-    clock = column["tick"] / rate if np.all(np.diff(column["tick"]) > 0.0) else times
-    columns = with_finite({"t": clock, **column})
-    kept = {name: found.manifest.get(name) for name in ("created", "columns", "declarations", "files", "versions")}
-    return Recording(columns, {"name": "the ticks of a run", **kept, "rate": rate, "recovered": dict(lost)})
-
-
-def _run(found: Stream, table: Array, column: dict[str, Array], lost: dict[str, Any]) -> tuple[Recording | None, str]:
+def _run(found: Stream, column: Mapping[str, Array], lost: Mapping[str, Any]) -> tuple[Recording | None, str]:
     """Recording since the release; or None, and why."""
     if not (column["index"] >= 0).any():
         return None, "the run ended in the homing, before the release"
@@ -161,8 +154,8 @@ def _run(found: Stream, table: Array, column: dict[str, Array], lost: dict[str, 
         clock = {} if is_lockstep else {"lateness": column["lateness"]}
         times = timing(column["tick"].astype(np.int64), **clock, controller=column["duration"])
         outcome = {"end": KILLED, "counters": counters, "recovered": dict(lost), "timing": times}
-        made = layout.recording(table, after, lockstep=is_lockstep, outcome=outcome)
-        made.manifest.update({name: found.manifest[name] for name in _AS_THEN})
+        made = layout.recording(found.table, after, lockstep=is_lockstep, outcome=outcome)
+        made.manifest.update({name: found.manifest[name] for name in _OF_RUN})
         return made, ""
     except MaskingError as error:
         return None, f"the run since the release could not be made: {error}"

@@ -21,7 +21,7 @@ up. The missed ones are counted.
 from __future__ import annotations
 
 import contextlib
-import itertools
+import datetime
 import math
 import sys
 import time
@@ -30,16 +30,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal, final
+from typing import Any, Final, Literal, final
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import EmergencyStopError, MaskingError, PlantMismatchError, PlantRefusedError, WireError
 from masking.lab.plants import adapters, wire
 from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.command_guard import Guard
-from masking.lab.plants.interface import Plant, Sample
+from masking.lab.plants.interface import Plant, Sample, Settings
 from masking.lab.plants.operating_system import POLL, Deadlines, Stop, asked_to_stop, undisturbed
-from masking.lab.plants.session import Allowed, Session
+from masking.lab.plants.session import Allowed, Session, SessionRows, claimed
 from masking.lab.plants.transport import Hub, Peer
 from masking.lab.plants.wire import Frame, Kind
 
@@ -135,8 +135,7 @@ class _Server:
 
     def run(self) -> tuple[Path, ...]:
         """Hold one session after another; return the folders that they were saved in."""
-        folders, record = list[Path](), self.serving.record
-        held = 0
+        folders, held = list[Path](), 0
         while held != self.serving.sessions and (session := self.next_session()) is not None:
             held += 1
             session.acknowledged, self.tripped = self.tripped, ""
@@ -155,13 +154,12 @@ class _Server:
             session.close(self.plant)
             if self.guard is not None:
                 session.counters.update(self.guard.counters)
-            if record is not None and session.rows.count:
+            if session.rows is not None:
                 try:
-                    recording = session.rows.recording(session.manifest(self.serving.clock))
-                    places = (Path(record) / f"session-{number}" for number in itertools.count(1))
-                    folders.append(recording.save(next(place for place in places if not place.exists())))
+                    if session.rows.save(session.manifest(self.serving.clock), has_clock=self.is_real):
+                        folders.append(session.rows.folder)
                 except MaskingError as error:
-                    self.tell(f"the record of this session is lost: {error}")
+                    self.tell(f"the recording of this session is not made: {error}")
             if session.end != "bye":
                 self.tell(f"session ended: {session.end}")
         return tuple(folders)
@@ -186,6 +184,7 @@ class _Server:
                         session, until = None, math.inf
                 elif frame.kind is Kind.COMMAND:
                     self.send(frame.session, address, Kind.STOP, text=OVER)
+        self.release(session)
         return None
 
     def release(self, session: Session | None) -> None:
@@ -193,6 +192,8 @@ class _Server:
         self.plant.deactivate()
         if session is not None:
             self.remember(session.number, OVER)
+            if session.rows is not None:
+                session.rows.discard()
 
     def open(self, frame: Frame, address: Peer, session: Session | None) -> Session | None:
         """Answer a hello; return the session that then holds the plant."""
@@ -229,7 +230,11 @@ class _Server:
         self.plant.configure(settings)
         if self.guard is not None:
             self.guard.begin(self.plant, settings)
-        return Session(frame.session, address, settings, self.plant)
+        rows = None
+        if self.serving.record is not None:
+            folder = claimed(Path(self.serving.record))
+            rows = SessionRows(self.plant, folder, settings.rate, **_facts(settings, self.serving.clock))
+        return Session(frame.session, address, settings, len(self.plant.actuators), rows)
 
     def remember(self, number: int, text: str) -> None:
         """Take no session of this number again, so that no hello counts twice; tell it why."""
@@ -250,7 +255,8 @@ class _Server:
         deadlines, began, late = Deadlines(rate), time.monotonic(), 0.0
         instant, over = began, math.inf  # that of the sample, s; the tick at which a latched session ends
         while True:
-            session.rows.begin(sample, rate, time.monotonic() - began, late)
+            if session.rows is not None:
+                session.rows.begin(sample, time.monotonic() - began, late)
             if session.latch is None:
                 self.send(session.number, session.address, Kind.SENSORS, sample.index, values=sample.values)
             else:
@@ -378,6 +384,12 @@ class _Server:
         if note and note not in self.reported:
             self.reported.add(note)
             self.tell(note)
+
+
+def _facts(settings: Settings, clock: Clock) -> dict[str, Any]:
+    """Facts of a session that are known when it begins, for the manifest of its stream."""
+    created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    return {"name": "a plant's own record", "created": created, "clock": clock, "watchdog": settings.watchdog}
 
 
 def _to_stderr(text: str) -> None:

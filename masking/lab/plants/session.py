@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
+import itertools
 import math
+import tempfile
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import PlantMismatchError
+from masking.errors import PlantMismatchError, RecordError
 from masking.lab.plants.interface import Plant, Sample, Settings, Telling
 from masking.lab.plants.transport import Peer
 from masking.lab.plants.wire import Frame
-from masking.lab.records.recording import Recording, with_finite
-from masking.lab.records.tick_times import timing
+from masking.lab.records import stream, stream_reader, tick_record
+from masking.lab.records.recorder import Recorder
+from masking.lab.records.ring import cells
 
+LATE: Final = "late"
 SILENT_START: Final = 10.0  # seconds until the first command; the outputs are zero meanwhile
 LONGEST_WATCHDOG: Final = 1.0  # s
 RATES: Final = (1.0, 100_000.0)  # Hz
@@ -60,9 +64,11 @@ class Allowed:
 class Session:
     """What is known of one controller: the number that it drew, where it is, its last command, and how it went."""
 
-    def __init__(self, number: int, address: Peer, settings: Settings, plant: Plant) -> None:
+    def __init__(
+        self, number: int, address: Peer, settings: Settings, actuators: int, rows: SessionRows | None
+    ) -> None:
         self.number, self.address, self.settings = number, address, settings
-        self.command: Array = np.zeros(len(plant.actuators))
+        self.command: Array = np.zeros(actuators)
         self.answered = -1  # index of the newest sample that a command answered
         self.fresh = False  # a command arrived since the last sample
         self.is_written = False  # the command is in force already, before the tick
@@ -72,7 +78,7 @@ class Session:
         self.end = ""
         self.acknowledged = ""  # why the session before was stopped
         self.counters: Counter[str] = Counter()
-        self.rows = SessionRows(plant)
+        self.rows = rows  # None where nothing is recorded
         self._early = min(0.5 / settings.rate, _CLOCK * settings.watchdog)
 
     def take(self, frame: Frame, tick: int) -> None:
@@ -122,14 +128,17 @@ class Session:
 
     def finish(self, plant: Plant) -> None:
         """Complete the row of the last sample."""
-        self.rows.finish(plant, self.command, fresh=self.fresh, latched=self.latch is not None)
+        if self.rows is not None:
+            self.rows.finish(plant, self.command, fresh=self.fresh, latched=self.latch is not None)
 
     def close(self, plant: Plant) -> None:
         """Complete the last row: the outputs are zero after it."""
         self.command[:], self.fresh = 0.0, False
-        if self.rows.is_open:
-            with contextlib.suppress(Exception):  # what a plant that failed cannot tell stays unknown
+        if self.rows is not None and self.rows.is_open:
+            try:
                 self.finish(plant)
+            except Exception:  # what a plant that failed cannot tell stays unknown
+                self.rows.put()
 
     def manifest(self, clock: str) -> dict[str, Any]:
         """Facts of the session, for the manifest of its record."""
@@ -144,59 +153,86 @@ class Session:
         }
 
 
-CHUNK: Final = 4096  # rows
-_FIXED: Final = ("t", "tick", "wall", "late", "fresh", "latched")
+_FIXED: Final = {
+    "tick": ("1", "tick of the plant's clock"),
+    "wall": ("s", "time since the first sample"),
+    LATE: ("s", "how late the tick was"),
+    "fresh": ("1", "1 where a command answered in time"),
+    "latched": ("1", "1 once the session has tripped"),
+}
 
 
 @final
 class SessionRows:
-    """The rows of a session, in chunks made ahead so that no tick waits for memory."""
+    """The rows of a session on their way to disk, in a folder of its own: a row for each sample, once it is complete.
 
-    def __init__(self, plant: Plant) -> None:
-        self.names = [*_FIXED, *(f"sensor.{name}" for name in plant.sensors)]
-        self.inputs = slice(len(self.names), len(self.names) + len(plant.actuators))
-        self.names += [f"input.{name}" for name in plant.actuators]
-        self.telemetry = tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
-        self.names += [f"plant.{name}" for name in self.telemetry]
-        self.sensors = slice(len(_FIXED), self.inputs.start)
-        self.count = 0
+    A RecordError where the folder cannot be written.
+    """
+
+    def __init__(self, plant: Plant, folder: Path, rate: float, **facts: object) -> None:
+        self.folder, self.telemetry = folder, tuple(plant.telemetry()) if isinstance(plant, Telling) else ()
+        groups = {"sensor": plant.sensors, "input": plant.actuators, "plant": self.telemetry}
+        names = [f"{kind}.{name}" for kind, group in groups.items() for name in group]
+        columns = {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning) in _FIXED.items()}
+        columns |= {name: {"unit": "", "meaning": ""} for name in names}
+        self._sensors = slice(len(_FIXED), len(_FIXED) + len(plant.sensors))
+        self._inputs = slice(self._sensors.stop, self._sensors.stop + len(plant.actuators))
+        self._row: Array = np.full(len(columns), np.nan)
         self.is_open = False
-        self.chunks = [self.chunk(), self.chunk()]
+        self.recorder = Recorder(folder, columns, rate, tempfile.gettempdir(), is_hurried=True, **facts)
 
-    def chunk(self) -> Array:
-        """Make room for more rows."""
-        return np.full((CHUNK, len(self.names)), np.nan)
-
-    @property
-    def row(self) -> Array:
-        """The last row that was begun."""
-        row: Array = self.chunks[(self.count - 1) // CHUNK][(self.count - 1) % CHUNK]
-        return row
-
-    def begin(self, sample: Sample, rate: float, wall: float, late: float) -> None:
+    def begin(self, sample: Sample, wall: float, late: float) -> None:
         """Begin the row of a sample."""
-        if self.count == len(self.chunks) * CHUNK:
-            self.chunks.append(self.chunk())
-        self.count += 1
-        self.is_open = True
-        row = self.row
-        row[:4] = sample.index / rate, sample.index, wall, late
-        row[self.sensors] = sample.values
+        self.is_open, self._row[:] = True, np.nan
+        self._row[:3] = sample.index, wall, late
+        self._row[self._sensors] = sample.values
 
     def finish(self, plant: Plant, command: Array, *, fresh: bool, latched: bool) -> None:
         """Complete the row: the command (actuators,) that held, the plant's telemetry, and what happened."""
-        row = self.row
-        row[4:6] = fresh, latched
-        row[self.inputs] = command
+        self._row[3:5] = fresh, latched
+        self._row[self._inputs] = command
         if isinstance(plant, Telling):
             values = plant.telemetry()
-            row[self.inputs.stop :] = [values[name] for name in self.telemetry]
-        self.is_open = False
+            self._row[self._inputs.stop :] = [values[name] for name in self.telemetry]
+        self.put()
 
-    def recording(self, manifest: Mapping[str, Any]) -> Recording:
-        """Rows; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
-        columns = with_finite(dict(zip(self.names, np.concatenate(self.chunks)[: self.count].T, strict=True)))
-        created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        head = {"name": "a plant's own record", "created": created}
-        clock = {"lateness": columns["late"]} if manifest["clock"] == "real" else {}
-        return Recording(columns, {**head, **manifest, "timing": timing(columns["tick"].astype(np.int64), **clock)})
+    def put(self) -> None:
+        """Hand the row on as it is."""
+        self.is_open = False
+        self.recorder.ring.put(cells(self._row))
+
+    def save(self, facts: Mapping[str, Any], *, has_clock: bool) -> bool:
+        """Make the recording of the folder, with these facts, of all rows, if there are any; tell whether there are.
+
+        A RecordError where it cannot be made: the stream stays.
+        """
+        if not self.recorder.ring.count:
+            self.discard()
+            return False
+        self.recorder.close()
+        found = stream_reader.read(self.folder)
+        head = {name: found.manifest[name] for name in ("name", "created")}
+        note = {"recorder": self.recorder.as_dict()} if self.recorder.note else {}
+        tick_record.save(found, self.folder, {**head, **facts, **note}, LATE if has_clock else None)
+        if not found.damages:
+            stream.remove(self.folder)
+        return True
+
+    def discard(self) -> None:
+        """Leave no record: the session was never started."""
+        self.recorder.close()
+        stream.remove(self.folder)
+        self.folder.rmdir()
+
+
+def claimed(record: Path) -> Path:
+    """New folder for a session, `session-1` or the first number that is free; a RecordError where none can be made."""
+    try:
+        record.mkdir(parents=True, exist_ok=True)
+        for number in itertools.count(1):
+            with contextlib.suppress(FileExistsError):
+                (record / f"session-{number}").mkdir()
+                return record / f"session-{number}"
+    except OSError as error:
+        raise RecordError(f"{record} cannot be written: {error.strerror or error}; name another folder") from error
+    raise AssertionError

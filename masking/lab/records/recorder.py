@@ -84,9 +84,10 @@ def _record(reader: RingReader, folder: str) -> None:
 class Recorder(Result):
     """The recorder of a run, as the process sees it that writes the rows into `ring`.
 
-    It is there, and the manifest on disk, once this is made: with unit and meaning of each column, the `rate` in Hz and
-    what `more` says. Where the folder is full, `spare` gets the rest. `lost` are rows that were put and are in no part
-    of the stream, counted by `close`. A RecordError where the folder holds a stream already, or cannot be written.
+    The manifest is on disk once this is made: with unit and meaning of each column, the `rate` in Hz and what `more`
+    says. The recorder is there then, too, unless `is_hurried`: rows wait for it. Where the folder is full, `spare` gets
+    the rest. `lost` are rows that were put and are in no part of the stream, counted by `close`. A RecordError where
+    the folder holds a stream already, or cannot be written.
     """
 
     json_names = ("ended", "lost", "note")
@@ -97,6 +98,8 @@ class Recorder(Result):
         columns: Mapping[str, Mapping[str, str]],
         rate: float,
         spare: str | Path,
+        *,
+        is_hurried: bool = False,
         **more: object,
     ) -> None:
         self.folder, self.lost = Path(folder), 0
@@ -108,7 +111,7 @@ class Recorder(Result):
         try:
             stream.begin(folder, {**content, **more})
             first = self._start()
-            if first.line() != _READY:
+            if not is_hurried and first.line() != _READY:
                 first.wait()
                 stream.remove(folder)
                 raise RecordError(f"{folder}: the recorder could not begin; it said why")

@@ -28,11 +28,16 @@ class Stream:
 
     manifest: Mapping[str, Any]  # as it was written
     numbers: Array  # of the rows (rows,), rising; what lies between them is lost
-    table: Array  # (rows, columns)
+    tables: tuple[Array, ...]  # (rows, columns), one behind the other; they stay on disk until they are used
     damages: tuple[str, ...]  # what was changed or is missing, a sentence each; what is here is not concerned
     # why it ends, as the last page says; None where that is missing, because the stream was cut off
     end: Mapping[str, Any] | None
     folder: Path  # that holds it
+
+    @property
+    def table(self) -> Array:
+        """All rows (rows, columns)."""
+        return np.concatenate([np.empty((0, len(self.manifest["columns"]))), *self.tables])
 
 
 def read(folder: str | Path) -> Stream:
@@ -79,8 +84,7 @@ class _Reader:
         tables = [table for table in self.tables if table.shape[1] == width]
         numbers = [first + np.arange(len(t)) for first, t in zip(self.first, tables, strict=True)]
         rows = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
-        table = np.concatenate([np.empty((0, width)), *tables])
-        return Stream(manifest, rows, table, tuple(self.damages), self.end, self.folder)
+        return Stream(manifest, rows, tuple(tables), tuple(self.damages), self.end, self.folder)
 
     def _part(self, path: Path, number: int) -> None:
         try:
@@ -89,17 +93,19 @@ class _Reader:
                     return
                 if sys.platform != "win32":
                     fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as memory:
-                    self._head(path, memory, number)
-                    for page in pages_of(memory, PART_HEAD, self.chain):
-                        self._take(path, page)
-                    self._tell(None)
-                    if self.repeated:
-                        self.damages.append(
-                            f"{path.name}: {len(self.repeated)} pages from byte {self.repeated[0].start} on "
-                            "repeat earlier ones, and were left out"
-                        )
-                        self.repeated = []
+                memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # open as long as one has its rows
+                self._head(path, memory, number)
+                for page in pages_of(memory, PART_HEAD, self.chain):
+                    self._take(path, page, memory)
+                self._tell(None)
+                if self.repeated:
+                    self.damages.append(
+                        f"{path.name}: {len(self.repeated)} pages from byte {self.repeated[0].start} on "
+                        "repeat earlier ones, and were left out"
+                    )
+                    self.repeated = []
+                if sys.platform != "win32":
+                    fcntl.flock(file, fcntl.LOCK_UN)  # which the mapped rows would keep
         except FileNotFoundError:
             return
         except BlockingIOError as error:
@@ -117,7 +123,7 @@ class _Reader:
         elif start != self.chain:
             self.damages.append(f"{path.name}: pages before this part are missing")
 
-    def _take(self, path: Path, page: Page) -> None:
+    def _take(self, path: Path, page: Page, memory: mmap.mmap) -> None:
         """Keep a sound page; note what is none."""
         if not page.is_sound:
             self.lost.append((path.name, page.start, page.stop, page.sequence))
@@ -133,9 +139,9 @@ class _Reader:
                 self.content = page.payload
                 self.damages.append(f"{MANIFEST} was changed or is missing; its copy in {path.name} was used")
         elif page.kind == DATA:
-            width = len(page.payload) // (8 * page.rows)
+            begin, size = page.stop - CHAIN - len(page.payload), len(page.payload) // 8
             self.first.append(page.first)
-            self.tables.append(np.frombuffer(page.payload, dtype="<f8").reshape(page.rows, width))
+            self.tables.append(np.frombuffer(memory, "<f8", size, begin).reshape(page.rows, size // page.rows))
             self.next = page.first + page.rows
         else:
             self.end = json.loads(page.payload)
