@@ -17,6 +17,15 @@ Each verb of the command line is a function here: `catalogue` (its `list`), `sho
     True
 """
 
+import sys
+
+# `python -m masking` puts the current folder first on the path, where a file named as a module of the standard library
+# would be run in its place. While Python looks for what it is to run, the name of the program is "-m".
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    _module = sys.orig_argv[-len(sys.argv)].partition(".")[0]
+    if _module in {__name__, f"-m{__name__}"} and sys.path[0] != __path__[0].removesuffix(__name__)[:-1]:
+        del sys.path[0]
+
 from typing import Any
 
 import lazy_loader as lazy

@@ -19,6 +19,7 @@ from typing import Final
 
 from threadpoolctl import threadpool_limits
 
+from masking import process_environment
 from masking.app.workflows.sweep_runs import Plan
 from masking.errors import MaskingError
 from masking.lab.records.table_chunks import Columns
@@ -119,8 +120,14 @@ def _processes(plan: Plan, workers: int) -> Iterator[Submit]:
     with tempfile.TemporaryDirectory(prefix="masking-") as folder:  # measured: through a pipe, each waits for the last
         path = Path(folder) / "plan"
         path.write_bytes(pickle.dumps(plan))
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
+        with process_environment.safe_start():  # of the process that looks after its locks
+            pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
+
+        def submit(first: int, last: int) -> Future[Made]:
+            with process_environment.safe_start():  # of the process that this may start
+                return pool.submit(_made_here, first, last)
+
         try:
-            yield lambda first, last: pool.submit(_made_here, first, last)
+            yield submit
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -17,6 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
+from masking import process_environment
 from masking.compile.codegen.content_hashes import digest
 from masking.control.exports import calls
 from masking.control.exports.c_unit import CUnit
@@ -99,7 +100,8 @@ def _binary(unit: Unit, sources: Mapping[str, str]) -> bytes:
         library = folder / f"{unit.name}.so"
         given = [str(folder / file) for file in sources if file.endswith(".c")]
         command = ["gcc", *FLAGS, *given, "-o", str(library), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+        made = process_environment.minimal()  # without variables that name more headers
+        done = subprocess.run(command, env=made, capture_output=True, text=True, check=False)  # noqa: S603
         if done.returncode:
             raise ModelError(f"gcc could not compile {unit.name}: {done.stderr.strip().splitlines()[-1]}")
         return library.read_bytes()

@@ -12,12 +12,14 @@ import threading
 from collections.abc import Callable, Collection, Sequence
 from typing import Final, final
 
+from masking import process_environment
+
 _DIES_WITH_PARENT: Final = 1  # PR_SET_PDEATHSIG
 
 
 @final
 class Child:
-    """A module of this package, run as `python -m` runs it; what it prints is read here.
+    """A module of this package, run as `python -P -m` runs it, in a minimal environment; what it prints is read here.
 
     It inherits the files `handles`; with `is_apart` it has a session of its own, which no signal of the terminal
     reaches, and with `is_quiet` its errors are not shown there. An OSError where no process can be started.
@@ -33,7 +35,8 @@ class Child:
         handles: Collection[int] = (),
     ) -> None:
         self._process = subprocess.Popen(  # noqa: S603  # this program itself
-            [sys.executable, "-m", module, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-m", module, *arguments], env=process_environment.minimal(),
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL if is_quiet else None, start_new_session=is_apart, pass_fds=handles, text=True,
         )  # fmt: skip
         self.pid = self._process.pid

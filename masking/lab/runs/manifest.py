@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from masking import process_environment
 from masking.compile.numerics.arrays import Array
 from masking.control.known_instruments import Instruments
 from masking.control.sampled_controller import SampledController
@@ -86,8 +87,11 @@ def _commit(files: Mapping[str, str]) -> str | None:
     """Git commit of the folder that the experiment was read from, if it is in a repository."""
     folder = Path(next(iter(files))).resolve().parent if files else Path.cwd()
     command = ["git", "rev-parse", "HEAD"]  # the user's own git, wherever it is
+    made = process_environment.minimal()  # without variables that name another repository
     try:
-        found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=5)  # noqa: S603
+        found = subprocess.run(  # noqa: S603
+            command, cwd=folder, env=made, capture_output=True, text=True, check=False, timeout=5
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     return found.stdout.strip() or None
