@@ -3,6 +3,7 @@
 # make quick  format, lint and the tests that need no long compilation: the inner loop, under a minute
 # make docs-check  every number in README and docs against the code: minutes; OPTIONS=--write writes them anew
 # make docs   build the documentation and the reference of the package into site/
+# make lock   write the lock files requirements*.txt anew, with the versions they have; OPTIONS=--upgrade takes the latest
 # make dist   build a wheel and an sdist into dist/
 # make searches  tests that are whole discoveries, beyond one for each verdict and kind of system
 # make soak   all faults of a rig, a thousand killed controllers, a million mutated frames, a night of 40 runs, hostile files: half an hour
@@ -17,7 +18,12 @@ READY := .venv/ready
 BENCH_READY := .venv/ready-bench
 DISCOVERY_READY := .venv/ready-bench-discovery
 DOCS_READY := .venv/ready-docs
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# No file is installed but those whose hashes are in a lock file, and none builds itself, which would fetch others.
+LOCKED := $(PIP) --require-hashes --only-binary :all: --requirement
+VERSIONS := .venv/versions.txt
+LOCK := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-emit-index-url \
+	--custom-compile-command 'make lock' $(OPTIONS) pyproject.toml
 
 QUICK := project/test_architecture project/test_vocabulary project/test_documentation model/declaration/test_registry \
 	model/declaration/test_expression model/modelling/test_model model/modelling/test_scales \
@@ -27,7 +33,7 @@ QUICK := project/test_architecture project/test_vocabulary project/test_document
 BY_FILE := -n 2 --dist loadfile --no-loadscope-reorder
 REALTIME = $(shell grep -rl --include='test_*.py' 'mark\.realtime' tests)
 
-.PHONY: demo test quick searches soak docs docs-check dist bench bench-discovery clean
+.PHONY: demo test quick searches soak docs docs-check lock dist bench bench-discovery clean
 
 # Machine code is kept between runs of the tests: its names are hashes of all that it is made of.
 export MASKING_CACHE ?= $(CURDIR)/.venv/kernels
@@ -73,28 +79,37 @@ bench: $(BENCH_READY)
 bench-discovery: $(DISCOVERY_READY) searches
 	$(BIN)/python -m tests.benchmarks.discovering $(OPTIONS)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "masking needs Python 3.11 or newer; name one with 'make PYTHON=python3.12'"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(PIP) --editable '.[dev]'
+	$(LOCKED) requirements.txt
+	$(PIP) --no-index --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m pip list --format freeze --exclude-editable > $(VERSIONS)
 	@touch $@
 
-# Contenders that cannot be installed here are left out of the table, which says so.
+# Contenders that cannot be installed here are left out of the table, which says so. They are in no lock file: no hash of
+# theirs is checked.
 $(BENCH_READY): $(READY)
-	-$(PIP) heyoka
-	-$(PIP) numbalsoda
-	-$(PIP) casadi
+	-$(PIP) --constraint $(VERSIONS) heyoka==7.13.2
+	-$(PIP) --constraint $(VERSIONS) numbalsoda==0.3.4
+	-$(PIP) --constraint $(VERSIONS) casadi
 	@touch $@
 
-$(DOCS_READY): $(READY)
-	$(PIP) --editable '.[docs]'
+$(DOCS_READY): $(READY) requirements-docs.txt
+	$(LOCKED) requirements-docs.txt
 	@touch $@
 
 # Where PySINDy cannot be installed, its columns stay empty and the page says so.
 $(DISCOVERY_READY): $(READY)
-	-$(PIP) pysindy
+	-$(PIP) --constraint $(VERSIONS) pysindy
 	@touch $@
+
+# Each file has the hashes of every wheel, for all systems and versions of Python that its first package allows.
+lock: $(READY)
+	$(PIP) uv==0.13.9
+	$(LOCK) --extra dev --python-version 3.11 --output-file requirements.txt
+	$(LOCK) --extra docs --python-version 3.11.5 --constraint requirements.txt --output-file requirements-docs.txt
 
 clean:
 	rm -rf .venv results dist site .mypy_cache .ruff_cache .hypothesis

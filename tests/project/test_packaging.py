@@ -60,7 +60,7 @@ def test_sdist_has_what_the_gate_needs(distributions):
     (sdist,) = distributions.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"pyproject.toml", "Makefile", "constraints.txt", "LICENSE", "reproduction/__main__.py"} <= names
+    assert {"pyproject.toml", "Makefile", "requirements.txt", "LICENSE", "reproduction/__main__.py"} <= names
     assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("*.py")} <= names
     assert not [name for name in names if name.startswith((".venv", "results/", "site/", ".git/"))]
 
