@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib import animation as films
+from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
@@ -28,6 +29,7 @@ _MOST_HEIGHT: Final = 3.6  # inches, of a drawing
 _RATE, _LONGEST = 20, 12.0  # frames per second, and seconds of a film
 _FILM_DPI: Final = 100
 _COLOURS_OF_GIF: Final = 64
+_PROGRAM: Final = ("animation.ffmpeg_path", "animation.ffmpeg_args")
 _TURNS: Final = 12  # of a spring, each half
 
 Numbers = Sequence[float]
@@ -42,6 +44,12 @@ def picture(shown: Animation, t: float, file: Path) -> None:
 
 def film(shown: Animation, file: Path, progress: Callable[[float], None]) -> None:
     """Write a film, of 12 s at most, in the format of its ending; a `RecordError` says that this needs ffmpeg."""
+    # matplotlib reads settings in the current folder, too: they must not say which program it runs.
+    with rc_context({name: rcParamsDefault[name] for name in _PROGRAM}):
+        _film(shown, file, progress)
+
+
+def _film(shown: Animation, file: Path, progress: Callable[[float], None]) -> None:
     writer = films.FFMpegWriter(fps=_RATE)
     if file.suffix != ".gif" and not writer.isAvailable():
         raise RecordError(f"{file}: an mp4 file needs ffmpeg, which is not installed; write a .gif or .html file")

@@ -26,11 +26,8 @@ WINGS: dict[str, tuple[str, ...]] = {
     "app": ("workflows", "cli"),
 }
 SHARED = ("errors", "lazy_imports", "process_environment", "display")
-OPEN = {
-    "errors",
-    "lazy_imports",
-    "process_environment",
-}  # to all folders; a module that loads late counts as imported by who uses it
+# Open to all folders; a module that loads late counts as imported by who uses it.
+OPEN = {"errors", "lazy_imports", "process_environment"}
 
 # Each folder, from the ground up, and what it may import.
 FLOORS: dict[str, set[str]] = {

@@ -1,6 +1,7 @@
 """Drawings that models declare, and animations: pages, pictures and films of a recording."""
 
 import base64
+import contextlib
 import json
 import math
 import re
@@ -8,6 +9,7 @@ import struct
 import xml.etree.ElementTree as ET
 from types import SimpleNamespace
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -230,6 +232,16 @@ def test_ffmpeg_writes_an_mp4(run, tmp_path, monkeypatch):
     # The header of the movie (8.2.2, version 0): its time scale and its duration, half a second at 20 frames a second.
     scale, duration = struct.unpack(">II", film[film.index(b"mvhd") + 16 :][:8])
     assert duration / scale == pytest.approx(0.5)
+
+
+def test_settings_in_the_current_folder_do_not_name_the_program_that_films(run, tmp_path, monkeypatch):
+    mark, program = tmp_path / "mark", tmp_path / "own"
+    program.write_text(f"#!/bin/sh\ntouch {mark}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(animation_frames, "_LONGEST", 0.1)
+    with matplotlib.rc_context({"animation.ffmpeg_path": str(program)}), contextlib.suppress(RecordError):
+        masking.animate(f"{run}@1:3", out=tmp_path / "a.mp4")
+    assert not mark.exists()
 
 
 def test_what_cannot_be_animated_is_told(capsys, run, tmp_path, monkeypatch):
