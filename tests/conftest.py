@@ -40,6 +40,9 @@ def pytest_configure(config):
     if "MASKING_CACHE" not in os.environ:  # workers inherit the folder from the process that starts them
         os.environ["MASKING_CACHE"] = tempfile.mkdtemp(prefix="masking-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("MASKING_CACHE"), ignore_errors=True))
+    if "PYTEST_XDIST_WORKER" not in os.environ:  # what plants at addresses remember of their trips
+        os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="masking-state-")
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop("XDG_STATE_HOME"), ignore_errors=True))
     config.pluginmanager.register(ProcessorTime(config))
     if config.getoption("markexpr").startswith("realtime"):
         put_first(config)

@@ -114,6 +114,20 @@ class Latching(Protocol):
         """Keep why the run tripped; legal in every state, and never raises. `deactivate` follows."""
 
 
+@runtime_checkable
+class Holding(Protocol):
+    """A plant in this process whose outputs stay as they are where the process is killed: another one puts them back.
+
+    Attributes:
+        address: by which another process connects it.
+    """
+
+    address: str
+
+    def rest(self) -> None:
+        """Set the outputs to zero at once, whichever process drove them; legal in every state, and may raise."""
+
+
 class State(StrEnum):
     """States of a plant."""
 

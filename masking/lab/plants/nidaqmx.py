@@ -35,7 +35,7 @@ class NidaqmxPlant:
     Its clock is that of the analogue inputs, which times the outputs, too: a command acts at the next sample. Voltages
     are limited to `range`, 10 V unless the address says otherwise. Outputs are zero before, and after by a write of its
     own. Where the controller comes back only after the time of the watchdog, the outputs go to zero and the run ends;
-    where it never comes back they hold, and only hardware helps.
+    where it is killed, a process beside it sets them to zero; where it stands still they hold, and only hardware helps.
     """
 
     owns_clock = True
@@ -45,6 +45,7 @@ class NidaqmxPlant:
         for name in ("sensors", "actuators"):
             if name not in where.options:
                 raise PlantMismatchError(f"{address}: name the {name}, as in {FORM}")
+        self.address = address
         self._device = where.place.strip("/")
         inputs, outputs = (where.channels(name, (), ()) for name in ("sensors", "actuators"))
         self._inputs, self._outputs = list(inputs.values()), list(outputs.values())
@@ -64,7 +65,7 @@ class NidaqmxPlant:
         self._life.configure()
         self.deactivate()
         try:
-            self._rest()
+            self.rest()
             reading, writing = self._task(), self._task()
             for name in self._inputs:
                 reading.ai_channels.add_ai_voltage_chan(
@@ -128,13 +129,13 @@ class NidaqmxPlant:
                 task.close()
         if is_taken:
             with contextlib.suppress(Error):
-                self._rest()
+                self.rest()
 
     def telemetry(self) -> dict[str, float]:
         """Outputs in force."""
         return {APPLIED + name: float(value) for name, value in zip(self.actuators, self._applied, strict=True)}
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         """Write zeros at once, without a clock."""
         with nidaqmx.Task() as task:
             self._add_outputs(task)

@@ -38,9 +38,11 @@ from masking.lab.plants import adapters, wire
 from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.command_guard import Guard
 from masking.lab.plants.interface import Plant, Sample, Settings
+from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import POLL, Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.session import Allowed, Session, SessionRows, claimed
 from masking.lab.plants.transport import Hub, Peer
+from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.plants.wire import Frame, Kind
 
 Clock = Literal["real", "lockstep"]
@@ -48,6 +50,7 @@ Clock = Literal["real", "lockstep"]
 RESERVED: Final = 10.0  # seconds that a controller may take from configure to activate
 MOST: Final = 1000  # frames that are looked at in one tick
 LOOK: Final = 0.005  # seconds between looks at the line and the watchdog in a tick that is longer
+UNENDED: Final = "its server was killed while a controller drove it"
 OVER: Final = "this session is over; open a new one"
 REMEMBERED: Final = 100_000  # sessions whose numbers are not taken again
 
@@ -69,6 +72,7 @@ class Serving:
     after_latch: float = 1.0  # seconds that are still recorded after a trip
     allowed: Allowed = field(default_factory=Allowed)  # watchdogs and rates that controllers may ask for
     guard: Guard | None = None  # what every command passes before it is written
+    trips: TripMemory = field(default_factory=TripMemory)
     key: Key | None = None  # that controllers must have; needed where other machines reach the address
 
 
@@ -109,10 +113,11 @@ def serve(
                 f"{address} is reached from other machines, which may drive the plant: give --key FILE, and the same "
                 "to 'masking rig run'; or serve at udp://127.0.0.1:5005, which only this machine reaches"
             )
+        word = stack.enter_context(LastWord(plant))
         asked = stack.enter_context(asked_to_stop())
         stack.callback(plant.deactivate)
         server = _Server(
-            plant, line, serving, stop=lambda: asked() or (stop is not None and stop()), tell=tell or _to_stderr
+            plant, word, line, serving, stop=lambda: asked() or (stop is not None and stop()), tell=tell or _to_stderr
         )
         if ready is not None:
             ready(line.address)
@@ -123,12 +128,14 @@ def serve(
 class _Server:
     """One plant at the end of its lines."""
 
-    def __init__(self, plant: Plant, line: Hub, serving: Serving, *, stop: Stop, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, plant: Plant, word: LastWord, line: Hub, serving: Serving, *, stop: Stop, tell: Callable[[str], None]
+    ) -> None:
+        self.word = word
         self.plant, self.line, self.serving, self.stop, self.tell = plant, line, serving, stop, tell
         self.guard = serving.guard
         self.is_real = serving.clock == "real"
         self.pending: tuple[Frame, Peer] | None = None  # a hello that ended a latched session
-        self.tripped = ""  # why the last session was stopped, until a controller acknowledges it
         self.over: dict[int, str] = {}  # what a hello is told whose number was taken before
         self.looked = 0.0  # instant of the last look at the line within a tick
         self.reported: set[str] = set()
@@ -138,7 +145,8 @@ class _Server:
         folders, held = list[Path](), 0
         while held != self.serving.sessions and (session := self.next_session()) is not None:
             held += 1
-            session.acknowledged, self.tripped = self.tripped, ""
+            session.acknowledged, tripped = self.serving.trips.cause, ""
+            self.keep(UNENDED)
             try:
                 with undisturbed(priority=self.is_real) as note:
                     self.tell_once(note)
@@ -146,9 +154,8 @@ class _Server:
             except Exception as error:  # whatever a plant raises ends its session, not the server
                 is_pressed = isinstance(error, EmergencyStopError)
                 what = wire.EMERGENCY if is_pressed else f"the plant failed: {type(error).__name__}"
-                session.end = self.tripped = f"{what}: {error}"
-            if session.latch is not None:
-                self.tripped = session.latch["cause"]
+                session.end = tripped = f"{what}: {error}"
+            self.keep(tripped if session.latch is None else session.latch["cause"])
             self.remember(session.number, OVER)
             self.reply(session, Kind.STOP, session.end)
             session.close(self.plant)
@@ -224,9 +231,10 @@ class _Server:
             remedy = "start both in lockstep, or both without"
             raise PlantMismatchError(f"its clock is '{self.serving.clock}', the controller wants '{wanted}'; {remedy}")
         self.serving.allowed.check(settings)
-        if self.tripped and not settings.acknowledge:
+        tripped = self.serving.trips.cause
+        if tripped and not settings.acknowledge:
             remedy = "look at the rig, then start once with --acknowledge"
-            raise PlantRefusedError(f"it has tripped: {self.tripped}; {remedy}")
+            raise PlantRefusedError(f"it has tripped: {tripped}; {remedy}")
         self.plant.configure(settings)
         if self.guard is not None:
             self.guard.begin(self.plant, settings)
@@ -236,6 +244,13 @@ class _Server:
             rows = SessionRows(self.plant, folder, settings.rate, **_facts(settings, self.serving.clock))
         return Session(frame.session, address, settings, len(self.plant.actuators), rows)
 
+    def keep(self, cause: str) -> None:
+        """Keep why the plant was stopped, for the next server, too."""
+        try:
+            self.serving.trips.keep(cause)
+        except MaskingError as error:
+            self.tell(str(error))
+
     def remember(self, number: int, text: str) -> None:
         """Take no session of this number again, so that no hello counts twice; tell it why."""
         self.over[number] = text
@@ -243,11 +258,12 @@ class _Server:
             del self.over[next(iter(self.over))]
 
     def hold(self, session: Session) -> None:
-        try:
-            self.plant.activate()
-            self.advance(session, session.settings.rate)
-        finally:
-            self.plant.deactivate()
+        with self.word.driving():
+            try:
+                self.plant.activate()
+                self.advance(session, session.settings.rate)
+            finally:
+                self.plant.deactivate()
 
     def advance(self, session: Session, rate: float) -> None:
         """Advance an active plant from its first sample to the end of the session."""

@@ -24,6 +24,7 @@ from masking.lab.plants.safety_chain import Chain
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.serve import serve as serve_plant
 from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.records import stream as streams
 from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import timing
@@ -53,7 +54,7 @@ def serve(
     Args:
         plant: a packaged plant or a plant file, whose twin is served; or the address of a plant without a clock.
         address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
-        serving: how, but for its guard.
+        serving: how, but for its guard and its memory of trips, which a plant at an address has beyond this server.
         seed: of the noise of a twin's sensors.
         limits: a packaged plant or a plant file, whose limits every command is brought within; by default those of the
             plant, and none for an address.
@@ -70,7 +71,7 @@ def serve(
     limited = twin if limits is None else Twin.load(limits)
     guard = _guard(limited) if limited is not None else None
     if twin is None:
-        served = adapters.connect(str(plant))
+        served, serving = adapters.connect(str(plant)), replace(serving, trips=TripMemory(str(plant)))
     else:
         served = SimulatedPlant(twin, seed)
         settings = Settings(rate=1000.0)  # any rate does: this compiles what a controller would not wait for

@@ -24,6 +24,7 @@ from masking import errors
 from masking.compile.numerics.arrays import Array
 from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
 from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling
+from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.safety_chain import Cause, Chain, Rules, Trip
 from masking.lab.records.ring import cells
@@ -122,6 +123,7 @@ def run_rig(
     rows, reason, note = None, FAILED, ""
     try:
         with asked_to_stop() as asked, contextlib.ExitStack() as way_out:
+            word = way_out.enter_context(LastWord(plant))
             way_out.callback(plant.deactivate)
             plant.configure(settings)
             if hooks.accept is not None:
@@ -130,6 +132,7 @@ def run_rig(
                 limits = Rules.of_commands(limits, plant.sensors, plant.actuators, settings.rate)
             rows = Rows(samples, plant, Chain(limits, known.estimate), hooks.on_row, known)
             note = way_out.enter_context(undisturbed(priority=not settings.lockstep))
+            way_out.enter_context(word.driving())
             way_out.push(partial(_leave, plant, rows))  # first of all on the way out
             plant.activate()
             reason = _loop(step, plant, rows, settings, hooks=hooks, asked=asked)

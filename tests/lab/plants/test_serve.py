@@ -27,6 +27,7 @@ from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
@@ -717,3 +718,40 @@ def test_an_index_that_no_sample_has_loses_the_plant(index):
     found, end, _ = indices([7, 8, index])
     assert found == [7, 8]
     assert f"has sample {index % 2**64}, which is no number of a sample" in end
+
+
+def test_a_new_server_of_a_plant_at_an_address_knows_the_last_trip(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    for _ in range(2):
+        trips = TripMemory("bench:7")  # of a server of its own
+        with served(MassSpring(), sessions=None, clock="lockstep", trips=trips) as (address, _):
+            if trips.cause:
+                with pytest.raises(PlantRefusedError, match=r"it has tripped: the controller stopped: .*NONFINITE"):
+                    UdpPlant(address, patience=20.0).configure(LOCKSTEP)
+                acknowledged = UdpPlant(address, patience=20.0)
+                acknowledged.configure(dataclasses.replace(LOCKSTEP, acknowledge=True))
+                acknowledged.activate()
+                acknowledged.read()
+                acknowledged.deactivate()
+            else:
+                run_rig(lambda *_: np.full(2, np.nan), UdpPlant(address, patience=20.0), **RUN)
+    assert TripMemory("bench:7").cause == ""
+    assert TripMemory("bench:8").cause == ""
+
+
+def test_a_server_that_is_killed_while_a_plant_is_driven_is_a_trip(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    code = (
+        "from masking.lab.plants.trip_memory import TripMemory\n"
+        "def say(address):\n    print(address, flush=True)\n"
+        "serve(MassSpring(), 'udp://127.0.0.1:0', Serving(trips=TripMemory('bench:7')), ready=say)\n"
+    )
+    with process(code) as (server, address):
+        plant = UdpPlant(address, patience=20.0)
+        plant.configure(Settings(100.0, 1.0))
+        plant.activate()
+        plant.read()
+        server.kill()
+        server.wait(20.0)
+        plant.deactivate()
+    assert TripMemory("bench:7").cause == "its server was killed while a controller drove it"
