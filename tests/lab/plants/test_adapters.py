@@ -22,8 +22,8 @@ from masking.control.exports.fmu_unit import has_binary, write
 from masking.control.exports.plants import twin_unit
 from masking.control.rig.twin import Twin
 from masking.errors import PlantError, PlantLostError, PlantMismatchError
-from masking.lab.plants import adapters, address, conformance, operating_system
-from masking.lab.plants.interface import Settings
+from masking.lab.plants import adapters, address, conformance, last_word, operating_system
+from masking.lab.plants.interface import Holding, Settings
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
@@ -472,7 +472,8 @@ def test_an_fmu_says_what_it_cannot(fmus, tmp_path):
         adapters.connect(f"fmu:{tmp_path / 'text.fmu'}")
 
 
-def test_a_card_is_a_plant(folder, card, tmp_path, capsys):
+def test_a_card_is_a_plant(folder, card, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(last_word, "Holding", type(None))  # this card is in no other process
     assert cli.main(["rig", "check", NI]) == 0
     assert not any(card.outputs.values())
     assert not card.taken
@@ -482,6 +483,15 @@ def test_a_card_is_a_plant(folder, card, tmp_path, capsys):
     assert max(np.abs(card.written)) > 0.1
     assert_same(tmp_path / "out", Experiment.load(folder / "delayed_experiment.yaml").run(), 1e-8)  # Runge-Kutta
     assert not any(card.outputs.values())
+
+
+def test_the_outputs_of_a_card_that_another_process_left_are_put_to_zero(card):
+    plant = adapters.connect(NI)
+    assert isinstance(plant, Holding)
+    card.outputs.update(dict.fromkeys(card.outputs, 1.5))
+    adapters.connect(plant.address).rest()
+    assert not any(card.outputs.values())
+    assert not card.taken
 
 
 def test_a_card_counts_edges_and_says_what_is_wrong(card):

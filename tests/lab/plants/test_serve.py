@@ -742,11 +742,12 @@ def test_a_new_server_of_a_plant_at_an_address_knows_the_last_trip(tmp_path, mon
 def test_a_server_that_is_killed_while_a_plant_is_driven_is_a_trip(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     code = (
+        "import os; os.environ['XDG_STATE_HOME'] = sys.argv[1]\n"
         "from masking.lab.plants.trip_memory import TripMemory\n"
         "def say(address):\n    print(address, flush=True)\n"
         "serve(MassSpring(), 'udp://127.0.0.1:0', Serving(trips=TripMemory('bench:7')), ready=say)\n"
     )
-    with process(code) as (server, address):
+    with process(code, tmp_path / "state") as (server, address):
         plant = UdpPlant(address, patience=20.0)
         plant.configure(Settings(100.0, 1.0))
         plant.activate()
