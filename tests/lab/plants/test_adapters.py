@@ -488,7 +488,7 @@ def test_a_card_is_a_plant(folder, card, tmp_path, monkeypatch, capsys):
 def test_the_outputs_of_a_card_that_another_process_left_are_put_to_zero(card):
     plant = adapters.connect(NI)
     assert isinstance(plant, Holding)
-    card.outputs.update(dict.fromkeys(card.outputs, 1.5))
+    card.outputs["ao0"] = 1.5
     adapters.connect(plant.address).rest()
     assert not any(card.outputs.values())
     assert not card.taken
