@@ -15,6 +15,7 @@ from masking.errors import OperatorError
 
 if TYPE_CHECKING:
     from masking.app.workflows.rig_settings import CheckSettings, RunSettings, ServeSettings
+    from masking.lab.plants.arming import Arming
     from masking.lab.plants.authentication import Key
     from masking.lab.records.recording import Recording
     from masking.lab.runs.operator_link import Operator
@@ -118,7 +119,7 @@ def _run(call: Call) -> int:
                     found.check()
                 settings = hardware.RunSettings(
                     lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep, stream=out,
-                    spare=chosen.spare, operator=operator,
+                    spare=chosen.spare, operator=operator, arming=partial(_arming, bar),
                 )  # fmt: skip
                 recording = hardware.run(made, plant, settings)
             keep(recording)
@@ -153,6 +154,13 @@ def _batch(call: Call) -> int:
     found = call.do()
     call.answer(found.as_dict(), f"{found}\npage: {call.out / 'batch.html'}")
     return int(found.done < len(found.runs))
+
+
+def _arming(bar: Bar) -> Arming:
+    from masking.lab.plants.arming import HOW, Arming
+
+    bar.say(f"the plant waits: {HOW}")
+    return Arming(sys.stdin)
 
 
 def _operator(chosen: RunSettings, bar: Bar) -> Operator:

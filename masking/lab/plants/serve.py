@@ -35,6 +35,7 @@ from typing import Any, Final, Literal, final
 from masking.compile.numerics.arrays import Array
 from masking.errors import EmergencyStopError, MaskingError, PlantMismatchError, PlantRefusedError, WireError
 from masking.lab.plants import adapters, wire
+from masking.lab.plants.arming import HOW, Arming
 from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.command_guard import Guard
 from masking.lab.plants.interface import Plant, Sample, Settings
@@ -72,6 +73,7 @@ class Serving:
     after_latch: float = 1.0  # seconds that are still recorded after a trip
     allowed: Allowed = field(default_factory=Allowed)  # watchdogs and rates that controllers may ask for
     guard: Guard | None = None  # what every command passes before it is written
+    arming: Arming | None = None  # of a plant that its operator arms; None where it is armed at once
     trips: TripMemory = field(default_factory=TripMemory)
     key: Key | None = None  # that controllers must have; needed where other machines reach the address
 
@@ -155,7 +157,10 @@ class _Server:
                 is_pressed = isinstance(error, EmergencyStopError)
                 what = wire.EMERGENCY if is_pressed else f"the plant failed: {type(error).__name__}"
                 session.end = tripped = f"{what}: {error}"
-            self.keep(tripped if session.latch is None else session.latch["cause"])
+            tripped = tripped if session.latch is None else session.latch["cause"]
+            self.keep(tripped)
+            if tripped and self.serving.arming is not None:
+                self.serving.arming.disarm()
             self.remember(session.number, OVER)
             self.reply(session, Kind.STOP, session.end)
             session.close(self.plant)
@@ -231,6 +236,8 @@ class _Server:
             remedy = "start both in lockstep, or both without"
             raise PlantMismatchError(f"its clock is '{self.serving.clock}', the controller wants '{wanted}'; {remedy}")
         self.serving.allowed.check(settings)
+        if self.serving.arming is not None and not self.serving.arming.is_armed:
+            raise PlantRefusedError(f"it is not armed: {HOW}")
         tripped = self.serving.trips.cause
         if tripped and not settings.acknowledge:
             remedy = "look at the rig, then start once with --acknowledge"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,12 +15,14 @@ from masking.compile.numerics.arrays import Array
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.control.stepwise_controller import SampledStep
-from masking.errors import MaskingError, ModelError
+from masking.errors import MaskingError, ModelError, PlantRefusedError
 from masking.lab.plants import adapters
 from masking.lab.plants.address import scheme_of
+from masking.lab.plants.arming import HOW, Arming
 from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.operating_system import Stop
+from masking.lab.plants.remote import RemotePlant
 from masking.lab.plants.safety_chain import Chain
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.serve import serve as serve_plant
@@ -54,7 +57,8 @@ def serve(
     Args:
         plant: a packaged plant or a plant file, whose twin is served; or the address of a plant without a clock.
         address: `udp://host:port`, where port 0 takes a free one; `serial:pty`, a pseudo terminal; or a serial port.
-        serving: how, but for its guard and its memory of trips, which a plant at an address has beyond this server.
+        serving: how, but for its guard, its memory of trips, which a plant at an address has beyond this server, and
+            its arming, by lines of standard input where the plant file says `arm: operator`.
         seed: of the noise of a twin's sensors.
         limits: a packaged plant or a plant file, whose limits every command is brought within; by default those of the
             plant, and none for an address.
@@ -79,7 +83,8 @@ def serve(
         if guard is not None:
             guard.begin(served, settings)
         served.deactivate()
-    return serve_plant(served, address, replace(serving, guard=guard), ready=ready, stop=stop)
+    arming = Arming(sys.stdin) if limited is not None and limited.declaration.arm else None
+    return serve_plant(served, address, replace(serving, guard=guard, arming=arming), ready=ready, stop=stop)
 
 
 def _guard(twin: Twin) -> PlantLimits:
@@ -106,6 +111,8 @@ class RunSettings:
     stream: str | Path | None = None
     spare: str | Path | None = None  # for the rest of the stream where its own is full; else that for temporary files
     operator: Operator | None = None  # who looks at the run, and may stop it
+    # by whom a plant in this process is armed whose file says `arm: operator`; it is refused without
+    arming: Callable[[], Arming] | None = None
 
 
 REAL_TIME: Final = RunSettings()
@@ -226,6 +233,10 @@ class _Run:
     def _accept(self, plant: Plant) -> None:
         declared, instruments = self.experiment.assembly.plant, self.experiment.instruments
         wanted = Path(next(iter(declared.files), declared.name)).stem
+        if declared.arm and not isinstance(plant, RemotePlant):  # whose server asks
+            arming = self.settings.arming
+            if arming is None or not arming().wait():
+                raise PlantRefusedError(f"{declared.name} is not armed: {HOW}")
         check_channels(plant, instruments.sensors, instruments.actuators, f"the experiment is for {wanted}", _REMEDY)
 
     def _end(self, ran: RigRun) -> None:

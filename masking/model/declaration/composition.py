@@ -122,6 +122,7 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
     made["limits"] |= {"missed": min(missed)} if missed else {}
     made["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))
     made["effects"] = _effects(parts, {name: data.get("effects", {}) for name, data in all_data.items()})
+    made |= {"arm": "operator"} if any(part.plant.arm for part in parts) else {}
     return {key: value for key, value in made.items() if value}
 
 

@@ -408,6 +408,7 @@ class PlantDeclaration(Declaration):
     actuators: dict[Name, Annotated[Actuator, _MEANING]] = {}
     allocation: dict[Name, Formula] = {}
     limits: Limits = Limits()
+    arm: Literal["operator"] | None = None
     own_effects: Annotated[tuple[TextField, ...], _SEVERAL] = ()
     effects: dict[Name, EffectUse] = {}
 

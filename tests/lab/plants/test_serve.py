@@ -6,6 +6,7 @@ own record shows how old each command was when it was written.
 
 import contextlib
 import dataclasses
+import queue
 import signal
 import threading
 import time
@@ -20,6 +21,7 @@ from masking.app.workflows.recover import recover
 from masking.control.rig.twin import Twin
 from masking.errors import CommandError, PlantLostError, PlantRefusedError, RecordError
 from masking.lab.plants import adapters, wire
+from masking.lab.plants.arming import Arming
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Sample, Settings
@@ -756,3 +758,34 @@ def test_a_server_that_is_killed_while_a_plant_is_driven_is_a_trip(tmp_path, mon
         server.wait(20.0)
         plant.deactivate()
     assert TripMemory("bench:7").cause == "its server was killed while a controller drove it"
+
+
+def test_a_plant_is_driven_only_while_its_operator_has_armed_it():
+    lines = queue.SimpleQueue()
+    arming = Arming(iter(lines.get, None))
+
+    def typed(line, *, is_armed):
+        lines.put(line)
+        until = time.monotonic() + 20.0
+        while arming.is_armed != is_armed:
+            assert time.monotonic() < until
+            time.sleep(0.001)
+
+    def refused(address):
+        with pytest.raises(
+            PlantRefusedError, match="it is not armed: the operator arms it by the word 'arm' and Enter"
+        ):
+            UdpPlant(address, patience=20.0).configure(LOCKSTEP)
+
+    with served(MassSpring(), sessions=None, clock="lockstep", arming=arming) as (address, _):
+        refused(address)
+        typed("arm\n", is_armed=True)
+        for _ in range(2):  # it stays armed from one session that ends in order to the next
+            run_rig(lambda *_: np.zeros(2), UdpPlant(address, patience=20.0), **RUN | {"samples": 10})
+        typed("\n", is_armed=False)
+        refused(address)
+        typed("arm\n", is_armed=True)
+        run_rig(lambda *_: np.full(2, np.nan), UdpPlant(address, patience=20.0), **RUN)
+        refused(address)  # a trip disarms it
+        lines.put(None)
+    assert not arming.wait()  # nobody can arm it any more
