@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from masking.display.characters import json_escaped
 from masking.errors import RecordError
 
 
@@ -29,12 +30,12 @@ class Result:
 
 
 def json_text(content: Any) -> str:  # noqa: ANN401  # a tree of values
-    """JSON of a tree of values; numbers that are not finite are written as text.
+    """JSON of a tree of values; numbers that are not finite are written as text, and control characters as escapes.
 
     The tree is one of results, mappings, sequences, text, numbers, numpy values and paths; a `RecordError` says where
     it holds something else.
     """
-    return json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_escaped(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tree of values

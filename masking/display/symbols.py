@@ -12,6 +12,9 @@ GREEK: Final = frozenset(
     {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu"}
     | {"xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
+_IN_A_FIGURE = re.compile(  # what `tex` makes, or any other dollar
+    r"(\$(?:[A-Za-z]|\\(?:" + "|".join(sorted(GREEK)) + r")|\\mathit\{[A-Za-z]+\})(?:_\{[A-Za-z0-9]+\})?\$)|\$"
+)
 _SYMBOL = re.compile(r"([A-Za-z]{1,3}|" + "|".join(sorted(GREEK)) + r")(\d*|_\w+)")
 
 
@@ -42,4 +45,9 @@ def tex(name: str) -> str:
     if letters in GREEK or len(letters) == 1:
         letter = rf"\{letters}" if letters in GREEK else letters
         return rf"${letter}_{{{index}}}$" if index else f"${letter}$"
-    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name.replace("$", r"\$")
+    return rf"$\mathit{{{letters}}}_{{{index}}}$" if index else name
+
+
+def in_figure(text: str) -> str:
+    """Text as a figure draws it: symbols that `tex` made are typeset, and any other dollar is a dollar."""
+    return _IN_A_FIGURE.sub(lambda match: match[1] or r"\$", text)

@@ -18,7 +18,7 @@ from PIL import Image
 
 from masking.display.axes import DASHED, DPI, SIZE, dress, with_unit
 from masking.display.palette import COLOURS, GRID, INK, MUTED
-from masking.display.symbols import tex
+from masking.display.symbols import in_figure, tex
 from masking.errors import RecordError
 from masking.reports.animation import PERIODS, Animation, Scene
 from masking.reports.text import capital
@@ -100,8 +100,10 @@ def _sheet(shown: Animation) -> tuple[Figure, Callable[[float], None]]:
     for (x, *_), scene in zip(places, shown.scenes, strict=True):
         words = f"{scene.what}{f'; motion magnified {scene.factor} times' if scene.factor != 1 else ''}"
         words += "; dashed: by itself" if scene.prefix == "virtual" else ""
-        figure.text(x, head, capital(scene.drawing.title), fontsize=SIZE + 1, color=INK, va="top", weight="bold")
-        figure.text(x, head - 0.22 / total, words, fontsize=SIZE - 1, color=MUTED, va="top")
+        figure.text(
+            x, head, in_figure(capital(scene.drawing.title)), fontsize=SIZE + 1, color=INK, va="top", weight="bold"
+        )
+        figure.text(x, head - 0.22 / total, in_figure(words), fontsize=SIZE - 1, color=MUTED, va="top")
 
     def draw(t: float) -> None:
         for scene, axes in zip(shown.scenes, scenes, strict=True):
@@ -127,7 +129,7 @@ def _draw_scene(axes: Axes, shown: Animation, scene: Scene, t: float) -> None:
         for shape, numbers, colour in zip(drawing.shapes, rows, drawing.colours, strict=True):
             kind = shape.kinds[0]
             if prefix != "ideal":
-                _SHAPES[kind](axes, numbers, colour, shape.label, size)
+                _SHAPES[kind](axes, numbers, colour, in_figure(shape.label), size)
             elif kind in _OUTLINES:
                 _OUTLINES[kind](axes, numbers)
 
@@ -144,7 +146,7 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
     common = units[0] if len(set(units)) == 1 else ""
     for name, unit, colour in zip(main.drawing.coordinates, units, COLOURS, strict=False):
         series = recording[f"{main.prefix}.{name}"]
-        label = with_unit(tex(name), "" if common else unit)
+        label = in_figure(with_unit(tex(name), "" if common else unit))
         axes.plot(recording.t[rows], series[rows], color=colour, lw=1.3, label=label)
         ideal = recording.columns.get(f"ideal.{name}")
         if ideal is not None:
@@ -154,7 +156,7 @@ def _draw_trace(axes: Axes, shown: Animation, t: float) -> None:
     motions = [recording[f"{main.prefix}.{name}"] for name in main.drawing.coordinates]
     most = float(np.abs(np.array(motions)).max()) or 1.0
     axes.set(xlim=(begin, begin + span), ylim=(-1.08 * most, 1.08 * most), xlabel="time (s)")
-    axes.set_ylabel(with_unit("motion", common))
+    axes.set_ylabel(in_figure(with_unit("motion", common)))
     axes.legend(frameon=False, fontsize=SIZE - 1, ncols=len(COLOURS), loc="lower right", bbox_to_anchor=(1.0, 0.97))
 
 

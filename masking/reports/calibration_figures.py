@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from masking.display.palette import NOISE
+from masking.display.symbols import in_figure
 from masking.inference.procedures.calibration_findings import HIGHEST, Calibration, Curve
 from masking.model.declaration.quantities import percent, quantity
 from masking.reports import figure_parts as parts
@@ -190,7 +191,7 @@ def _beside(axes: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
             y[i], y[i + 1] = y[i] - lift, y[i + 1] + lift
     for place, (_, text, colour) in zip(y, order, strict=True):
         words = short(text.replace("_", " "), _LETTERS)
-        axes.annotate(words, (1.0, place / height), (6, 0), "axes fraction", "offset points", va="center",
+        axes.annotate(in_figure(words), (1.0, place / height), (6, 0), "axes fraction", "offset points", va="center",
                       fontsize=SIZE - 1.5, color=colour)  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodF
 from numpy.typing import NDArray
 
 from masking.compile.numerics.arrays import Array
+from masking.display.symbols import in_figure
 from masking.display.thinning import BINS, thin
 from masking.reports import style
 from masking.reports.figure_parts import noise_density, spectral_density
@@ -53,7 +54,7 @@ class Part(ABC):
 
     def handle(self) -> Line2D | Patch:
         """Entry of the legend."""
-        return Patch(color=self.colour, alpha=max(self.opacity, BAND), lw=0, label=self.key)
+        return Patch(color=self.colour, alpha=max(self.opacity, BAND), lw=0, label=in_figure(self.key))
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Line(Part):
         """Entry of the legend."""
         width = max(self.width, 1.0 if self.is_dashed else _KEY) if self.width else 0.0
         shown = replace(self, size=min(self.size, _KEY_SIZE) if self.marker in "os" else self.size)
-        return Line2D([], [], label=self.key, **shown._style(width))
+        return Line2D([], [], label=in_figure(self.key), **shown._style(width))
 
     def _style(self, width: float) -> dict[str, Any]:
         line = (DASHED if self.is_dashed else "-") if width else ""
@@ -188,13 +189,13 @@ class Panel:
             axis = {"x": axes.xaxis, "y": axes.yaxis}[name]
             axis.set_major_locator(LogLocator(numticks=_MOST_LABELS))
             axis.set_minor_formatter(NullFormatter())
-        axes.set(xlabel=self.x, ylabel=self.y)
+        axes.set(xlabel=in_figure(self.x), ylabel=in_figure(self.y))
         if self.xlim is not None:
             axes.set_xlim(*self.xlim)
         if self.ylim is not None:
             axes.set_ylim(*self.ylim)
-        axes.set_title(self.note, loc="right", fontsize=SIZE - 1, color=self.note_colour, pad=3)
-        axes.set_title(self.title, loc="left", fontsize=SIZE - 1, color=MUTED, pad=3)
+        axes.set_title(in_figure(self.note), loc="right", fontsize=SIZE - 1, color=self.note_colour, pad=3)
+        axes.set_title(in_figure(self.title), loc="left", fontsize=SIZE - 1, color=MUTED, pad=3)
         if self.finish is not None:
             self.finish(axes)
 
@@ -315,6 +316,6 @@ def plain_numbers(axis: Axis, unit: str = "", few: float = 60.0) -> None:
 def bars(axes: Axes, names: Sequence[str]) -> None:
     """Name horizontal bars, the first on top."""
     axes.set(ylim=(len(names) - 0.4, -0.6))
-    axes.set_yticks(range(len(names)), labels=names)
+    axes.set_yticks(range(len(names)), labels=[*map(in_figure, names)])
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from masking.display.axes import DASHED, DPI, SIZE, dress, with_unit
 from masking.display.palette import COLOURS, GRID, INK, LIMIT, MUTED
+from masking.display.symbols import in_figure
 from masking.display.symbols import tex as symbol
 from masking.display.thinning import BINS, Series, envelope, thin
 
@@ -85,7 +86,7 @@ def grid(
     `top` above the first of them, `left` and `right` beside the axes.
     """
     # A number and its unit stay together.
-    kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", heading.replace("$", r"\$"))
+    kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", in_figure(heading))
     lines = textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
     room = 0.2 + 0.2 * len(lines) + top if lines else top
     total = room + sum(heights) + sum(gaps) + BOTTOM

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from masking.compile.numerics.arrays import Array
 from masking.display.palette import PAPER, UNKNOWN
+from masking.display.symbols import in_figure
 from masking.lab.records.table_chunks import Columns
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, Span, bars, drawn, plain_numbers
@@ -69,7 +70,7 @@ def _label(name: str) -> str:
 def _measure(name: str, unit: str) -> str:
     """Label of a measure."""
     kind, _, of = name.partition(".")
-    words = "τ$_s$" if name == "tau_s" else _label(name)
+    words = r"$\tau_{s}$" if name == "tau_s" else _label(name)
     if kind in {"maxima", "section"}:
         words = "maxima of " * (kind == "maxima") + style.symbol(of.partition("@")[0])
     return style.with_unit(words, unit)
@@ -192,7 +193,7 @@ def _map(name: str, label: str, grid: list[str], labels: Mapping[str, str], colu
             mesh = axes.pcolormesh(*table, cmap="viridis", rasterized=True)
             figure = axes.figure
             assert isinstance(figure, Figure)  # noqa: S101  # for the type checker: these axes lie in no sub-figure
-            figure.colorbar(mesh, ax=axes, pad=0.02).set_label(label, color=INK)
+            figure.colorbar(mesh, ax=axes, pad=0.02).set_label(in_figure(label), color=INK)
         axes.grid(visible=False)
         _geometric(axes, across, up)
 

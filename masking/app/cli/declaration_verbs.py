@@ -34,8 +34,7 @@ def _list(call: Call) -> int:
 def _show(call: Call) -> int:
     """Show a model, a plant, an experiment or physical effects."""
     description = call.do()
-    content = json.dumps(description.content, indent=2, ensure_ascii=False)
-    return call.answer(f"{content}\n", description)
+    return call.answer(description.content, description)
 
 
 @verb(metavars={"files": "FILE"}, note=_STATUS)

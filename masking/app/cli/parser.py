@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from masking.app.cli import declaration_verbs, identification_verbs, rig_verbs, run_verbs
 from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
+from masking.app.cli.terminal import printable
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
 
@@ -19,6 +20,11 @@ VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identifi
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to correct first."""
+    with printable():
+        return _done(arguments)
+
+
+def _done(arguments: Sequence[str] | None) -> int:
     given = _with_units(sys.argv[1:] if arguments is None else [*arguments])
     parser = _parser()
     call: Call | None = None

@@ -10,6 +10,8 @@ import threading
 import time
 from types import FrameType, TracebackType
 
+from masking.app.cli.terminal import raw
+from masking.display.characters import visible_line
 from masking.lab.plants.operating_system import signal_main_thread
 
 APART = 10.0  # s between lines of progress in a file or a pipe
@@ -26,7 +28,9 @@ class Bar:
         import tqdm
 
         self._written, self._most = time.monotonic(), 0.0
-        self._bar = tqdm.tqdm(total=1.0, desc=text, delay=1.0, leave=False, disable=None, bar_format=_FORM)
+        self._bar = tqdm.tqdm(
+            file=raw(sys.stderr), total=1.0, desc=text, delay=1.0, leave=False, disable=None, bar_format=_FORM
+        )
 
     def __call__(self, part: float) -> None:
         """Show the part done."""
@@ -42,12 +46,12 @@ class Bar:
                 with contextlib.suppress(OSError):
                     print(f"{self._most:4.0%}  {text}", file=sys.stderr, flush=True)
             return
-        self._bar.set_description(text, refresh=False)
+        self._bar.set_description(visible_line(text), refresh=False)
         self(self._most)
 
     def say(self, text: str) -> None:
         """Print a line above the bar."""
-        with contextlib.suppress(OSError), self._bar.external_write_mode(file=sys.stderr):
+        with contextlib.suppress(OSError), self._bar.external_write_mode(file=raw(sys.stderr)):
             print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ MOST_PRODUCTS_OF_HIGH_ORDER = 8
 # measured: beyond this number of products of series, straight-line code costs seconds to compile.
 LARGEST_TAYLOR_COST = 40
 
-HEADER = '''"""Generated from {title!r}; do not edit."""
+HEADER = """# Generated from {title!a}; do not edit.
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from numba import carray
 
 from masking.compile.numerics.arrays import Matrix, Vector
 from masking.compile.numerics.compilation import compiled
-'''
+"""
 
 
 def taylor_order(products: int) -> int:
@@ -85,7 +85,7 @@ class Module:
     def text(self) -> str:
         """Whole source, Python or LLVM code."""
         if not self.functions:
-            return "\n\n".join([f"; Generated from {self.title!r}; do not edit.", *self.definitions.values()]) + "\n"
+            return "\n\n".join([f"; Generated from {self.title!a}; do not edit.", *self.definitions.values()]) + "\n"
         return "\n\n".join([HEADER.format(title=self.title) + "".join(sorted(self._imports)), *self.functions]) + "\n"
 
     def add(

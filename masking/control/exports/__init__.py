@@ -2,5 +2,5 @@
 
 In: a controller, a rig or a model.
 Out: source files and FMUs that compute what the compiled kernels compute.
-Imports: numerics, codegen, declaration, modelling, rig, control.
+Imports: numerics, display, codegen, declaration, modelling, rig, control.
 """

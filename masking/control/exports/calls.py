@@ -1,22 +1,10 @@
-"""Texts in C around a unit: templates, and how a program begins and steps it with arrays of all inputs and outputs."""
+"""Statements of C around a unit: how a program begins and steps it with arrays of all inputs and outputs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from masking.control.exports.unit import Unit
-
-TEMPLATES = Path(__file__).parent / "templates"
-
-
-def filled(file: str, marks: Mapping[str, str]) -> str:
-    """Text of a template, in which each @MARK@ is filled in, in the order of the marks."""
-    text = (TEMPLATES / file).read_text(encoding="utf-8")
-    for mark, value in marks.items():
-        text = text.replace(f"@{mark}@", value)
-    return text
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from masking.compile.numerics.arrays import Array
 from masking.control.closed_loop import ClosedLoop
 from masking.control.closed_loop import module as module_of
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Operations, Unit, identifier, state_channels
+from masking.control.exports.target_text import c_name
+from masking.control.exports.unit import Channel, Operations, Unit, state_channels
 from masking.control.sampled_controller import SampledController
 from masking.model.declaration.units import coherent
 
@@ -67,7 +68,7 @@ def sampled_unit(sampled: SampledController, name: str, watchdog: float) -> Unit
     names += [f"virtual.{name}" for name in sampled.controller.virtual.states]
     states = state_channels(names, known.model.declaration, "estimate")
     made_of = (module, ports, memory, constants, operations)
-    return Unit(identifier(name), title, "controller", *made_of, period, notes, states)
+    return Unit(c_name(name), title, "controller", *made_of, period, notes, states)
 
 
 def _begin(sampled: SampledController, operations: Operations) -> dict[str, Array]:
@@ -115,4 +116,4 @@ def law_unit(loop: ClosedLoop, name: str, rate: float | None) -> Unit:
     ports = {"readings": state_channels(names, model.declaration, "state")}
     ports |= {"commands": tuple(Channel(n, coherent(inputs[n].unit)) for n in model.inputs)}
     made_of = (module, ports, {"p": values.shape, "first": (1,)}, {"values": values}, operations)
-    return Unit(identifier(name), title, "law", *made_of, None if rate is None else 1.0 / rate, tuple(notes))
+    return Unit(c_name(name), title, "law", *made_of, None if rate is None else 1.0 / rate, tuple(notes))

@@ -21,6 +21,7 @@ from masking import process_environment
 from masking.compile.codegen.content_hashes import digest
 from masking.control.exports import calls
 from masking.control.exports.c_unit import CUnit
+from masking.control.exports.target_text import filled, xml_text
 from masking.control.exports.unit import Channel, Unit
 from masking.errors import DeclarationError, ModelError
 from masking.model.declaration.units import base_powers, factor_of
@@ -78,8 +79,8 @@ def _write(unit: Unit, path: Path, version: int) -> Path:
     token = digest(unit.title, *sources.values())
     token = "{" + "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:])) + "}"
     sources["fmu_unit.h"] = _glue(unit, token)
-    shared = calls.filled("fmi_shared.c", MARKS[version])
-    sources[f"fmi{version}.c"] = calls.filled(f"fmi{version}.c", {"SHARED": shared})
+    shared = filled("fmi_shared.c", MARKS[version])
+    sources[f"fmi{version}.c"] = filled(f"fmi{version}.c", {"SHARED": shared})
     files: dict[str, bytes] = {"modelDescription.xml": _xml(_description(unit, token, version, sources))}
     if version == 3:
         files["sources/buildDescription.xml"] = _xml(_build(unit, sources))
@@ -130,7 +131,7 @@ def _glue(unit: Unit, token: str) -> str:
         "ADVANCE": "\n        ".join(filter(None, (calls.step(unit, names), calls.read(unit, names)))),
         "MEMORY": next(iter(unit.memory)),
     }
-    return calls.filled("fmu_unit.h", marks)
+    return filled("fmu_unit.h", marks)
 
 
 def _description(unit: Unit, token: str, version: int, sources: Mapping[str, str]) -> Element:
@@ -213,5 +214,7 @@ def _compiled(sources: Mapping[str, str]) -> Iterator[str]:
 
 
 def _xml(root: Element) -> bytes:
+    for element in root.iter():
+        element.attrib = {name: xml_text(value) for name, value in element.attrib.items()}
     indent(root)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"

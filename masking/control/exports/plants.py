@@ -13,7 +13,8 @@ from masking.compile.codegen.source import Module
 from masking.compile.numerics import runge_kutta
 from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels
-from masking.control.exports.unit import Channel, Operations, Unit, identifier, state_channels
+from masking.control.exports.target_text import c_name
+from masking.control.exports.unit import Channel, Operations, Unit, state_channels
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
 from masking.model.declaration.schema import Parameter
@@ -58,7 +59,7 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
         is_dimensionless=False,
     )
     title = f"{twin.declaration.name}: simulated rig"
-    return Unit(identifier(name), title, "plant", *made_of, period, notes, states, parameters)
+    return Unit(c_name(name), title, "plant", *made_of, period, notes, states, parameters)
 
 
 def model_unit(model: Model, name: str, rate: float) -> Unit:
@@ -100,7 +101,7 @@ def model_unit(model: Model, name: str, rate: float) -> Unit:
         d.parameters,
         is_dimensionless=model.is_dimensionless,
     )
-    return Unit(identifier(name), f"{model.name}: model", "model", *made_of, period, notes, states, parameters)
+    return Unit(c_name(name), f"{model.name}: model", "model", *made_of, period, notes, states, parameters)
 
 
 def _settable(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -37,7 +36,7 @@ class Operation:
 class Unit:
     """A controller, a rig or a model that can be called by itself."""
 
-    name: str  # of its functions and files, an identifier of C
+    name: str  # of its functions and files, as `target_text.c_name` makes it
     title: str  # what it is
     kind: str  # `controller`, `law`, `plant` or `model`
     module: Module  # holds each operation's kernel as `unit_` and its name
@@ -95,9 +94,3 @@ def state_channels(names: Sequence[str], declaration: ModelDeclaration, meaning:
     units |= {name: coherent(one.unit) for name, one in declaration.states.items()}
     units |= {f"{name}'": combined("D/s", {"D": units[name]}) for name in declaration.coordinates}
     return tuple(Channel(name, units.get(name, ""), meaning) for name in names)
-
-
-def identifier(text: str) -> str:
-    """Name as an identifier of C."""
-    found = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return found if not found[:1].isdigit() else f"_{found}"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from masking.control.exports import fmu_unit
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.calls import Names, begin, filled, read, step
+from masking.control.exports.calls import Names, begin, read, step
+from masking.control.exports.target_text import c_string, filled
 from masking.control.exports.unit import Unit
 
 ENDINGS = {"c": ".c", "fmu": f"_fmi{fmu_unit.VERSIONS[0]}.fmu"}  # of a file that is always written
@@ -41,7 +42,7 @@ def programs(unit: Unit, real: str) -> dict[str, str]:
         "PERIOD": repr(unit.period),
         "SENSORS": str(len(channels["sensors"])),
         "ACTUATORS": str(len(channels["actuators"])),
-        "CHANNELS": json.dumps(json.dumps(channels)),
+        "CHANNELS": c_string(json.dumps(channels)),
         "BEGIN": begin(unit, names),
         "STEP": "\n        ".join(filter(None, (step(unit, names), read(unit, names)))),
     }

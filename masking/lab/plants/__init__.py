@@ -2,7 +2,7 @@
 
 In: commands.
 Out: readings: a rig, simulated here or behind a wire, through one interface.
-Imports: numerics, codegen, records, rig.
+Imports: numerics, display, codegen, records, rig.
 
 What an amplifier mixes is the `allocation` of a plant file, which `masking.control.rig.allocation` reads.
 """

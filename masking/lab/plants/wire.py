@@ -34,6 +34,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.characters import visible_line
 from masking.errors import PlantError, PlantMismatchError, WireError
 from masking.lab.plants.interface import Settings
 
@@ -104,7 +105,7 @@ def decode(datagram: bytes) -> Frame:
         raise WireError("malformed", f"{size} bytes do not hold {count} items")
     if kind in TEXTUAL:
         try:
-            text = str(body[_HEADER.size :], "utf-8")
+            text = visible_line(str(body[_HEADER.size :], "utf-8"))
         except UnicodeDecodeError:
             raise WireError("malformed", "the text is not UTF-8") from None
         return Frame(kind, session, index, sent, NO_VALUES, text)

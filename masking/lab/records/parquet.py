@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from masking.display.characters import visible_line
 from masking.errors import RecordError
 from masking.lab.records import unpacked_size
 from masking.lab.records.stop_switch import is_running
@@ -198,6 +199,9 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
     repeated = sorted(name for name, count in Counter(names).items() if count > 1)
     if repeated:
         raise RecordError(f"{path}: column '{repeated[0]}' appears more than once")
+    for name in names:
+        if name != visible_line(name):
+            raise RecordError(f"{path}: the name of column '{visible_line(name)}' holds a control character; rename it")
 
 
 def _check_kinds(path: Path, schema: pa.Schema) -> None:

@@ -12,6 +12,7 @@ import hashlib
 import json
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.display.characters import visible_line
 from masking.errors import RecordError, nearest
 from masking.lab.records import clock, column_units, columns_on_disk, loggers, matlab_5, numpy_files, time_base
 from masking.lab.records.column_units import SECONDS, Asked
@@ -112,7 +114,11 @@ def read(
     is_in_s = dt is not None or text is not None or bool(held.clocks) or bool(units.get(CLOCK, {}).get("unit"))
     units[CLOCK] = {"unit": "s" if is_in_s else "", "column": units.get(CLOCK, {}).get("column", CLOCK)}
     try:
-        made = Recording(columns, {"name": file.stem, "columns": units}) if text is None else _own(file, columns, units)
+        made = (
+            Recording(columns, {"name": visible_line(file.stem), "columns": units})
+            if text is None
+            else _own(file, columns, units)
+        )
     except RecordError as error:
         is_rising = dt is not None or bool((np.diff(columns[CLOCK]) > 0.0).all())
         remedy = "" if is_rising else "; if samples are equally far apart, leave the clock out and give --dt"
@@ -177,10 +183,19 @@ def _columns(file: Path, part: Part | None) -> tuple[Channels, bytes | None]:
         (first, last), rows = (found.spans[0][0], found.spans[-1][-1]), found.rows
         return Channels(found.around(*part.within(first, last, (last - first) / max(1, rows - 1)))), text
     if kind in _LOGGERS:
-        return loggers.read(file), None
+        return _shown(file, loggers.read(file)), None
     if kind in _NESTED:
-        return Channels(_NESTED[kind](file)), None
+        return _shown(file, Channels(_NESTED[kind](file))), None
     raise RecordError(f"{file}: '{kind}' files are not read; give {_KNOWN}")
+
+
+def _shown(file: Path, held: Channels) -> Channels:
+    """Channels under names that can be shown; a RecordError where two of them are alike then."""
+    names = {name: visible_line(name) for name in held.columns}
+    if repeated := [name for name, count in Counter(names.values()).items() if count > 1]:
+        raise RecordError(f"{file}: column '{repeated[0]}' appears more than once")
+    columns = {shown: held.columns[name] for name, shown in names.items()}
+    return Channels(columns, {visible_line(name): times for name, times in held.clocks.items()})
 
 
 def _own(file: Path, columns: dict[str, Column], units: Mapping[str, Mapping[str, str]]) -> Recording:

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, final
 
+from masking.display.characters import visible
 from masking.display.json_text import Result
 from masking.errors import RecordError
 from masking.lab.records import stream
@@ -55,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _say(error: RecordError) -> None:
     """Say why the record ends; a full disk may hold what is said, too."""
     with contextlib.suppress(OSError):
-        print(f"masking: {error}", file=sys.stderr, flush=True)
+        print(f"masking: {visible(str(error))}", file=sys.stderr, flush=True)
 
 
 def _record(reader: RingReader, folder: str) -> None:

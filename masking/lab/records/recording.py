@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.display import thinning
+from masking.display.characters import UNFIT, visible_line
 from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
 from masking.lab.records.columns_on_disk import StoredColumns, read
@@ -294,6 +295,10 @@ class Recording:
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             found = manifest.get("format") if isinstance(manifest, dict) else None
             raise RecordError(f"{path}: its format is '{found}'; this program reads '{FORMAT}'")
+        if unfit := next(_unfit(manifest), ""):
+            raise RecordError(
+                f"{path}: the manifest inside the table holds a control character: '{visible_line(unfit)}'"
+            )
         for old in RENAMED.keys() & manifest.keys():
             raise RecordError(
                 f"{path}: an older version of this program wrote it: '{old}' in its manifest is called "
@@ -336,6 +341,20 @@ def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:
     except (OSError, ValueError, RecursionError):
         what = "cannot be read"
     return (f"{MANIFEST} {what}: the copy inside {TABLE} was used.",)
+
+
+def _unfit(content: object) -> Iterator[str]:
+    """Texts in a tree of values with a character that no text may have."""
+    match content:
+        case str() if UNFIT.search(content):
+            yield content
+        case Mapping():
+            for key, value in content.items():
+                yield from _unfit(key)
+                yield from _unfit(value)
+        case list():
+            for value in content:
+                yield from _unfit(value)
 
 
 def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # whatever numpy can make an array of

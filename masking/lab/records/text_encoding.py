@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import codecs
-import re
 from pathlib import Path
 
+from masking.display.characters import UNFIT, code_point
 from masking.errors import RecordError
 
 LARGEST = 2**29  # bytes; what is read takes some times as much memory
-_FORBIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f\x85\u2028\u2029]")
 _NO_TEXT = {"unicode_escape", "raw_unicode_escape", "idna", "punycode", "utf_7"}  # that turn text into other text
 _OTHERS = "--encoding latin-1, gbk or utf-16"
 
@@ -36,10 +35,10 @@ def text(file: Path, encoding: str | None = None) -> str:
     except UnicodeError:
         raise RecordError(f"{file}: the table cannot be read in {encoding}; give another, such as {_OTHERS}") from None
     found = found.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    if wrong := _FORBIDDEN.search(found):
+    if wrong := UNFIT.search(found):
         line, column = _position(found[: wrong.start()])
         raise RecordError(
-            f"{file}: the table cannot be read: line {line}, character {column} is U+{ord(wrong[0]):04X}, which no "
+            f"{file}: the table cannot be read: line {line}, character {column} is {code_point(wrong[0])}, which no "
             f"text holds; is it damaged, or in UTF-16? If so, give its encoding, such as {_OTHERS}"
         )
     return found

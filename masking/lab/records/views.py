@@ -65,17 +65,18 @@ def figure(
             prefix, _, short = name.rpartition(".")
             unit = "" if len(common) == 1 else units.get(name, "")
             plain = short.rstrip("'")  # a rate keeps its prime
-            label = axes.with_unit(f"{symbols.tex(plain)}{short[len(plain) :]}", unit)
+            label = symbols.in_figure(axes.with_unit(f"{symbols.tex(plain)}{short[len(plain) :]}", unit))
             each.plot(*thin(columns["t"], columns[name]), color=colour, lw=1.2, label=label)
             ideal = columns.get(f"{IDEAL}.{short}") if prefix == "virtual" else None
             if ideal is not None:
                 each.plot(*thin(columns["t"], ideal), color=INK, lw=0.8, ls=axes.DASHED)
         prefixes = {name.rpartition(".")[0] for name in names}
-        each.set_ylabel(axes.with_unit(*(found.pop() if len(found) == 1 else "" for found in (prefixes, common))))
+        words = axes.with_unit(*(found.pop() if len(found) == 1 else "" for found in (prefixes, common)))
+        each.set_ylabel(symbols.in_figure(words))
         each.legend(frameon=False, fontsize=axes.SIZE - 0.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         each.set_xlim(columns["t"][0], columns["t"][-1])
-    each.set_xlabel(axes.with_unit("time", units.get("t", "")))
-    made.suptitle(title, fontsize=axes.SIZE + 1.5, color=INK, x=0.01, ha="left")
+    each.set_xlabel(symbols.in_figure(axes.with_unit("time", units.get("t", ""))))
+    made.suptitle(symbols.in_figure(title), fontsize=axes.SIZE + 1.5, color=INK, x=0.01, ha="left")
     return made
 
 

@@ -2,5 +2,5 @@
 
 In: YAML files.
 Out: checked declarations, or every problem with its place.
-Imports: nothing.
+Imports: display.
 """

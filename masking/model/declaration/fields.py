@@ -23,7 +23,7 @@ from masking.model.declaration.strict_yaml import Node
 _RATE = re.compile(r"\s*(?P<number>[-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-z]*)\s*")
 _HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+NAME_PATTERN = "[A-Za-z][A-Za-z0-9_]*"
 
 
 class Block(BaseModel):
@@ -136,7 +136,7 @@ def _read_value(value: object) -> float | Expression:
 def _read_name(value: object) -> str:
     """Read a name that is free to use: of a coordinate, an input, a parameter, a definition or an output."""
     name = _read_text(value)
-    if not re.match(NAME_PATTERN, name):
+    if not re.fullmatch(NAME_PATTERN, name):
         remedy = "a name is made of ASCII letters, digits and _, and starts with a letter"
         raise refuse(f"'{name}' is not a name", remedy)
     if keyword.iskeyword(name) or name in RESERVED:
@@ -177,7 +177,7 @@ Positive = Annotated[float, _POSITIVE, WithJsonSchema({"type": "number", "exclus
 NotNegative = Annotated[float, _NOT_NEGATIVE, WithJsonSchema({"type": "number", "minimum": 0})]
 Truth = Annotated[bool, PlainValidator(_read_truth), WithJsonSchema({"type": "boolean"})]
 Natural = Annotated[int, _NATURAL, WithJsonSchema({"type": "integer", "minimum": 0})]
-Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})]
+Name = Annotated[str, PlainValidator(_read_name), WithJsonSchema({"type": "string", "pattern": f"^{NAME_PATTERN}$"})]
 Formula = Annotated[Expression, PlainValidator(_read_expression), PlainSerializer(_written), _TEXT_OR_NUMBER]
 Value = Annotated[float | Expression, PlainValidator(_read_value), PlainSerializer(_written), _TEXT_OR_NUMBER]
 _RATES = WithJsonSchema({"type": "string", "examples": ["1 kHz", "1 ms"]})

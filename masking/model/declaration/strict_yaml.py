@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from masking.display.characters import UNFIT, code_point
 from masking.errors import DeclarationError, Place, Problem
 
 LARGEST_FILE = 2**20
@@ -38,9 +39,7 @@ _NO_SPACE = re.compile(r"[\w)]['\"]*:[^\s:/]")
 _CONTENT = re.compile(r"\s*[^\s#]")
 _KEY = re.compile(r":(?: |$)")
 _LONGEST_SHOWN, _LINES_ABOVE = 40, 50
-_FORBIDDEN = re.compile(
-    r"[^\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)"
-)
+_IN_A_KEY = re.compile(f"[\\t\\n]|{UNFIT.pattern}")
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,8 @@ def decode(data: bytes, file: str, refused: list[Problem] | None = None) -> Node
     try:
         return loads(data.decode("utf-8"), file, refused)
     except UnicodeDecodeError as error:
-        before = data[: error.start].decode("utf-8").split("\n")
-        place = Place(file, len(before), len(before[-1]) + 1)
+        before = data[: error.start].decode("utf-8")
+        place = _place(file, before, len(before))
         raise DeclarationError(Problem(place, "", "the file is not UTF-8", "save it as UTF-8")) from None
 
 
@@ -126,14 +125,14 @@ def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None)
     `refused` takes the problems of single scalars and keys, so that the rest of the file can be checked too; without
     such a list they are raised as any other.
     """
-    text = text.removeprefix("\ufeff")  # the byte order mark that some editors write
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n")  # some editors write a byte order mark
     if len(text) > LARGEST_FILE:
         raise DeclarationError(Problem(Place(file, 1, 1), "", f"the text is larger than {LARGEST_FILE} characters"))
-    if forbidden := _FORBIDDEN.search(text):
-        before = text[: forbidden.start()].split("\n")
-        place = Place(file, len(before), len(before[-1]) + 1)
-        name = "a tab" if forbidden[0] == "\t" else f"the character U+{ord(forbidden[0]):04X}"
-        raise DeclarationError(Problem(place, "", f"{name} is not allowed", "use spaces" if name == "a tab" else ""))
+    if (at := text.find("\t")) >= 0:
+        raise DeclarationError(Problem(_place(file, text, at), "", "a tab is not allowed", "use spaces"))
+    if unfit := UNFIT.search(text):
+        message = f"the character {code_point(unfit[0])} is not allowed"
+        raise DeclarationError(Problem(_place(file, text, unfit.start()), "", message, "delete it"))
     builder = _Builder(text, file)
     node = builder.build()
     if refused is None and builder.problems:
@@ -146,6 +145,12 @@ def loads(text: str, file: str = "<text>", refused: list[Problem] | None = None)
 def _position(mark: Any) -> tuple[int, int]:  # noqa: ANN401  (PyYAML has two classes of marks, one in C)
     """Give the line and column of a mark, both from 0."""
     return mark.line, mark.column
+
+
+def _place(file: str, text: str, index: int) -> Place:
+    """Give the place of a character of a text."""
+    before = text[:index].split("\n")
+    return Place(file, len(before), len(before[-1]) + 1)
 
 
 def _indent(line: str) -> int:
@@ -295,7 +300,7 @@ class _Builder:
 
     def take_key(self, event: yaml.ScalarEvent) -> None:
         level, key, place = self.levels[-1], event.value, self.place(event)
-        node = self.scalar(event)
+        node = self.scalar(event, is_key=True)
         if key == "<<" and not event.style:
             self.stop(event, "a merge key is not allowed", "write the values out")
         level.key, level.is_dropped = key, False
@@ -322,10 +327,15 @@ class _Builder:
             remedy = f"write what it is on the left, such as x'': ..., or the number in quotes: '{key}': ..."
         self.report(place, f"the key {key or 'null'} is not a text", remedy)
 
-    def scalar(self, event: yaml.ScalarEvent) -> Node:
+    def scalar(self, event: yaml.ScalarEvent, *, is_key: bool = False) -> Node:
         """Read a scalar; a plain one may be null, true, false or a number, any other is a text."""
         text: str = event.value
         value: str | float | bool | None = text
+        if unfit := (_IN_A_KEY if is_key else UNFIT).search(text):
+            where = "a key" if is_key else "a text"
+            self.report(
+                self.place(event), f"the character {code_point(unfit[0])} is not allowed in {where}", "delete it"
+            )
         if not event.style:
             if text in {"", "~", "null", "Null", "NULL"}:
                 value = None

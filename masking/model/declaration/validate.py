@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from masking.display.characters import visible_line
 from masking.errors import DeclarationError, Problem, nearest
 from masking.model.declaration.fields import plain
 from masking.model.declaration.schema import Declaration
@@ -93,7 +94,7 @@ def plain_mapping(node: Node) -> dict[str, Any]:
     if not isinstance(node.value, dict):
         raise DeclarationError(Problem(node.place, "", "the file is not a mapping", "write 'key: value' lines"))
     data: dict[str, Any] = plain(node)
-    data.setdefault("name", Path(node.place.file).stem)
+    data.setdefault("name", visible_line(Path(node.place.file).stem))
     return data
 
 

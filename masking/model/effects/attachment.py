@@ -269,7 +269,7 @@ def _element(declaration: ModelDeclaration, effect: Effect, at: str) -> Element:
 
 
 def _check_label(declaration: ModelDeclaration, label: str) -> None:
-    if not re.match(NAME_PATTERN, label):
+    if not re.fullmatch(NAME_PATTERN, label):
         remedy = "a label is made of ASCII letters, digits and _, and starts with a letter"
         raise _refusal(label, f"'{label}' is not a label", remedy)
     if f"{label}_on" in declaration.parameters:
