@@ -76,7 +76,7 @@ def has_binary() -> bool:
 def _write(unit: Unit, path: Path, version: int) -> Path:
     text = CUnit(unit, "double")
     sources = {f"{unit.name}.h": text.header(), f"{unit.name}.c": text.source()}
-    token = digest(unit.title, *sources.values())
+    token = digest(xml_text(unit.title), *sources.values())
     token = "{" + "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:])) + "}"
     sources["fmu_unit.h"] = _glue(unit, token)
     shared = filled("fmi_shared.c", MARKS[version])

@@ -83,7 +83,7 @@ class RemotePlant(ABC):
             self._line = line if self._key is None else AuthenticatedLine(line, self._key)
             answer = self._ask(wire.settings_text(settings))
             if answer.kind is Kind.REFUSE:
-                raise PlantRefusedError(f"{self._address} refuses: {answer.text}")
+                raise PlantRefusedError(f"{self._address} refuses: {answer.said}")
             self.sensors, self.actuators = wire.read_channels(answer.text)
         except OSError as error:
             self._close()
@@ -123,10 +123,10 @@ class RemotePlant(ABC):
                 silent = 0 if newest or self._lockstep else int((time.monotonic() - began) / self._period)
                 if silent > HELD + 1:  # of the samples before that, none arrived
                     self.counters["lost"] += silent - 1
-                    said = f"sent no sample for {silent} periods, more than {HELD}, and ended the session: {frame.text}"
+                    said = f"sent no sample for {silent} periods, more than {HELD}, and ended the session: {frame.said}"
                     self._lost(said, kind=SamplesLostError)
                 kind = EmergencyStopError if frame.text.startswith(wire.EMERGENCY) else PlantLostError
-                raise kind(f"the plant at {self._address} ended the session: {frame.text}")
+                raise kind(f"the plant at {self._address} ended the session: {frame.said}")
             if not self._is_next(frame):
                 continue
             self._need_successor(frame.index)

@@ -368,7 +368,7 @@ class _Server:
                     return  # what follows belongs to the next sample
             elif frame.kind in (Kind.BYE, Kind.STOP):
                 if frame.kind is Kind.STOP:
-                    session.trip(tick, f"the controller stopped: {frame.text}")
+                    session.trip(tick, f"the controller stopped: {frame.said}")
                 session.end = "bye" if session.latch is None else session.latch["cause"]
                 return  # what follows belongs to the next session
             elif frame.kind is not Kind.START:  # which was sent twice

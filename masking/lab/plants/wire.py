@@ -75,6 +75,11 @@ class Frame:
     values: Array  # (count,); empty in a frame of text
     text: str  # empty in a frame of values
 
+    @property
+    def said(self) -> str:
+        """Its text for people, in one line."""
+        return visible_line(self.text)
+
 
 def encode(kind: Kind, session: int, index: int = 0, *, values: Array = NO_VALUES, text: str = "") -> bytes:
     """Write a frame of `values` (count,) or of `text`, as its kind says; a PlantError if it is too large."""
@@ -105,7 +110,7 @@ def decode(datagram: bytes) -> Frame:
         raise WireError("malformed", f"{size} bytes do not hold {count} items")
     if kind in TEXTUAL:
         try:
-            text = visible_line(str(body[_HEADER.size :], "utf-8"))
+            text = str(body[_HEADER.size :], "utf-8")
         except UnicodeDecodeError:
             raise WireError("malformed", "the text is not UTF-8") from None
         return Frame(kind, session, index, sent, NO_VALUES, text)

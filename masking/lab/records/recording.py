@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from masking.display import thinning
-from masking.display.characters import UNFIT, visible_line
+from masking.display.characters import visible, visible_line
 from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
 from masking.lab.records.columns_on_disk import StoredColumns, read
@@ -295,17 +295,13 @@ class Recording:
         if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
             found = manifest.get("format") if isinstance(manifest, dict) else None
             raise RecordError(f"{path}: its format is '{found}'; this program reads '{FORMAT}'")
-        if unfit := next(_unfit(manifest), ""):
-            raise RecordError(
-                f"{path}: the manifest inside the table holds a control character: '{visible_line(unfit)}'"
-            )
         for old in RENAMED.keys() & manifest.keys():
             raise RecordError(
                 f"{path}: an older version of this program wrote it: '{old}' in its manifest is called "
                 f"'{RENAMED[old]}' now; make the record again, or read its columns from a csv file"
             )
         try:
-            return cls(columns, manifest, _notes(path, manifest))
+            return cls(columns, _shown(manifest), _notes(path, manifest))
         except RecordError as error:
             raise RecordError(f"{path}: {error}") from error
 
@@ -343,18 +339,16 @@ def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"{MANIFEST} {what}: the copy inside {TABLE} was used.",)
 
 
-def _unfit(content: object) -> Iterator[str]:
-    """Texts in a tree of values with a character that no text may have."""
+def _shown(content: Any) -> Any:  # noqa: ANN401  # what JSON holds
+    """A tree of values with texts that can be shown."""
     match content:
-        case str() if UNFIT.search(content):
-            yield content
-        case Mapping():
-            for key, value in content.items():
-                yield from _unfit(key)
-                yield from _unfit(value)
+        case str():
+            return visible(content)
+        case dict():
+            return {visible_line(key): _shown(value) for key, value in content.items()}
         case list():
-            for value in content:
-                yield from _unfit(value)
+            return [_shown(value) for value in content]
+    return content
 
 
 def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # whatever numpy can make an array of

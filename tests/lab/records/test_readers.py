@@ -44,6 +44,17 @@ def refusal(path, *args, **settings):
     return str(refused.value)
 
 
+def test_names_of_columns_are_refused_or_shown(tmp_path):
+    path = tmp_path / "a\x1b.csv"
+    path.write_text("t,u\x1b[31m,y\n0,1,2\n1,2,3\n")
+    assert "line 1, character 4 is U+001B, which no text holds" in refusal(path)
+    path = hdf5(tmp_path / "a\x07.h5", {"t": T, "u\x1b[31m": T})
+    made = readers.read(path, {"u": "u<U+001B>[31m"})
+    assert (made.name, {*made.columns}) == ("a<U+0007>", {"t", "u"})
+    path.with_suffix(".json").write_text(json.dumps({"t": [0, 1], "u\x07": [1, 2], "u<U+0007>": [3, 4]}))
+    assert "column 'u<U+0007>' appears more than once" in refusal(path.with_suffix(".json"))
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Write two runs of different lengths, a clock of each, and what is no vector of numbers."""

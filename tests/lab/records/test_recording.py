@@ -154,6 +154,12 @@ def test_the_copy_inside_the_table_stands_in_for_a_bad_manifest(tmp_path, beside
     assert Recording.load((tmp_path / "recording.parquet").rename(tmp_path / "alone.parquet")).notes == ()
 
 
+def test_a_manifest_is_read_as_texts_that_can_be_shown(tmp_path):
+    manifest = json.dumps({"format": FORMAT, "name": "a\x1b[2J", "b": ["\0"]}).encode()
+    path = _foreign(tmp_path / "a.parquet", pa.table({"t": [0.0, 1.0]}), manifest)
+    assert Recording.load(path).manifest == {"format": FORMAT, "name": "a<U+001B>[2J", "b": ["<U+0000>"]}
+
+
 def _foreign(path: Path, table: pa.Table, manifest: bytes | None) -> Path:
     metadata = None if manifest is None else {b"masking.manifest": manifest}
     pq.write_table(table.replace_schema_metadata(metadata), path)
@@ -168,6 +174,7 @@ def _foreign(path: Path, table: pa.Table, manifest: bytes | None) -> Path:
         ({"t": [0.0, 1.0]}, b"[]", "its format is 'None'; this program reads 'masking recording 1'"),
         ({"t": [0.0, 1.0]}, b'{"format": "masking recording 9"}', "its format is 'masking recording 9'"),
         ({"t": ["a", "b"]}, b"{}", "column 't' holds string, not numbers"),
+        ({"t": [0.0, 1.0], "x\x1b": [0.0, 1.0]}, b"{}", "the name of column 'x<U+001B>' holds a control character"),
         ({"t": [0.0, 1.0], "x": [1, None]}, b'{"format": "masking recording 1"}', "column 'x' is nan in row 1"),
     ],
 )

@@ -35,6 +35,33 @@ def problems(text, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
+        ("name: pendulum", "name: pendulum \x07", "1:16: the character U+0007 is not allowed; delete it"),
+        ("name: pendulum", "# \u202e\nname: pendulum", "1:3: the character U+202E is not allowed; delete it"),
+        ("  g: 9.81", "\tg: 9.81", "5:1: a tab is not allowed; use spaces"),
+        ("name: pendulum", 'name: "a\\0b"', "1:8: name: the character U+0000 is not allowed in a text; delete it"),
+        (
+            "angle",
+            '"\\u2067"',
+            "3:18: coordinates.th.meaning: the character U+2067 is not allowed in a text; delete it",
+        ),
+        (
+            "  l: 0.5",
+            '  l: 0.5\n  "k\\n": 1',
+            "7:4: parameters: the character U+000A is not allowed in a key; delete it",
+        ),
+    ],
+)
+def test_characters_that_no_text_may_have_are_refused_with_their_place(old, new, expected, tmp_path):
+    assert problems(PENDULUM.replace(old, new, 1), tmp_path)[0] == expected
+
+
+def test_a_file_of_windows_is_read_as_any_other(tmp_path):
+    assert problems("\ufeff" + PENDULUM.replace("\n", "\r\n"), tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
         ("g: 9.81", "g: 9,81", f"5:6: parameters.g: {COMMA}"),
         ("g: 9.81", "g: {value: 9,81}", f"5:14: parameters.g: '9,81' is no number; {POINT}"),
         ("g: 9.81", "g: {value: -9,81, meaning: gravity}",
