@@ -12,6 +12,7 @@ import masking
 from masking.app import cli
 from masking.app.cli import progress
 from masking.app.cli.parser import VERBS
+from masking.control.exports.target_text import c_name
 from masking.model.declaration import catalogue, registry
 
 SHORT = """\
@@ -335,7 +336,8 @@ def test_export_says_what_was_written_and_what_is_wrong(capsys, short, tmp_path)
     assert status == 0
     assert content["kind"] == "law"
     assert all(Path(file).is_file() for file in content["files"])
-    assert {"short.h", "short.c", "short_linux.c"} <= {Path(file).name for file in content["files"]}
+    names = {Path(file).name for file in content["files"]}
+    assert {c_name("short") + end for end in (".h", ".c", "_linux.c")} <= names  # short is a keyword of C
     status, _, error = run(capsys, "export", "duffing", "--kind", "model", "--to", "c", "--rate", "0")
     assert status == 2
     assert "--rate: 0 is no positive number; give one, such as 1000" in error
