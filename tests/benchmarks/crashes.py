@@ -1,9 +1,10 @@
-"""Crashes: loops and recorders that are killed, streams that are cut and changed, and what a recorder costs the loop.
+"""Crashes: loops, servers and recorders that are killed, streams cut and changed, and what a recorder costs the loop.
 
     python -m tests.benchmarks.crashes --kills 100 --bytes 1000 --cuts 1000
 
 A loop in a process of its own puts a row each millisecond into its ring, and counts them in a file; it is killed at a
-random instant, every other time its recorder just before it. What the stream then lacks of the count is lost.
+random instant, every other time its recorder just before it. What the stream then lacks of the count is lost. A server
+that records its plant is killed while a controller runs on it; what its record then lacks of the samples is lost.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
+from masking.app.workflows.recover import recover
 from masking.compile.numerics.arrays import Array
-from masking.errors import RecordError
+from masking.errors import PlantLostError, RecordError
+from masking.lab.plants.interface import Settings
+from masking.lab.plants.udp import UdpPlant
 from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import Recorder
+from masking.lab.records.recording import Recording
 from masking.lab.records.ring import Ring, RingReader
 
 RATE = 1000.0
@@ -80,6 +85,37 @@ def lost_rows(seconds: float, folder: Path, *, both: bool) -> int:
     if found.damages or not np.array_equal(table, np.repeat(np.arange(len(table))[:, None], WIDTH, axis=1)):
         raise ValueError(f"after {seconds:.3f} s: wrong rows, {found.damages}")
     return max(0, count - len(table))
+
+
+SERVER = """
+import sys
+from masking.lab.plants.serve import Serving, serve
+from tests.lab.plants.test_wire import MassSpring
+def say(address):
+    print(address, flush=True)
+serve(MassSpring(), "udp://127.0.0.1:0", Serving(record=sys.argv[1]), ready=say, tell=lambda text: None)
+"""
+
+
+def lost_ticks(seconds: float, folder: Path) -> int:
+    """Kill a server some seconds after the first sample; return the samples that are not in the plant's own record."""
+    with subprocess.Popen([sys.executable, "-c", SERVER, str(folder)], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        plant, last, until = UdpPlant(server.stdout.readline().strip(), patience=20.0), -1, 0.0
+        plant.configure(Settings(RATE, 1.0))
+        plant.activate()
+        with contextlib.suppress(PlantLostError):
+            while True:
+                sample = plant.read()
+                last, until = sample.index, until or time.monotonic() + seconds
+                if time.monotonic() > until:
+                    server.kill()
+                plant.write(last, np.zeros(2))
+        plant.deactivate()
+    (session,) = folder.glob("session-*")
+    _ended(session, wait=True)
+    recover(session)
+    return last + 1 - len(Recording.load(session))
 
 
 def _ended(folder: Path, *, wait: bool) -> stream_reader.Stream:
@@ -174,16 +210,21 @@ def main() -> int:
     for n, seconds in enumerate(instants):
         with tempfile.TemporaryDirectory() as folder:
             lost.append(lost_rows(float(seconds), Path(folder), both=n % 2 == 1))
+    ticks = []
+    for seconds in instants:
+        with tempfile.TemporaryDirectory() as folder:
+            ticks.append(lost_ticks(float(seconds), Path(folder)))
     with tempfile.TemporaryDirectory() as folder:
         found, wrong = changed(Path(folder) / "a", chosen.bytes)
         exact = cut(Path(folder) / "b", chosen.cuts)
         times = ratios(Path(folder) / "c", chosen.seconds)
-    print(f"{chosen.kills} kills: at most {max(lost, default=0)} rows of {RATE:g} Hz lost")
+    print(f"{chosen.kills} kills of a loop: at most {max(lost, default=0)} rows of {RATE:g} Hz lost")
+    print(f"{chosen.kills} kills of a server: at most {max(ticks, default=0)} ticks lost")
     print(f"{chosen.bytes} changed bytes: {found} found, {wrong} times a wrong row; {chosen.cuts} cuts: {exact} exact")
     for what in ("row", "late"):
         (a, b), (c, d) = times[f"{what} with"], times[f"{what} without"]
         print(f"{what}: {1e6 * a:.2f} us, p99 {1e6 * b:.1f} us; without a recorder {1e6 * c:.2f}, p99 {1e6 * d:.1f}")
-    is_sound = max(lost, default=0) <= 0.1 * RATE and found == chosen.bytes and not wrong and exact == chosen.cuts
+    is_sound = max([0, *lost, *ticks]) <= 0.1 * RATE and found == chosen.bytes and not wrong and exact == chosen.cuts
     return int(not is_sound)
 
 

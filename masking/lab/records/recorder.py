@@ -62,7 +62,8 @@ def _say(error: RecordError) -> None:
 def _record(reader: RingReader, folder: str) -> None:
     writer = stream.StreamWriter(folder)
     reader.next = writer.next
-    print(_READY, flush=True)
+    with contextlib.suppress(OSError):  # of a loop that is gone already, whose rows are still there
+        os.write(sys.stdout.fileno(), f"{_READY}\n".encode())
     most, synced, lost = max(1, MOST // (8 * len(reader.columns))), time.monotonic(), 0
     while True:
         # Asked before the rows are taken: none follows those then.
