@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import linecache
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -60,5 +61,9 @@ def part_of(module: Module, name: str) -> Expressions | Closure:
 
 @cache
 def _source(code: CodeType) -> str:
-    """Source of a function; those that a factory makes have the same code."""
-    return textwrap.dedent(inspect.getsource(code))
+    """Source of a function; those that a factory makes have the same code.
+
+    `inspect.getsource` looks at every module that is loaded, and so loads all that are waiting to be used.
+    """
+    lines = linecache.getlines(code.co_filename)[code.co_firstlineno - 1 :]
+    return textwrap.dedent("".join(inspect.getblock(lines)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial, partialmethod, reduce
 from typing import Any
@@ -72,7 +72,11 @@ class Graph:
 
     def lower(self, expression: sp.Expr, symbols: Mapping[sp.Symbol, Node]) -> Node:
         """Node of a sympy expression, given nodes of its symbols; a `ModelError` names what cannot be compiled."""
-        return _Lowering(self, symbols).node(expression)
+        return self.lowered([expression], symbols)[0]
+
+    def lowered(self, expressions: Iterable[sp.Expr], symbols: Mapping[sp.Symbol, Node]) -> list[Node]:
+        """Node of each expression, as `lower`; in one walk, since most entries of a large matrix are the same."""
+        return [*map(_Lowering(self, symbols).node, expressions)]
 
     def _node(self, operation: tuple[str | float | int, ...], varying: bool) -> Node:
         node = self._index.get(operation)

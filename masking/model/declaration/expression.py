@@ -129,7 +129,7 @@ class Expression:
 
     def to_sympy(self, symbols: Mapping[str, sp.Symbol]) -> sp.Expr:
         """Translate into sympy; decimals become exact rationals; `symbols` are given by name with primes."""
-        return self.walk(_Symbolic(self, symbols))
+        return _added(self.walk(_Symbolic(self, symbols)))
 
     def _refuse(self, start: int, end: int, message: str, remedy: str) -> DeclarationError:
         return DeclarationError(self.problem((start, end), message, remedy))
@@ -212,9 +212,14 @@ class _Bounds:
         return result, degree
 
 
+def _added(value: Any) -> Any:  # noqa: ANN401
+    """Expression of sympy; a list is one of terms that have not been added yet."""
+    return sp.Add(*value) if isinstance(value, list) else value
+
+
 @dataclass(frozen=True, slots=True)
 class _Symbolic:
-    """sympy expressions."""
+    """sympy expressions, or the terms of a sum: sympy sorts a sum whenever it adds to it."""
 
     expression: Expression
     symbols: Mapping[str, Any]
@@ -228,11 +233,16 @@ class _Symbolic:
         return self.symbols[step.value]
 
     def apply(self, step: Step, args: Sequence[Any]) -> Any:  # noqa: ANN401
+        if step.operation in {"+", "-"}:
+            terms, more = (one if isinstance(one, list) else [one] for one in args)
+            terms += more if step.operation == "+" else [-one for one in more]
+            return terms
+        args = [_added(one) for one in args]
         if step.operation == "**" and args[1].is_Rational and abs(args[1]) > LARGEST_EXPONENT:
             message = f"the exponent simplifies to {args[1]}, larger than {LARGEST_EXPONENT}"
             raise DeclarationError(self.expression.problem(step, message))
         symbolic = OPERATIONS[step.operation].symbolic
         result = getattr(sp, symbolic)(*args) if isinstance(symbolic, str) else symbolic(*args)
-        if step.operation not in {"+", "-", "*", "negative"} and result.has(sp.zoo, sp.nan, sp.oo):
+        if step.operation not in {"*", "negative"} and result.has(sp.zoo, sp.nan, sp.oo):
             raise DeclarationError(self.expression.problem(step, "is not finite"))
         return result

@@ -12,13 +12,14 @@ def gradient(expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]
     zero, holding = sp.Integer(0), dict[sp.Symbol, list[sp.Expr]]()
     asked = frozenset(symbols)
     for term in sp.Add.make_args(expression):
-        factor, inner = term.as_independent(*symbols, as_Add=False) if term.is_Mul else (None, term)
+        held = term.free_symbols & asked
+        factor, inner = term.as_independent(*held, as_Add=False) if term.is_Mul and held else (None, term)
         if factor not in {None, 1} and inner.is_Add:  # a constant before a long sum
             for symbol, slope in zip(symbols, gradient(inner, symbols), strict=True):
                 if slope != 0:
                     holding.setdefault(symbol, []).append(factor * slope)
             continue
-        for symbol in term.free_symbols & asked:
+        for symbol in held:
             holding.setdefault(symbol, []).append(sp.diff(term, symbol))
     return [sp.Add(*holding[s]) if s in holding else zero for s in symbols]
 

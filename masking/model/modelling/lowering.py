@@ -60,8 +60,9 @@ class LoweredEquations:
                     text = kind + prefix + symbol.name.rstrip("'")
                     nodes[symbol] = graph.symbol(text, varying=varying)
         if equations.coordinates:
-            mass = [[graph.lower(e, nodes) for e in row] for row in equations.mass.tolist()]
-            force = [[graph.lower(e, nodes) for e in row] for row in equations.force.tolist()]
+            n = len(equations.coordinates)
+            entries = graph.lowered((*equations.mass.flat(), *equations.force.flat()), nodes)
+            mass, force = [entries[n * i : n * (i + 1)] for i in range(n)], [[entry] for entry in entries[n * n :]]
             solution, divisors = solve(graph, mass, force)
         else:
             solution, divisors = [], []

@@ -381,7 +381,8 @@ class Model:
             DeclarationError: a declared unit or value is wrong.
             ModelError: the equations cannot be made explicit, or the scales cannot express a unit.
         """
-        self._build()
+        self._check_units()
+        _ = self.kernels  # which are made of explicit equations alone
         self.check_mass()
         if self.declaration.scales:
             self.dimensionless().values()
@@ -399,7 +400,8 @@ class Model:
         rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
         point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
         point |= {z: self.declaration.states[z.name].initial for z in s.s}
-        matrix = np.array(e.mass.subs(point).evalf().tolist(), dtype=float)
+        held = {symbol: sp.Float(point[symbol]) for symbol in e.mass.free_symbols}
+        matrix = np.array(e.mass.xreplace(held).evalf().tolist(), dtype=float)
         if np.linalg.matrix_rank(matrix) < len(matrix):
             raise e.singular(point)
         if self.declaration.lagrangian is not None and np.min(np.linalg.eigvalsh(matrix)) <= 0.0:
@@ -484,8 +486,11 @@ class Model:
         """Names of the states: coordinates, velocities (`x1'`), internal states."""
         return [*self.coordinates, *(f"{c}'" for c in self.coordinates), *self.states]
 
-    def _build(self) -> Module:
+    def _check_units(self) -> None:
         problems = [*check_dimensions(self.declaration), *check_scales(self.declaration)]
         if problems:
             raise DeclarationError(problems)
+
+    def _build(self) -> Module:
+        self._check_units()
         return module(self.equations)

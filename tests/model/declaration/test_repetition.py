@@ -1,5 +1,7 @@
 """Declarations with indices, and systems of many coordinates that are declared with them."""
 
+import cProfile
+import pstats
 import re
 from pathlib import Path
 
@@ -189,3 +191,24 @@ def test_many_coordinates_are_masked(name, n):
         found.append(mapped[:size].copy())
     columns = zip(np.array(found).T, virtual.T, strict=True)
     assert max(masking_error(one, other) for one, other in columns) <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("right", "indices", "counts", "most"),
+    [
+        ("c*(x[i-1] - 2*x[i] + x[i+1]) - x[i]**3", "i = 1..N", (100, 400), 10.0),
+        ("c*sum(j, x[j] - x[i]) - x[i]**3 + x0 + x[N+1]", "i = 1..N, j = 1..N", (30, 60), 5.0),
+    ],
+    ids=["chain", "all to all"],
+)
+def test_to_check_takes_as_long_as_there_are_terms(tmp_path, right, indices, counts, most):
+    """There are four times as many; calls of functions are counted, which no other process changes."""
+    calls = []
+    for count in (3, *counts):  # the first loads packages
+        head = f"repeat: [N = {count}, {indices}]\ncoordinates: {{'x[i]': displacement}}\nparameters: {{c: 1}}\n"
+        text = f"{head}definitions: {{x0: 0, 'x[N+1]': 0}}\nequations:\n  x[i]'': {right}\n"
+        path = declared(tmp_path, text)
+        profile = cProfile.Profile()
+        profile.runcall(lambda path=path: load_model(path).validate())
+        calls.append(pstats.Stats(profile).total_calls)
+    assert calls[2] < most * calls[1]
