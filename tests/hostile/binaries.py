@@ -419,6 +419,22 @@ def _hdf5() -> Iterator[RecordCase]:  # noqa: PLR0915  (one list, with what fill
         for number in range(40):
             file.create_dataset(f"z{number}", (2**21,), "f8", chunks=(2**16,))
 
+    def nested(file: h5py.File) -> None:
+        file["x"] = X
+        group = file
+        for _ in range(3000):
+            group = group.create_group("a")
+
+    def crowded(file: h5py.File) -> None:
+        file["x"] = X
+        for number in range(10_000):
+            file.create_group(f"g/{number}")
+
+    def in_circles(file: h5py.File) -> None:
+        file["x"] = X
+        group = file.create_group("a")
+        group["all"], group["self"], group["named"] = file["/"], group, h5py.SoftLink("/a/all")
+
     def bomb(file: h5py.File) -> None:
         file.create_dataset("x", data=np.zeros(BOMB // 8), compression="gzip", compression_opts=1, chunks=(2**17,))
 
@@ -449,6 +465,9 @@ def _hdf5() -> Iterator[RecordCase]:  # noqa: PLR0915  (one list, with what fill
     yield one("an external link in a group", in_group, Refused(("a/b/c is an external link",)))
     yield one("8 TiB", huge, Refused(("unpacks to",)))
     yield one("several that are large", several, Refused(("unpacks to",)))
+    yield one("3000 groups in one another", nested, Refused(("nested deeper",)))
+    yield one("10 000 groups", crowded, Refused(("more than 10000 groups",)))
+    yield one("links in circles", in_circles, Read(COLUMNS))
     yield one("a bomb", bomb, Refused(("unpacks to",)), slow=True)
     yield one("a chunk that is a bomb", chunk, Refused(("a chunk unpacks to more",)))
     yield one("links in a circle", loops, whole)

@@ -6,6 +6,7 @@ This module alone touches h5py, so that whoever reads no such file does not pay 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -18,6 +19,8 @@ from masking.lab.records.nested_data import MOST_COLUMNS, parsed, vectors
 
 # What MATLAB calls numbers. Text, tables and objects are kept as integers, too, with another class beside them.
 _MATLAB = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+DEEPEST_NESTING = 50  # of groups
+MOST_OBJECTS = 10_000  # measured: they are looked at in two seconds
 _MOST_INFLATED = 1032  # times as many bytes as are stored
 
 
@@ -35,28 +38,48 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     """
     total = 0
     found: dict[str, NDArray[np.float64]] = {}
-
-    def visit(path: str, held: h5py.Group | h5py.Dataset) -> None:
-        nonlocal total
-        if isinstance(held, h5py.Dataset):
+    with parsed(file, "the HDF5 file"), h5py.File(file, "r") as opened:
+        for path, held in _datasets(file, opened, "", {_address(opened)}):
             if held.is_virtual or held.external:
                 raise _elsewhere(file, path, "a virtual dataset" if held.is_virtual else "stored in another file")
-            if _has_vectors(path, held):
+            if _has_vectors(held):
                 total += 8 * held.size
                 unpacked_size.check(file, total)
                 _check_chunks(file, held)
                 found.update(vectors(path, held[()]))
-
-    def outside(path: str, held: object) -> str | None:
-        return path if isinstance(held, h5py.ExternalLink) else None
-
-    with parsed(file, "the HDF5 file"), h5py.File(file, "r") as opened:
-        if (path := opened.visititems_links(outside)) is not None:
-            raise _elsewhere(file, path, "an external link")
-        opened.visititems(visit)
     if not found:
         raise RecordError(f"{file}: it holds no vectors of numbers")
     return found
+
+
+def _datasets(file: Path, group: h5py.Group, path: str, seen: set[int]) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Each dataset of a group and of those in it, by its first path; `seen` are addresses in the file.
+
+    Links by name are not followed. A RecordError where there are too many objects, or groups too deep.
+    """
+    if path.count("/") >= DEEPEST_NESTING:
+        raise RecordError(f"{file}: its groups are nested deeper than {DEEPEST_NESTING}; write the data into fewer")
+    if len(seen) + len(group) > MOST_OBJECTS:
+        raise RecordError(f"{file}: it holds more than {MOST_OBJECTS} groups and datasets; write columns into a matrix")
+    for name in group:
+        inner = f"{path}/{name}".lstrip("/")
+        link = group.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise _elsewhere(file, inner, "an external link")
+        if isinstance(link, h5py.SoftLink) or name.startswith("#"):  # MATLAB's own: what cells and objects refer to
+            continue
+        held = group[name]
+        if _address(held) in seen:
+            continue
+        seen.add(_address(held))
+        if isinstance(held, h5py.Group):
+            yield from _datasets(file, held, inner, seen)
+        elif isinstance(held, h5py.Dataset):
+            yield inner, held
+
+
+def _address(held: h5py.HLObject) -> int:
+    return int(h5py.h5o.get_info(held.id).addr)
 
 
 def _elsewhere(file: Path, path: str, what: str) -> RecordError:
@@ -77,9 +100,7 @@ def _check_chunks(file: Path, held: h5py.Dataset) -> None:
             raise RecordError(f"{file}: {held.name} is damaged: a chunk unpacks to more than its {size} bytes")
 
 
-def _has_vectors(path: str, held: h5py.Dataset) -> bool:
-    if any(part.startswith("#") for part in path.split("/")):  # MATLAB's own: what cells and objects refer to
-        return False
+def _has_vectors(held: h5py.Dataset) -> bool:
     sides = sorted(held.shape or ())
     if not held.size or held.size < 2 or held.size > sides[-1] * MOST_COLUMNS:
         return False
