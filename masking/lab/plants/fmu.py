@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +16,15 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import PlantError, PlantMismatchError
+from masking.errors import PlantError, PlantMismatchError, RecordError
 from masking.lab.plants import address as addresses
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.stepped import SteppedPlant
+from masking.lab.records import unpacked_size
 
 FORM: Final = "fmu:rig.fmu?sensors=x&actuators=u"
 _OPTIONS: Final = ("sensors", "actuators")
+_MOST_FILES: Final = 10_000  # in a unit
 _KINDS: Final = {"2.0": (FMU2Slave, "Real"), "3.0": (FMU3Slave, "Float64")}  # class, type of numbers
 
 
@@ -39,7 +43,10 @@ class FmuPlant(SteppedPlant):
         if not Path(self._path).is_file():
             raise PlantMismatchError(f"{address}: there is no file '{self._path}'; write the address as {FORM}")
         try:
+            _check_size(Path(self._path))
             self._described = fmpy.read_model_description(self._path)
+        except RecordError as error:
+            raise PlantMismatchError(str(error)) from error
         except Exception as error:  # whatever fmpy raises at a file that is none
             reason = " ".join(str(error).split())
             raise PlantMismatchError(f"{address}: no FMU that fmpy reads ({reason}); correct the file") from error
@@ -47,6 +54,11 @@ class FmuPlant(SteppedPlant):
         if self._described.coSimulation is None or version not in _KINDS:
             remedy = "give one for co-simulation of FMI 2.0 or 3.0"
             raise PlantMismatchError(f"{address}: an FMU of FMI {version} that cannot be stepped so; {remedy}")
+        self._identifier = str(self._described.coSimulation.modelIdentifier)
+        if re.fullmatch(r"[A-Za-z_]\w*", self._identifier, re.ASCII) is None:  # the name of the library in the file
+            raise PlantMismatchError(
+                f"{address}: its modelIdentifier '{self._identifier}' is no name; correct the file"
+            )
         self._kind, self._number = _KINDS[version]
         outputs, inputs = ({
             v.name: int(v.valueReference)
@@ -69,7 +81,7 @@ class FmuPlant(SteppedPlant):
             self._unit = self._kind(
                 guid=self._described.guid,
                 unzipDirectory=fmpy.extract(self._path, self._folder.name),
-                modelIdentifier=self._described.coSimulation.modelIdentifier,
+                modelIdentifier=self._identifier,
                 instanceName="plant",
             )
             self._unit.instantiate()
@@ -115,3 +127,12 @@ class FmuPlant(SteppedPlant):
             reason = " ".join(str(error).split())
             remedy = "a step of another length may do: change controller.rate"
             raise PlantError(f"{self._path} {what} ({type(error).__name__}: {reason}); {remedy}") from error
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a file that unpacks to too much, by a RecordError; whatever zipfile raises where it is none."""
+    with zipfile.ZipFile(path) as packed:
+        files = packed.infolist()
+    unpacked_size.check(path, sum(one.file_size for one in files))
+    if len(files) > _MOST_FILES:
+        raise RecordError(f"{path}: it holds {len(files)} files, more than {_MOST_FILES}; leave out what is not needed")

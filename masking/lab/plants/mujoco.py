@@ -11,10 +11,12 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantError, PlantMismatchError
 from masking.lab.plants import address as addresses
+from masking.lab.plants import mjcf_size
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.stepped import SteppedPlant
 
 FORM: Final = "mujoco:rig.xml?sensors=x,v&actuators=motor"
+MOST_STEPS: Final = 100_000  # of a sample: some seconds even of a small model
 _OPTIONS: Final = ("sensors", "actuators", "key")
 _UNSTABLE: Final = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{kind}") for kind in ("POS", "VEL", "ACC"))
 
@@ -32,11 +34,14 @@ class MujocoPlant(SteppedPlant):
     def __init__(self, address: str) -> None:
         where = addresses.parse(address, _OPTIONS, FORM)
         self._file = where.place
+        mjcf_size.check(where.place)
         try:
             self._model = mujoco.MjModel.from_xml_path(where.place)
-        except ValueError as error:
+        except (ValueError, RuntimeError) as error:
             raise PlantMismatchError(f"{address}: {' '.join(str(error).split())}; correct the file") from error
         self._declared = float(self._model.opt.timestep)
+        if not 0.0 < self._declared < math.inf:
+            raise PlantMismatchError(f"{address}: its timestep is {self._declared:g} s; give one above 0")
         readings = _readings(self._model)
         motors = {name: i for i in range(self._model.nu) if (name := self._model.actuator(i).name)}
         sensors = where.channels("sensors", tuple(readings), readings)
@@ -49,7 +54,13 @@ class MujocoPlant(SteppedPlant):
 
     def begin(self, settings: Settings) -> None:
         """Go to the start, with a time step that divides a sample."""
-        self._steps = max(1, math.ceil(1.0 / (settings.rate * self._declared) - 1e-9))
+        steps = 1.0 / (settings.rate * self._declared)
+        if steps > MOST_STEPS:
+            raise PlantMismatchError(
+                f"{self._file}: a sample would take {steps:.3g} steps of {self._declared:g} s, more than {MOST_STEPS}; "
+                "give it a longer timestep, or run it at a higher rate"
+            )
+        self._steps = max(1, math.ceil(steps - 1e-9))
         self._model.opt.timestep = 1.0 / (settings.rate * self._steps)
         if self._key is None:
             mujoco.mj_resetData(self._model, self._data)

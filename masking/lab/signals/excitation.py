@@ -20,6 +20,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError, nearest
+from masking.lab.records import named_files
 from masking.lab.records.recording import FORMAT, Recording
 from masking.lab.signals.signal_arguments import names, positive
 from masking.lazy_imports import parquet
@@ -27,6 +28,7 @@ from masking.lazy_imports import parquet
 KIND: Final = "excitation"
 PREFIX: Final = "input."
 UNEVEN: Final = 1e-3  # of a sample, that the clock of a file may be off: more than rounding, less than a slipped one
+_LARGEST: Final = 2**30  # bytes of a csv
 RATE_DIGITS: Final = 10  # of a rate that is read from a clock: beyond them is what rounding does
 _HEADER = re.compile(r"(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
@@ -220,7 +222,7 @@ class Excitation:
 
 def _from_csv(path: Path) -> Excitation:
     try:
-        text = path.read_text("utf-8-sig")
+        text = named_files.content(path, _LARGEST).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         what = getattr(error, "strerror", None) or error
         raise RecordError(f"{path}: the excitation cannot be read: {what}") from error
