@@ -2,6 +2,7 @@ import control as control
 import jinja2 as jinja2
 import numba as numba
 import pint as pint
+import pydantic as pydantic
 import sympy as sympy
 import uncertainties as uncertainties
 from llvmlite import binding as binding

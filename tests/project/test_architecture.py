@@ -91,7 +91,7 @@ OUTSIDE: dict[str, set[str]] = {
     "pint": {"declaration"},
     "platformdirs": {"codegen"},
     "pyarrow": {"records"},
-    "pydantic": {"declaration"},
+    "pydantic": {"declaration", "records"},
     "sympy": {"declaration", "codegen", "modelling", "rig", "control", "analysis", "discovery", "workflows"},
     "tqdm": {"cli"},
     "uncertainties": {"declaration"},

@@ -12,7 +12,7 @@ import numpy as np
 from masking.app.workflows.output_folders import RUN, own_folder
 from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError, RecordError
-from masking.lab.records import stream, stream_reader, tick_record
+from masking.lab.records import foreign_json, stream, stream_reader, tick_record
 from masking.lab.records.recorder import CLOSED
 from masking.lab.records.recording import Recording
 from masking.lab.records.ring import RingReader
@@ -21,14 +21,59 @@ from masking.lab.records.stream_reader import Stream
 from masking.lab.records.tick_times import timing
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import RowLayout, samples_after
+from masking.lab.runs.realtime import LOOP
 from masking.lab.runs.stopping import KILLED
 from masking.model.declaration import registry
 from masking.reports import run_report
 
 TICKS: Final = "ticks"
+_SLOWEST, _FASTEST = 1e-9, 1e9  # Hz
 _OF_RUN: Final = ("created", "commit", "files", "versions", "declarations")
 _OF_PLANT: Final = ("name", "created", "clock", "watchdog")
 _PLANTS: Final = "it is the plant's own record of a session, whose server was killed"
+
+
+@dataclass(frozen=True)
+class _Column:
+    """What the manifest of a stream says of a column."""
+
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What the manifest of the stream of a run has to say, by its keys."""
+
+    columns: dict[str, _Column]
+    rate: float
+    lockstep: bool
+    created: str
+    commit: str | None
+    files: dict[str, str]
+    versions: dict[str, str]
+    declarations: dict[str, Any]
+    inputs: dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class _Session:
+    """What the manifest of the stream of a plant's session has to say, by its keys."""
+
+    columns: dict[str, _Column]
+    rate: float
+    name: str
+    created: str
+    clock: str
+    watchdog: float
+
+
+@dataclass(frozen=True)
+class _End:
+    """What the last page of a stream has to say."""
+
+    why: str
+    rows: int
 
 
 @dataclass(frozen=True)
@@ -76,7 +121,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         RecordError: there is no stream, or no row in it, it is still being written, or the folder cannot be written.
     """
     target = Path(folder if out is None else out)
-    found = stream_reader.read(folder)
+    found = _read(folder)
     held = [*(name for name in RUN if name != stream.MANIFEST), f"{TICKS}/{RUN[0]}"]
     with own_folder(target, *held, overwrite=overwrite):
         whole, end = _with_ring(found), _end(found)
@@ -84,9 +129,9 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
             unread = f"no tick of the run is readable ({'; '.join(found.damages)})"
             why = unread if found.damages else "the run ended before its first tick"
             raise RecordError(f"{folder}: {why}; remove {stream.MANIFEST} and {stream.ROWS}")
-        missing = max(int(whole.numbers[-1]) + 1, int((found.end or {}).get("rows", 0))) - len(whole.numbers)
+        missing = max(int(whole.numbers[-1]) + 1, (found.end or {}).get("rows", 0)) - len(whole.numbers)
         lost = {"missing": missing, "end": end, "damages": list(found.damages)}
-        is_plants = "declarations" not in found.manifest
+        is_plants = _is_of_plant(found)
         kept = {name: found.manifest[name] for name in (_OF_PLANT if is_plants else _OF_RUN)}
         kept |= {"recovered": lost} if is_plants else {"name": "the ticks of a run", "recovered": lost}
         ticks = target if is_plants else target / TICKS
@@ -107,6 +152,32 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         return Recovered(target, ticks, *counts, end, found.damages, recording, why)
 
 
+def _is_of_plant(found: Stream) -> bool:
+    return "declarations" not in found.manifest
+
+
+def _read(folder: str | Path) -> Stream:
+    """Stream whose manifest and last page say what they have to; rows that are no ticks are left out."""
+    found = stream_reader.read(folder)
+    where, is_plants = f"{Path(folder) / stream.MANIFEST}", _is_of_plant(found)
+    foreign_json.check(found.manifest, _Session if is_plants else _Run, where)
+    if found.end is not None:
+        foreign_json.check(found.end, _End, f"the last page of {Path(folder) / stream.ROWS}")
+    names, rate = list(found.manifest["columns"]), found.manifest["rate"]
+    if not _SLOWEST <= rate <= _FASTEST:
+        raise RecordError(f"{where}: rate: must be from {_SLOWEST:g} to {_FASTEST:g} Hz, not {rate:g}")
+    counted = [tick_record.TICK] if is_plants else [*LOOP]
+    if absent := [name for name in counted if name not in names]:
+        raise RecordError(f"{where}: columns: there is no '{absent[0]}'; it is no stream of a run")
+    counts = [tick_record.column(found.tables, names.index(name)) for name in counted if name in {"tick", "index"}]
+    sound = np.isfinite(counts).all(axis=0)
+    if sound.all():
+        return found
+    said = f"{np.count_nonzero(~sound)} rows hold no number of a tick, and were left out"
+    damages = (*found.damages, f"{stream.ROWS}: {said}")
+    return replace(found, numbers=found.numbers[sound], tables=(found.table[sound],), damages=damages)
+
+
 def _end(found: Stream) -> str:
     """Reason for the end of the stream, as a sentence."""
     if found.end is None:
@@ -122,7 +193,8 @@ def _ring(found: Stream) -> RingReader | None:
         reader = RingReader(found.manifest["ring"])
     except (RecordError, KeyError, TypeError):
         return None
-    return reader if reader.facts.get("number") == found.manifest.get("number") else None
+    is_same = reader.facts.get("number") == found.manifest.get("number")
+    return reader if is_same and [*reader.columns] == [*found.manifest["columns"]] else None
 
 
 def _with_ring(found: Stream) -> Stream:

@@ -32,10 +32,10 @@ def save(found: Stream, folder: Path, facts: Mapping[str, Any], lateness: str | 
     if not len(found.numbers):
         raise RecordError(f"{found.folder}: its stream has no row")
     names, rate = [*found.manifest["columns"]], float(found.manifest["rate"])
-    ticks = _column(found.tables, names.index(TICK))
+    ticks = column(found.tables, names.index(TICK))
     clock = (ticks if np.all(np.diff(ticks) > 0.0) else found.numbers) / rate
     is_finite = np.all([np.isfinite(part).all(axis=0) for part in found.tables], axis=0)
-    late = {} if lateness is None else {"lateness": np.nan_to_num(_column(found.tables, names.index(lateness)))}
+    late = {} if lateness is None else {"lateness": np.nan_to_num(column(found.tables, names.index(lateness)))}
     manifest = {"columns": found.manifest["columns"], **facts, "rate": rate}
     if late:
         manifest["timing"] = timing(ticks.astype(np.int64), **late)
@@ -56,8 +56,9 @@ def save(found: Stream, folder: Path, facts: Mapping[str, Any], lateness: str | 
         writer.close(text)
 
 
-def _column(tables: Sequence[Array], index: int) -> Array:
-    return np.concatenate([table[:, index] for table in tables])
+def column(tables: Sequence[Array], index: int) -> Array:
+    """One column (rows,) of rows (rows, columns) in parts."""
+    return np.concatenate([np.empty(0), *(table[:, index] for table in tables)])
 
 
 def _parts(tables: Sequence[Array]) -> Iterator[Array]:

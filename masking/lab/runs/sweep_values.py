@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final, Literal, NoReturn, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import DeclarationError, Problem
+from masking.errors import DeclarationError, Problem, RecordError
+from masking.lab.records import foreign_json
 from masking.lazy_imports import stats
 
 Sampling = Literal["random", "latin", "sobol"]
+MOST_VALUES: Final = 10_000_000  # of what varies, in all runs
 FACTOR: Final = "x:"  # before values that the declared one is multiplied by
 FIT: Final = "fit:"  # before the file of a fit
 _FORMS: Final = (
@@ -53,6 +52,21 @@ class Axis:
 
 
 @dataclass(frozen=True)
+class _Value:
+    """What a fit says of a parameter."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What a fit has to say, by the keys of its file."""
+
+    parameters: dict[str, _Value]
+    covariance: list[list[float]]
+
+
+@dataclass(frozen=True)
 class Joint:
     """Values that are drawn together: mean + root z, z independent and standard normal."""
 
@@ -80,7 +94,8 @@ class Design:
     def points(self) -> Array:
         """Values of each run (rows, axes): the last axis of the grid first, then what is drawn."""
         lists = [axis.values for axis in self.axes if axis.values is not None]
-        grid = np.array(list(itertools.product(*lists)), dtype=float).reshape(math.prod(map(len, lists)), len(lists))
+        meshes = np.meshgrid(*lists, indexing="ij")
+        grid = np.stack([one.ravel() for one in meshes], axis=-1) if lists else np.empty((1, 0))
         drawn = self._drawn()
         found = np.empty((len(grid) * self.runs, len(self.axes)))
         at = np.array([axis.values is not None for axis in self.axes], dtype=bool)
@@ -123,8 +138,8 @@ class Design:
         axes, joint = list[Axis](), list[Joint]()
         for key, given in over.items():
             if isinstance(given, str) and given.startswith(FIT):
-                fitted, mean, covariance = _fit(key, given.removeprefix(FIT))
-                joint.append(Joint(len(axes), mean, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)))
+                fitted, mean, root = _fit(key, given.removeprefix(FIT))
+                joint.append(Joint(len(axes), mean, root))
                 axes += [Axis((f"{key}.{name}",), distribution=stats.norm()) for name in fitted]
             else:
                 axes.append(_axis(key, given))
@@ -135,6 +150,12 @@ class Design:
             _refuse("over", "nothing varies", "name something, such as --over z=0.1:0.3:20, or give --runs")
         if runs is not None and runs < 1:
             _refuse("runs", f"must be at least 1, not {runs}")
+        if seed < 0:
+            _refuse("seed", f"must be at least 0, not {seed}")
+        rows = math.prod(len(axis.values) for axis in axes if axis.values is not None) * (runs or 1)
+        if rows * max(1, len(axes)) > MOST_VALUES:
+            remedy = f"take coarser grids or fewer runs, {MOST_VALUES} values in all at most"
+            _refuse("over", f"asks for {rows:.3g} runs of {len(axes)} values each", remedy)
         if sampling not in {"random", "latin", "sobol"}:
             _refuse("sampling", f"there is no '{sampling}'", "give random, latin or sobol")
         return cls(tuple(axes), runs or 1, seed, sampling, tuple(joint))
@@ -159,7 +180,8 @@ def _read(key: str, text: str) -> Distribution | Array:
     try:
         if kind in {"normal", "uniform", "loguniform"}:
             a, b = map(float, rest)
-            if not (b > 0.0 if kind == "normal" else b > a and (a > 0.0 or kind == "uniform")):
+            is_wide = b > 0.0 if kind == "normal" else b > a and (a > 0.0 or kind == "uniform")
+            if not (is_wide and math.isfinite(b - a)):
                 raise ValueError(text)
             made: dict[str, Any] = {"normal": stats.norm, "loguniform": stats.loguniform}
             found: Distribution = stats.uniform(a, b - a) if kind == "uniform" else made[kind](a, b)
@@ -167,21 +189,33 @@ def _read(key: str, text: str) -> Distribution | Array:
         if not rest:
             return np.array([float(x) for x in kind.split(",")])
         low, high, count = float(kind), float(rest[0]), int(rest[1])
-        if rest[2:] not in ([], ["log"]) or count < 1:
+        if (
+            rest[2:] not in ([], ["log"])
+            or count < 1
+            or not math.isfinite(high - low)
+            or (rest[2:] and low * high <= 0.0)
+        ):
             raise ValueError(text)
+        if count > MOST_VALUES:
+            _refuse(key, f"'{text}' has {count} values", f"take {MOST_VALUES} at most")
         return np.geomspace(low, high, count) if rest[2:] else np.linspace(low, high, count)
     except (ValueError, IndexError):
         _refuse(key, f"'{text}' cannot be read", _FORMS)
 
 
 def _fit(key: str, path: str) -> tuple[list[str], Array, Array]:
-    """Names, values and covariance of a fit."""
+    """Names, values and root of the covariance of a fit."""
+    remedy = "name the fit.json that 'masking identify' writes"
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        values = {name: entry["value"] for name, entry in content["parameters"].items()}
-        return [*values], np.array([*values.values()]), np.array(content["covariance"], dtype=float)
-    except (OSError, ValueError, KeyError, TypeError):
-        _refuse(key, f"{path} has no fit with a covariance", "name the fit.json that 'masking identify' writes")
+        content = foreign_json.load(path, _Fit)
+    except RecordError as error:
+        _refuse(key, f"no fit with a covariance: {error}", remedy)
+    values = {name: entry["value"] for name, entry in content["parameters"].items()}
+    try:
+        covariance = np.array(content["covariance"], dtype=float).reshape(len(values), len(values))
+        return [*values], np.array([*values.values()]), np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except ValueError as error:  # of its shape, or as one that is of no positive covariance
+        _refuse(key, f"no fit with a covariance: {path}: {error}", remedy)
 
 
 def _refuse(name: str, message: str, remedy: str = "") -> NoReturn:
