@@ -9,17 +9,20 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.app.cli import declaration_verbs, identification_verbs, rig_verbs, run_verbs
+from masking.app.cli import declaration_verbs, defects, identification_verbs, rig_verbs, run_verbs
 from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.app.cli.terminal import printable
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
-from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError
+from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError, Problem
 
 VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identification_verbs.VERBS, *rig_verbs.VERBS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to correct first."""
+    """Run the command line; return its exit status: 0 done, 1 a run that stopped, 2 something to correct first.
+
+    After an interrupt it is 130, after a defect of this program 70.
+    """
     with printable():
         return _done(arguments)
 
@@ -39,10 +42,7 @@ def _done(arguments: Sequence[str] | None) -> int:
         status: int = call.verb.act(call)
         sys.stdout.flush()
     except MaskingError as error:
-        problems = error.problems if isinstance(error, DeclarationError) else ()
-        if any(text.partition("=")[0] == "--json" for text in given):
-            print(json.dumps({"error": str(error), "problems": [p.as_dict() for p in problems]}, indent=2))
-        print(error if problems else f"masking: {error}", file=sys.stderr)
+        _refuse(str(error), error.problems if isinstance(error, DeclarationError) else (), given)
         return error.exit_status
     except KeyboardInterrupt:
         print(call.verb.interrupted.format(out=call.out) if call else NOTHING_SAVED, file=sys.stderr)
@@ -50,14 +50,23 @@ def _done(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:  # the reader, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        if error.errno not in NO_PLACE:
-            raise
+    except Exception as error:  # the last catch: an input ends in a sentence, whatever is wrong
+        if not isinstance(error, OSError) or error.errno not in NO_PLACE:
+            sentence, status = defects.said(error, given)
+            _refuse(sentence, (), given)
+            return status
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         with contextlib.suppress(OSError):
             print(f"masking: what it says cannot be written ({error.strerror}); make room", file=sys.stderr)
         return MaskingError.exit_status
     return status
+
+
+def _refuse(sentence: str, problems: Sequence[Problem], given: Sequence[str]) -> None:
+    """Print an error, for programs where JSON is asked for, and for people."""
+    if any(text.partition("=")[0] == "--json" for text in given):
+        print(json.dumps({"error": sentence, "problems": [p.as_dict() for p in problems]}, indent=2))
+    print(sentence if problems else f"masking: {sentence}", file=sys.stderr)
 
 
 def _with_units(given: Sequence[str]) -> list[str]:
