@@ -17,7 +17,10 @@ from masking.app.workflows.recover import recover
 from masking.errors import DeclarationError, MaskingError, PlantMismatchError, RecordError
 from masking.lab.plants import adapters
 from masking.lab.plants.interface import Settings
-from masking.lab.records import foreign_json, named_files, stream
+from masking.lab.records import foreign_json, named_files, readers, stream
+from masking.lab.records.time_base import Resampling
+from masking.lab.runs import batch_plan
+from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.realtime import LOOP
 from masking.lab.runs.sweep_values import Design
 from masking.lab.signals.excitation import Excitation
@@ -265,6 +268,54 @@ def test_a_sweep_of_too_much_is_refused(tmp_path, monkeypatch, over, runs, words
     with pytest.raises(DeclarationError) as refused:
         Design.of(over, runs, 0, "random")
     assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"event": "begin", "run": 0, "try": 1}, "run: must be from 1 to 2, not 0"),
+        ({"event": "begin", "run": 3, "try": 1}, "run: must be from 1 to 2, not 3"),
+        ({"event": "begin", "run": "a", "try": 1}, "run: must be a whole number"),
+        ({"event": "end", "run": 1, "try": 1}, "the key 'end' is missing"),
+        ({"event": "end", "run": 1, "end": "finished", "seconds": "x"}, "seconds: must be a number"),
+        ({"event": ["begin"]}, "event: must be a text"),
+        ({}, "the key 'event' is missing"),
+    ],
+)
+def test_an_entry_of_a_journal_is_refused(entry, words):
+    runs = [batch_plan.Run(1, {}), batch_plan.Run(2, {})]
+    with pytest.raises(RecordError) as refused:
+        batch_plan.progress(runs, [{"event": "batch"}, entry])
+    assert f"entry 2 of the journal: {words}" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [
+        ("1e-320", "is no rate"),
+        ("1e300", "1.6e+301 samples"),
+        ("1e12", "1.6e+13 samples, 2.38e+05 GiB"),
+        ("1e999", "is no rate"),
+    ],
+)
+def test_a_rate_to_resample_at_is_refused(tmp_path, rate, words):
+    times = np.arange(800) / 50.0
+    np.savetxt(tmp_path / "a.csv", np.column_stack([times, np.sin(times)]), delimiter=",", header="t,x", comments="")
+    with pytest.raises(MaskingError) as refused:
+        readers.read(tmp_path / "a.csv", needed=("x",), resampling=Resampling.of(rate))
+    assert words in str(refused.value)
+
+
+def test_a_record_without_a_channel_has_nothing_to_resample(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n2,3\n")
+    assert [*readers.read(tmp_path / "a.csv", resampling=Resampling.of(10.0)).columns] == ["t"]
+
+
+def test_a_duration_without_an_end_is_refused(tmp_path):
+    text = "plant: ideal\nvirtual: duffing\ncontroller: {rate: 1 kHz}\nduration: 1e300\ntime_scale: 1e300\n"
+    (tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(DeclarationError, match="1e300 units are inf rows"):
+        Experiment.load(tmp_path / "a.yaml").prepare(1e9)
 
 
 def test_the_points_of_a_grid_are_in_the_order_of_its_axes():

@@ -30,6 +30,8 @@ _HOLE = 5.0  # times the median step: from here on samples are missing
 _UNEVEN = 8.0  # ratio of neighbouring steps from which straight lines are drawn
 _STEADY = 0.05  # by which most steps of a steady clock differ at most
 _LOST = 0.02  # of the deviation of a channel, above its noise: what may be lost without a word
+_SLOWEST = 1e-9  # Hz
+LARGEST_MADE = 2**32  # bytes of a record that is put on a clock
 _SLOWER = 0.99  # times the rate: a lower one loses something
 
 
@@ -64,7 +66,7 @@ class Resampling:
             value = float(found[1]) * _HERTZ[found[2] or ""] if found else np.nan
         except ValueError:
             value = np.nan
-        if not (np.isfinite(value) and value > 0.0):
+        if not (_SLOWEST <= value < np.inf):
             remedy = "give samples per second, such as 200, '200 Hz' or '1 kHz'"
             raise DeclarationError(Problem(None, "resample", f"'{rate}' is no rate", remedy))
         return cls(value, held, turns or {})
@@ -126,6 +128,8 @@ def joined(
             notes.append(
                 f"{what} missing in {name}, of {len(values)}; what was asked for between others is interpolated"
             )
+    if not found:
+        return {CLOCK: columns.get(CLOCK, base)}, ()
     made = _resampled(part, found, resampling)
     notes += [note for name, one in found.items() for note in _lost(one, made[CLOCK], made[name], resampling.rate)]
     return made, tuple(notes)
@@ -219,7 +223,13 @@ def _resampled(part: Part, channels: Mapping[str, _Channel], resampling: Resampl
     first = min(channels.values(), key=lambda one: not one.is_held)
     at = min(int(np.searchsorted(first.times, start - near)), len(first.times) - 1)
     origin = max(float(first.times[at]), start)
-    count = int(np.floor((min(high - near, *ends) - origin) / period + _ON)) + 1
+    span = (min(high - near, *ends) - origin) / period
+    if (size := 8.0 * span * (len(channels) + 1)) > LARGEST_MADE:
+        raise RecordError(
+            f"{part.name}: at {resampling.rate:.6g} Hz it has {span:.3g} samples, {size / 2**30:.3g} GiB, more than "
+            f"{LARGEST_MADE // 2**30} GiB; give a lower rate, or a part of the record"
+        )
+    count = int(np.floor(span + _ON)) + 1
     if count < 2:
         spans = ", ".join(f"{n} from {c.times[0]:.9g} s to {c.times[-1]:.9g} s" for n, c in channels.items())
         raise RecordError(f"{part.name}: its channels share no time: {spans}; name channels of one run")

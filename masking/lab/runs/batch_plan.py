@@ -15,6 +15,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING
 from masking.errors import DeclarationError, Problem, RecordError
+from masking.lab.records import foreign_json
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.stopping import FINISHED, INTERRUPTED, SYNCHRONISED, TRIPPED
@@ -28,6 +29,34 @@ CUT_OFF: Final = "cut off"
 PEOPLE: Final = ("ESTOP", "UNATTENDED")  # causes after which nobody but a person goes on
 FREE: Final = (INTERRUPTED, UNREACHABLE, CUT_OFF)  # ends of tries that are no fault of the run
 MOST: Final = 1_000_000  # runs
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What every entry of a journal says."""
+
+    event: str
+
+
+@dataclass(frozen=True)
+class _Begin:
+    """What the begin of a try says."""
+
+    run: int
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What the end of a try says."""
+
+    run: int
+    end: str
+    seconds: float = 0.0
+    energy: float = 0.0
+    cause: str = ""
+
+
+_EVENTS: Final = {"begin": _Begin, "end": _Ended}
 
 
 @dataclass(frozen=True)
@@ -151,14 +180,21 @@ def identity(experiment: Experiment, runs: Sequence[Run]) -> str:
 
 
 def progress(runs: Sequence[Run], entries: Sequence[Mapping[str, Any]]) -> list[Progress]:
-    """Progress of each run by the entries of a journal."""
+    """Progress of each run by the entries of a journal; a RecordError where one says something else than such do."""
     found = [Progress(run) for run in runs]
-    for entry in entries:
-        if entry["event"] == "begin":
-            one = found[entry["run"] - 1]
-            one.open = one.tries = entry["try"]
-        elif entry["event"] == "end":
-            one = found[entry["run"] - 1]
+    for number, entry in enumerate(entries, 1):
+        where = f"entry {number} of the journal"
+        said = {name: value for name, value in entry.items() if name != "chi"}  # which may be no number
+        foreign_json.check(said, _Entry, where)
+        if (event := entry["event"]) not in _EVENTS:
+            continue
+        foreign_json.check(said, _EVENTS[event], where)
+        if not 1 <= entry["run"] <= len(found):
+            raise RecordError(f"{where}: run: must be from 1 to {len(found)}, not {entry['run']}")
+        one = found[entry["run"] - 1]
+        if event == "begin":
+            one.open = one.tries = entry.get("try", one.tries + 1)
+        else:
             one.ends.append(dict(entry))
             one.open = 0
     return found

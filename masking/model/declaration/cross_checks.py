@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -175,7 +176,7 @@ def check_size(
 
 def _short(number: float) -> str:
     """Write a number in two or three digits: 373, 5.5e10."""
-    if number < 1000.0:
+    if number < 1000.0 or math.isinf(number):
         return f"{number:.3g}"
     digits, _, exponent = f"{number:.1e}".partition("e")
     return f"{digits.removesuffix('.0')}e{int(exponent)}"
