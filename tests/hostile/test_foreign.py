@@ -65,6 +65,11 @@ MODELS = {
 }
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo keeps a log where it is run
+
+
 def connected(address):
     plant = adapters.connect(address)
     plant.configure(Settings(rate=100.0))
@@ -261,8 +266,7 @@ def test_json_of_the_shape_stays_as_it_is():
         ({"a": "fit:b.json"}, 3, "no fit with a covariance"),
     ],
 )
-def test_a_sweep_of_too_much_is_refused(tmp_path, monkeypatch, over, runs, words):
-    monkeypatch.chdir(tmp_path)
+def test_a_sweep_of_too_much_is_refused(tmp_path, over, runs, words):
     (tmp_path / "a.json").write_text('{"parameters": [], "covariance": [[1]]}')
     (tmp_path / "b.json").write_text('{"parameters": {"k": {"value": 1}}, "covariance": [[1, 2], [3]]}')
     with pytest.raises(DeclarationError) as refused:
