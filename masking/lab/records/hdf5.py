@@ -19,7 +19,7 @@ from masking.lab.records.nested_data import MOST_COLUMNS, parsed, vectors
 
 # What MATLAB calls numbers. Text, tables and objects are kept as integers, too, with another class beside them.
 _MATLAB = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-DEEPEST_NESTING = 50  # of groups
+DEEPEST_NESTING = 1000  # of groups
 MOST_OBJECTS = 10_000  # measured: they are looked at in two seconds
 _MOST_INFLATED = 1032  # times as many bytes as are stored
 
@@ -39,7 +39,7 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     total = 0
     found: dict[str, NDArray[np.float64]] = {}
     with parsed(file, "the HDF5 file"), h5py.File(file, "r") as opened:
-        for path, held in _datasets(file, opened, "", {_address(opened)}):
+        for path, held in _datasets(file, opened):
             if held.is_virtual or held.external:
                 raise _elsewhere(file, path, "a virtual dataset" if held.is_virtual else "stored in another file")
             if _has_vectors(held):
@@ -52,34 +52,36 @@ def read(file: Path) -> dict[str, NDArray[np.float64]]:
     return found
 
 
-def _datasets(file: Path, group: h5py.Group, path: str, seen: set[int]) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Each dataset of a group and of those in it, by its first path; `seen` are addresses in the file.
+def _datasets(file: Path, opened: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Each dataset by its first path, the groups and datasets of a group in the order of their names.
 
     Links by name are not followed. A RecordError where there are too many objects, or groups too deep.
     """
-    if path.count("/") >= DEEPEST_NESTING:
-        raise RecordError(f"{file}: its groups are nested deeper than {DEEPEST_NESTING}; write the data into fewer")
-    if len(seen) + len(group) > MOST_OBJECTS:
-        raise RecordError(f"{file}: it holds more than {MOST_OBJECTS} groups and datasets; write columns into a matrix")
-    for name in group:
-        inner = f"{path}/{name}".lstrip("/")
-        link = group.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink):
-            raise _elsewhere(file, inner, "an external link")
-        if isinstance(link, h5py.SoftLink) or name.startswith("#"):  # MATLAB's own: what cells and objects refer to
+    seen, waiting = set[int](), [("", opened)]
+    while waiting:
+        path, held = waiting.pop()
+        if (address := int(h5py.h5o.get_info(held.id).addr)) in seen:
             continue
-        held = group[name]
-        if _address(held) in seen:
+        seen.add(address)
+        if isinstance(held, h5py.Dataset):
+            yield path, held
+        if not isinstance(held, h5py.Group):
             continue
-        seen.add(_address(held))
-        if isinstance(held, h5py.Group):
-            yield from _datasets(file, held, inner, seen)
-        elif isinstance(held, h5py.Dataset):
-            yield inner, held
-
-
-def _address(held: h5py.HLObject) -> int:
-    return int(h5py.h5o.get_info(held.id).addr)
+        if path.count("/") >= DEEPEST_NESTING:
+            raise RecordError(f"{file}: its groups are nested deeper than {DEEPEST_NESTING}; write the data into fewer")
+        if len(seen) + len(waiting) + len(held) > MOST_OBJECTS:
+            raise RecordError(
+                f"{file}: it holds more than {MOST_OBJECTS} groups and datasets; write a matrix of columns"
+            )
+        inside = list[tuple[str, h5py.HLObject]]()
+        for name in held:
+            inner, link = f"{path}/{name}".lstrip("/"), held.get(name, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                raise _elsewhere(file, inner, "an external link")
+            # MATLAB's own begin with #: what cells and objects refer to
+            if isinstance(link, h5py.HardLink) and not name.startswith("#"):
+                inside.append((inner, held[name]))
+        waiting += reversed(inside)
 
 
 def _elsewhere(file: Path, path: str, what: str) -> RecordError:
