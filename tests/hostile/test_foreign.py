@@ -182,6 +182,42 @@ def test_a_stream_is_refused(tmp_path, name):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.parametrize(
+    ("manifest", "rows", "words"),
+    [
+        ("[" * 100_000, b"x" * 100, "nested too deep"),
+        ('{"a":' * 50_000 + "1" + "}" * 50_000, b"x" * 100, "nested too deep"),
+        ("link", b"x" * 100, "it is no regular file"),
+        ("{}", "pipe", "it is no regular file"),
+        ("pipe", b"x" * 100, "it is no regular file"),
+        ('{"format": "masking stream 1", "columns": 3}', b"x" * 100, "columns: must be an object"),
+    ],
+    ids=["lists", "objects", "link to a device", "rows in a pipe", "manifest in a pipe", "columns"],
+)
+def test_files_of_a_stream_are_refused(tmp_path, manifest, rows, words):
+    for path, content in ((tmp_path / stream.MANIFEST, manifest), (tmp_path / stream.ROWS, rows)):
+        if content == "pipe":
+            os.mkfifo(path)
+        elif content == "link":
+            path.symlink_to("/dev/zero")
+        else:
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(RecordError, match=words):
+        recover(tmp_path)
+
+
+def test_pages_of_no_rows_and_a_ring_in_a_pipe_are_passed_over(tmp_path):
+    os.mkfifo(tmp_path / "ring")
+    folder = tmp_path / "run"
+    stream.begin(folder, {**MANIFEST, "spare": str(folder), "ring": str(tmp_path / "ring")})
+    writer = stream.StreamWriter(folder)
+    for rows in (rows_of(50)[:0], rows_of(50)):
+        writer.append(0, rows)
+    writer.sync()
+    writer.close()
+    assert recover(folder).rows == 50
+
+
 def test_rows_without_the_number_of_a_tick_are_left_out(tmp_path):
     rows = rows_of(50)
     rows[20:30, [*COLUMNS].index("tick")] = np.nan

@@ -20,7 +20,7 @@ from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
 from masking.app.workflows.sweep_work import work
 from masking.display.json_text import json_text
 from masking.errors import DeclarationError, Problem, RecordError
-from masking.lab.records import table_chunks
+from masking.lab.records import foreign_json, table_chunks
 from masking.lab.records.parquet import replacing
 from masking.lab.records.table_chunks import Columns
 from masking.lab.runs import manifest
@@ -33,6 +33,29 @@ PLAN: Final = "sweep.json"
 ROWS: Final = "rows"
 CHECK: Final = "sha256"  # of all else in the plan
 Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class _Over:
+    """What the description of a sweep says of what varies."""
+
+    name: str
+    grid: list[float] | None
+    factor: bool
+    unit: str
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What the description of a sweep says, by its keys."""
+
+    name: str
+    identity: str
+    rows: int
+    over: list[_Over]
+    measures: list[str]
+    units: dict[str, str]
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -236,11 +259,10 @@ def _begin(folder: Path, facts: Mapping[str, Any], *, overwrite: bool) -> None:
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / PLAN
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        check = found.pop(CHECK)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise RecordError(f"{folder} holds no sweep: there is no {PLAN} in it that can be read") from None
-    if check != _check(found):
+        found: dict[str, Any] = foreign_json.load(path, _Facts)
+    except RecordError as error:
+        raise RecordError(f"{folder} holds no sweep: there is no {PLAN} in it that can be read ({error})") from None
+    if found.pop(CHECK) != _check(found):
         raise RecordError(f"{path} was changed since it was written; begin anew in another folder")
     return found
 

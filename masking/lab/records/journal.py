@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Self, final
 
 from masking.errors import RecordError
+from masking.lab.records import foreign_json, named_files
 
 
 @final
@@ -46,7 +47,7 @@ class Journal:
     def _read(self) -> list[dict[str, Any]]:
         """Entries; leave out a last line that is cut off."""
         found, good = list[dict[str, Any]](), 0
-        lines = self.path.read_bytes().splitlines(keepends=True)
+        lines = named_files.content(self.path).splitlines(keepends=True)
         for number, line in enumerate(lines, 1):
             text, _, check = line[:-1].rpartition(b"\t")
             is_whole = check == _check(text)
@@ -54,7 +55,7 @@ class Journal:
                 if number < len(lines) or line.endswith(b"\n") or is_whole:  # one that was cut off has no end
                     raise RecordError(f"{self.path}: line {number} was changed; begin anew in another folder")
                 break
-            found.append(json.loads(text))
+            found.append(foreign_json.parsed(text, dict[str, Any], f"{self.path}: line {number}"))
             good += len(line)
         os.ftruncate(self._handle, good)
         os.lseek(self._handle, good, os.SEEK_SET)

@@ -27,6 +27,7 @@ from masking.display import thinning
 from masking.display.characters import visible, visible_line
 from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
+from masking.lab.records import named_files
 from masking.lab.records.columns_on_disk import StoredColumns, read
 from masking.lab.records.time_slice import Part
 from masking.lazy_imports import axes, parquet, views
@@ -329,7 +330,7 @@ def _notes(table: Path, manifest: Mapping[str, Any]) -> tuple[str, ...]:
     if table.name != TABLE:
         return ()
     try:
-        if json.loads(table.with_name(MANIFEST).read_bytes()) == manifest:
+        if json.loads(named_files.content(table.with_name(MANIFEST))) == manifest:
             return ()
         what = "says something else"
     except FileNotFoundError:

@@ -25,6 +25,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
+from masking.lab.records import named_files
 
 MAGIC: Final = int.from_bytes(b"MASKRING", "little")
 ROWS: Final = 1 << 14
@@ -120,7 +121,7 @@ class RingReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         try:
-            with self.path.open("rb") as file:
+            with named_files.opened(self.path) as file:
                 self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             self._head = _sizes(self._memory)
             if int(self._head[_MAGIC]) != MAGIC:
@@ -129,7 +130,7 @@ class RingReader:
             self.facts: dict[str, Any] = json.loads(self._memory[8 * _HEAD : 8 * _HEAD + int(self._head[_TEXT])])
             self.columns = tuple(map(str, self.facts["columns"]))
             self.rate, self.units = float(self.facts["rate"]), dict(self.facts["units"])
-        except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise RecordError(f"{self.path}: no ring of rows ({error}); name one that a loop writes") from error
         self.next = 0
 

@@ -22,7 +22,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import json_text
 from masking.errors import NO_PLACE, RecordError
-from masking.lab.records import stream_pages
+from masking.lab.records import named_files, stream_pages
 from masking.lab.records.stream_pages import CHAIN, CONTENT, DATA, END, PART_HEAD
 
 if sys.platform != "win32":
@@ -85,8 +85,8 @@ def sync_folder(folder: Path) -> None:
 
 def parts(folder: Path, content: bytes | None = None) -> tuple[Path, ...]:
     """Where the parts of a stream are, or would be."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        manifest = json.loads((folder / MANIFEST).read_bytes() if content is None else content)
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        manifest = json.loads(named_files.content(folder / MANIFEST) if content is None else content)
         number = str(manifest["number"])
         if number.isalnum():
             return folder / ROWS, Path(manifest["spare"]) / f"masking-{number}.rows"
@@ -106,7 +106,7 @@ def _last_pages(file: int) -> list[stream_pages.Page]:
 def written(folder: str | Path) -> int:
     """How many rows are in the stream that a folder holds, as its last page says."""
     for path in reversed(parts(Path(folder))):
-        with contextlib.suppress(OSError), path.open("rb") as file:
+        with contextlib.suppress(OSError), named_files.opened(path) as file:
             if pages := _last_pages(file.fileno()):
                 last = pages[-1]
                 lost = int(json.loads(last.payload)["lost"]) if last.kind == END else 0
@@ -139,9 +139,9 @@ class StreamWriter:
     def __init__(self, folder: str | Path) -> None:
         self.folder, self.next, self.moved = Path(folder), 0, 0
         try:
-            self._content = (self.folder / MANIFEST).read_bytes()
+            self._content = named_files.content(self.folder / MANIFEST)
             self._width = len(json.loads(self._content)["columns"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RecordError(f"{self.folder}: no manifest of a stream ({error})") from error
         self._sequence, self._chain, self._end = 0, stream_pages.hash_of(self._content), 0
         self._paths = parts(self.folder, self._content)

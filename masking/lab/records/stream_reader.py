@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import mmap
 import os
 import sys
@@ -15,11 +14,20 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
+from masking.lab.records import foreign_json, named_files
 from masking.lab.records.stream import FORMAT, MANIFEST, ROWS, is_in, parts
 from masking.lab.records.stream_pages import CHAIN, CONTENT, DATA, PART_HEAD, Page, hash_of, pages_of, part_head
 
 if sys.platform != "win32":
     import fcntl
+
+
+@dataclass(frozen=True)
+class Written:
+    """What the manifest of every stream says."""
+
+    format: str
+    columns: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +64,7 @@ class _Reader:
             raise RecordError(f"{folder} holds no stream of a run; name a folder with {MANIFEST} and {ROWS}")
         self.folder = folder
         try:
-            self.content: bytes = (folder / MANIFEST).read_bytes() if (folder / MANIFEST).exists() else b""
+            self.content: bytes = named_files.content(folder / MANIFEST) if (folder / MANIFEST).exists() else b""
         except OSError as error:
             raise RecordError(f"{folder / MANIFEST} cannot be read: {error.strerror or error}") from error
         self.damages, self.first, self.tables = list[str](), list[int](), list[Array]()
@@ -75,20 +83,21 @@ class _Reader:
             if path.exists():
                 self._part(path, number)
         try:
-            manifest = json.loads(self.content)
-            width = len(manifest["columns"])
+            manifest = foreign_json.parsed(self.content, Written, MANIFEST)
             if manifest["format"] != FORMAT:
-                raise ValueError(f"its format is {manifest['format']}")
-        except (ValueError, KeyError, TypeError) as error:
+                raise RecordError(f"its format is {manifest['format']}")
+        except RecordError as error:
             raise RecordError(f"{self.folder / MANIFEST} is damaged, and so is its copy ({error})") from error
-        tables = [table for table in self.tables if table.shape[1] == width]
-        numbers = [first + np.arange(len(t)) for first, t in zip(self.first, tables, strict=True)]
+        width = len(manifest["columns"])
+        kept = [(first, table) for first, table in zip(self.first, self.tables, strict=True) if table.shape[1] == width]
+        tables = [table for _, table in kept]
+        numbers = [first + np.arange(len(table)) for first, table in kept]
         rows = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
         return Stream(manifest, rows, tuple(tables), tuple(self.damages), self.end, self.folder)
 
     def _part(self, path: Path, number: int) -> None:
         try:
-            with path.open("rb") as file:
+            with named_files.opened(path) as file:
                 if os.fstat(file.fileno()).st_size < PART_HEAD:
                     return
                 if sys.platform != "win32":
@@ -139,12 +148,14 @@ class _Reader:
                 self.content = page.payload
                 self.damages.append(f"{MANIFEST} was changed or is missing; its copy in {path.name} was used")
         elif page.kind == DATA:
+            if not page.rows:  # a page of none says nothing
+                return
             begin, size = page.stop - CHAIN - len(page.payload), len(page.payload) // 8
             self.first.append(page.first)
             self.tables.append(np.frombuffer(memory, "<f8", size, begin).reshape(page.rows, size // page.rows))
             self.next = page.first + page.rows
         else:
-            self.end = json.loads(page.payload)
+            self.end = foreign_json.parsed(page.payload, dict[str, Any], f"the last page of {path}")
 
     def _tell(self, page: Page | None) -> None:
         """Say what was changed or is missing before a sound page, or before the end of a part."""

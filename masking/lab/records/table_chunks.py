@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from masking.errors import RecordError
+from masking.lab.records import named_files
 from masking.lab.records.parquet import replacing
 
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | Sequence[str] | Sequence[NDArray[np.float64]]
@@ -101,7 +102,8 @@ def read(folder: Path, identity: str) -> Columns:
         if last <= reached:  # the same rows in chunks of another size
             continue
         try:
-            with pq.ParquetFile(path(folder, first, last), page_checksum_verification=True) as file:
+            place = path(folder, first, last)
+            with named_files.opened(place) as stream, pq.ParquetFile(stream, page_checksum_verification=True) as file:
                 table = file.read()  # pq.read_table would import pandas
         except (pa.ArrowException, OSError) as error:
             remedy = "remove it, then start the same sweep again"
