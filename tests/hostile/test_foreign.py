@@ -133,12 +133,12 @@ def test_a_unit_of_an_fmu_is_refused_before_it_is_unpacked(tmp_path, monkeypatch
 COLUMNS = {name: {"unit": "1", "meaning": ""} for name in LOOP}
 MANIFEST = {
     "columns": COLUMNS, "rate": 1000.0, "number": "0", "ring": "/x", "lockstep": True, "declarations": {},
-    "read_from": {"experiment": "huygens_rig", "plant": None},
+    "created": "2026-01-01T00:00:00+00:00", "commit": None, "files": {}, "versions": {}, "inputs": {},
 }  # fmt: skip
 LAST = {"why": "closed", "rows": 50, "lost": 0}
 STREAMS = {
-    "no files": ({"read_from": None}, LAST, "read_from: must be an object, not null"),
-    "files as text": ({"read_from": "x"}, LAST, "read_from: must be an object"),
+    "no inputs": ({"inputs": None}, LAST, "inputs: must be an object, not null"),
+    "files as text": ({"files": "x"}, LAST, "files: must be an object"),
     "no rate": ({"rate": None}, LAST, "rate: must be a number, not null"),
     "a rate of 0": ({"rate": 0}, LAST, "rate: must be from 1e-09 to 1e+09"),
     "a rate of 1e-320": ({"rate": 1e-320}, LAST, "rate: must be from 1e-09 to 1e+09"),

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -124,10 +125,23 @@ def _processes(plan: Plan, workers: int) -> Iterator[Submit]:
             pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
 
         def submit(first: int, last: int) -> Future[Made]:
-            with process_environment.safe_start():  # of the process that this may start
+            with _interrupts_later(), process_environment.safe_start():  # of the process that this may start
                 return pool.submit(_made_here, first, last)
 
         try:
             yield submit
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Hold interrupts back while inside; processes that are started here never get any, not even while they load."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
