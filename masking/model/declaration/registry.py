@@ -177,8 +177,11 @@ def canonical(experiment: ExperimentDeclaration) -> dict[str, Any]:
 def restored(declared: Mapping[str, Any]) -> Assembly:
     """Assembly from what the manifest of its run declares; of its files, only those of inputs are needed.
 
-    A DeclarationError or a KeyError where the manifest is of another version of this program.
+    A DeclarationError where the manifest is of another version of this program.
     """
+    for name in ("experiment", "plant", "plant_model", "virtual", "controller_model"):
+        if not isinstance(declared.get(name), dict):
+            raise DeclarationError(Problem(None, name, "is not declared", "another version of this program wrote it"))
 
     def own(kind: type[D], content: Mapping[str, Any]) -> D:
         return read(kind, dict(content), Places(), {}, lambda *_: [])
