@@ -27,8 +27,9 @@ class Damaged:
     """A plant whose readings and commands are damaged on the way, as a file says that is read at each `configure`.
 
     The file holds a JSON object: `what` (`set`, `add`, `hold` or `scale` readings; `command`, which scales commands;
-    `stick`, which holds one at `value`; `fail`, where the plant raises an error; `press`, where its emergency stop is
-    pressed), `channel`, `at` (the first tick of it) and `value`, as text where that is no finite number.
+    `stick`, which holds one at `value`; `index`, whose `value` is added to that of one sample; `fail`, where the plant
+    raises an error; `press`, where its emergency stop is pressed), `channel`, `at` (the first tick of it) and `value`,
+    as text where that is no finite number.
 
     Args:
         plant: any that reports its outputs.
@@ -78,6 +79,8 @@ class Damaged:
             values[channel] += value
         elif self._is_on(sample.index, "scale"):
             values[channel] *= value
+        if self._is_on(sample.index, "index") and sample.index == int(self._chosen["at"]):
+            return Sample(sample.index + int(value), values)
         return Sample(sample.index, values)
 
     def write(self, index: int, command: Array) -> None:

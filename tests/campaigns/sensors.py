@@ -1,17 +1,24 @@
-"""Faults 1 to 8: of sensors, of the motion and of the controller, in lockstep over UDP on a twin that is served."""
+"""Faults 1 to 8, and 31: of sensors, of the motion and of the controller, in lockstep on a served twin."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 from functools import partial
 from typing import Final
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.errors import PlantError
+from masking.lab.plants.interface import Settings
 from masking.lab.plants.safety_chain import Chain
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.runs.realtime import Hooks, RigRun, run_rig
 from tests.campaigns.bench import Bench, Ended
+from tests.campaigns.damage import Damaged
 from tests.campaigns.table import Fault, Judgement
-from tests.campaigns.twins import RATE, rules, small
+from tests.campaigns.twins import RATE, rules, small, twin
 
 _AT: Final = 250  # tick of the fault
 _SENSORS: Final = 3
@@ -156,6 +163,30 @@ def _controller(bench: Bench, judgement: Judgement) -> None:
             _trips(ended, "CONTROLLER_NONFINITE", 0, judgement)
 
 
+def _index(bench: Bench, judgement: Judgement) -> None:
+    for value in (-1, -5):
+        said = f"gave sample {_AT + value} after sample {_AT - 1}"
+        served = bench.run(damage={"what": "index", "at": _AT, "value": value})
+        end = served.own.manifest["end"]
+        judgement.need(said in end, f"the server does not say '{said}': {end}")
+        judgement.need(served.run.reason == "plant lost", f"served: ended as {served.run.reason}, not plant lost")
+        judgement.need(served.own["tick"].tolist() == list(range(_AT)), "the plant's own record has other ticks")
+        own: list[RigRun] = []
+        folder = bench.place()
+        folder.mkdir(parents=True)
+        (folder / "damage.json").write_text(json.dumps({"what": "index", "at": _AT, "value": value}), encoding="utf-8")
+        plant = Damaged(SimulatedPlant(twin()), folder / "damage.json")
+        with contextlib.suppress(PlantError):
+            run_rig(
+                small, plant, Settings(RATE, lockstep=True), samples=400, limits=rules(), hooks=Hooks(on_end=own.append)
+            )
+        ran = own[0]
+        cause, detail = ("none", "") if ran.trip is None else (ran.trip.cause.name, ran.trip.detail)
+        judgement.need(cause == "PLANT_ERROR" and said in detail, f"ended as {cause}: '{detail}'")
+        judgement.need(ran.index.tolist() == list(range(_AT)), "the rows before it are not all there")
+        judgement.say(f"{value:+d}: refused at once, {len(ran.index)} rows kept")
+
+
 FAULTS: Final = (
     Fault(1, "sensor NaN / Inf", "SENSOR_NONFINITE in the same tick; never reaches write()", _not_finite),
     Fault(2, "sensor stuck", "SENSOR_STUCK within 50 ms; none in 1 h of quantised rest", _stuck),
@@ -165,4 +196,5 @@ FAULTS: Final = (
     Fault(6, "excess speed", "VELOCITY_LIMIT; peak <= limit + a * 2 ticks", partial(_excess, speed=_SPEED)),
     Fault(7, "12 W RMS asked of 8 W", "8 W, then THERMAL; mean over 10 s <= 8 W + 2 %", _heat),
     Fault(8, "controller emits NaN / Inf / 1e300", "CONTROLLER_NONFINITE; finite in every tick", _controller),
+    Fault(31, "index of a sample repeats, goes back", "refused with both indices; every row before is kept", _index),
 )

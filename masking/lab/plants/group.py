@@ -55,6 +55,7 @@ class PlantGroup:
         values = []
         for name, plant in self.plants.items():
             sample = plant.read()
+            interface.check_index(sample.index, self._read.get(name))
             self._first.setdefault(name, sample.index)
             self._read[name] = sample.index
             values.append(sample.values)

@@ -21,7 +21,7 @@ from typing import Protocol, final, runtime_checkable
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import CommandError, PlantMismatchError, PlantOrderError
+from masking.errors import CommandError, PlantError, PlantMismatchError, PlantOrderError
 
 _UNITS = {"rate": "samples per second", "watchdog": "seconds"}
 _LARGEST = 1e6
@@ -165,6 +165,15 @@ class LifeCycle:
     def deactivate(self) -> None:
         """Go to UNCONFIGURED from any state."""
         self.state = State.UNCONFIGURED
+
+
+def check_index(index: int, last: int | None) -> None:
+    """Refuse the index of a sample that is not larger than that of the last one, None at first, with a PlantError."""
+    if last is not None and index <= last:
+        raise PlantError(
+            f"the plant gave sample {index} after sample {last}: a clock that stands still or goes back is none; "
+            "'masking rig check ADDRESS' tries what its adapter must do"
+        )
 
 
 def check_command(command: Array, actuators: tuple[str, ...]) -> None:

@@ -38,7 +38,7 @@ from masking.lab.plants import adapters, wire
 from masking.lab.plants.arming import HOW, Arming
 from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.command_guard import Guard
-from masking.lab.plants.interface import Plant, Sample, Settings
+from masking.lab.plants.interface import Plant, Sample, Settings, check_index
 from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import POLL, Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.session import Allowed, Session, SessionRows, claimed
@@ -303,6 +303,7 @@ class _Server:
             if not session.is_written:
                 self.write(session, sample)
             advanced = self.plant.read()
+            check_index(advanced.index, sample.index)
             session.finish(self.plant)
             sample = advanced
 

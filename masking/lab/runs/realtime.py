@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from masking import errors
 from masking.compile.numerics.arrays import Array
 from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
-from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling
+from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling, check_index
 from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.safety_chain import Cause, Chain, Rules, Trip
@@ -295,7 +295,11 @@ class _Ticks:
         self._began = self._wall = 0.0
 
     def begin(self, tick: int, wall: float, missed: int, lateness: float | None) -> tuple[int, int, float, float]:
-        """Samples missed before a tick, its sample, its time since the first one and how late it began, both in s."""
+        """Samples missed before a tick, its sample, its time since the first one and how late it began, both in s.
+
+        A PlantError where the tick is not after the last one.
+        """
+        check_index(tick, None if self._first is None else self._last)
         gap = 0 if self._first is None else tick - self._last - 1
         if self._first is None:
             self._first, self._began, lateness = tick, wall, lateness or 0.0
@@ -303,7 +307,6 @@ class _Ticks:
             lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
         self.is_late = gap > 0 or missed > self.missed
         self._last, self._wall, self.missed = tick, wall, missed
-        gap = max(0, gap)
         self.gaps += gap
         return gap, tick - self._first - self._before, wall - self._began, lateness
 
@@ -341,11 +344,12 @@ class Rows:
         """Begin the next row with a sample (sensors,); return the samples that were missed before it.
 
         `wall` is s of the wall clock, and `missed` are the periods missed so far; `lateness` is how late the tick
-        began, s, where it is this side that keeps the time.
+        began, s, where it is this side that keeps the time. A PlantError, and no row, where the tick is not after the
+        last one.
         """
         row, tick = self.count, min(tick, _LARGEST)
-        self.count += 1
         gap, index, since, lateness = self.ticks.begin(tick, wall, missed, lateness)
+        self.count += 1
         self._at = at = row * self._width
         _pack(self._cells, 8 * at, tick, since, 0.0, index, self.ticks.is_late, lateness, 0.0)  # as `LOOP`
         self.sensors[row] = values

@@ -19,6 +19,8 @@ from masking.errors import MaskingError, PlantError
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.safety_chain import Cause, Chain, Rules
 from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.records import stream
+from masking.lab.records.recording import Recording
 from masking.lab.runs import hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.self_test import self_test
@@ -366,6 +368,27 @@ def test_an_index_that_jumps_far_trips_at_once(cart, lockstep):
         lockstep=lockstep,
     )  # fmt: skip
     assert (ran.reason, ran.trip.cause, len(ran.index)) == ("tripped", Cause.OVERRUN, 7)
+
+
+@pytest.mark.parametrize("back", [1, 5])
+def test_an_index_that_repeats_or_goes_back_ends_the_run_with_the_rows_before(cart, tmp_path, back):
+    at, kept = middle(cart), []
+
+    class Stepping(Damaged):
+        def read(self):
+            sample = self.plant.read()
+            return Sample(sample.index - back * (sample.index == at), sample.values)
+
+    settings = hardware.RunSettings(lockstep=True, keep=kept.append, stream=tmp_path / "rows")
+    plant = Stepping(SimulatedPlant(cart.twin))
+    with pytest.raises(PlantError, match=rf"the plant gave sample {at - back} after sample {at - 1}: .*rig check"):
+        hardware.run(cart, plant, settings)
+    assert plant.ticks == list(range(at))
+    kept[0].save(tmp_path / "kept")
+    rig = kept[0].manifest["rig"]
+    assert (rig["end"], rig["trip"]["cause"], rig["trip"]["tick"]) == ("tripped", "PLANT_ERROR", at - 1)
+    assert np.diff(Recording.load(tmp_path / "kept").t) == pytest.approx(1.0 / 500.0)
+    assert stream.written(tmp_path / "rows") == at
 
 
 def test_the_command_line_tests_a_served_rig_and_refuses_the_wrong_plant_file(capsys):
