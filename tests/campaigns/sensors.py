@@ -1,14 +1,16 @@
-"""Faults 1 to 8, and 31: of sensors, of the motion and of the controller, in lockstep on a served twin."""
+"""Faults 1 to 8, 31 and 32: of sensors, of the motion and of the controller, in lockstep on a served twin."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 
+from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantError
 from masking.lab.plants.interface import Settings
@@ -28,6 +30,7 @@ _PHASES: Final = (200, 235, 270, 305, 340)  # ticks at which a sensor sticks
 _HEATED: Final = 0.8  # V that an actuator may take where its heat is tested
 _POWER, _HEATING, _ASKED = 8.0, 45.35, 12.0  # W, W/V**2, W
 _WINDOW: Final = 10_000  # ticks, 10 s
+_RATE: Final = 50.0  # V/s
 
 
 def _inputs(ended: Ended) -> Array:
@@ -163,6 +166,28 @@ def _controller(bench: Bench, judgement: Judgement) -> None:
             _trips(ended, "CONTROLLER_NONFINITE", 0, judgement)
 
 
+def _rate(bench: Bench, judgement: Judgement) -> None:
+    held = rules()
+    held = replace(held, commands=held.commands.copy())
+    held.commands[:, safety_tables.RATE] = _RATE
+    for name, half, cause in (("a jump", 10**6, ""), ("jumps at 100 Hz", 5, "COMMAND_RATE")):
+
+        def step(tick: int, readings: Array, half: int = half) -> Array:
+            sign = 0 if tick < _AT else (-1) ** ((tick - _AT) // half)
+            return np.array([0.0, 0.0, 0.42 * sign]) if tick < _AT + 40 or half == 5 else small(0, readings)
+
+        ended = bench.run(step, held=held, samples=600)
+        change = np.abs(np.diff(ended.own["input.V3"][: ended.tick if cause else -1])).max() * RATE
+        judgement.need(ended.cause == cause, f"{name}: ended as {ended.cause or ended.run.reason}")
+        judgement.need(change <= _RATE * (1.0 + 1e-9), f"{name}: the plant got a change of {change:.4g} V/s")
+        if cause:
+            _at_zero(ended, judgement)
+            judgement.need(ended.tick - _AT <= 250, f"{ended.tick - _AT} ticks until the trip, more than 250")
+        judgement.say(
+            f"{name}: at most {change:.4g} V/s, {f'{cause} after {ended.tick - _AT} ms' if cause else 'no trip'}"
+        )
+
+
 def _index(bench: Bench, judgement: Judgement) -> None:
     for value in (-1, -5):
         said = f"gave sample {_AT + value} after sample {_AT - 1}"
@@ -197,4 +222,5 @@ FAULTS: Final = (
     Fault(7, "12 W RMS asked of 8 W", "8 W, then THERMAL; mean over 10 s <= 8 W + 2 %", _heat),
     Fault(8, "controller emits NaN / Inf / 1e300", "CONTROLLER_NONFINITE; finite in every tick", _controller),
     Fault(31, "index of a sample repeats, goes back", "refused with both indices; every row before is kept", _index),
+    Fault(32, "command jumps by 0.42 V, once / always", "at most 50 V/s; COMMAND_RATE after 0.25 s of it", _rate),
 )

@@ -146,6 +146,7 @@ def plant(declaration: schema.PlantDeclaration) -> Description:
         "sensors", [(n, s.measures.text, f"{s.gain.value:g} {s.gain.unit}", s.meaning) for n, s in d.sensors.items()]
     )
     limits = [(n, f"{x.max:g}", x.unit) for n, x in d.limits.inputs.items()]
+    limits += [(f"rate of {n}", f"{x.rate:g}", f"{x.unit}/s") for n, x in d.limits.inputs.items() if x.rate is not None]
     limits += [(x.text, f"{y.max:g}", y.unit) for x, y in d.limits.coordinates.items()]
     limits += [(f"rate of {x.text}", f"{y.max:g}", y.unit) for x, y in d.limits.velocities.items()]
     if d.limits.power is not None:

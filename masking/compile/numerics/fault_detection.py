@@ -246,8 +246,9 @@ def watch() -> Kernel:
 
 
 def guard() -> Kernel:
-    """Make the check of a sample's command, before it is written: finite, clamped, and not too warm.
+    """Make the check of a sample's command, before it is written: finite, clamped, not too fast, and not too warm.
 
+    `applied` is the command of the sample before, whose change is limited; less power may take a larger change.
     The energy of an actuator in buckets of equal time, the one in use included, never exceeds the largest mean power
     over all of them: no mean over the declared time exceeds it by more than a bucket's part.
     """
@@ -255,12 +256,13 @@ def guard() -> Kernel:
     @compiled
     @requires(
         "(channels := len(applied)) <= min(len(demanded), len(known.table), len(known.energy), known.sent.shape[1])",
+        f"known.table.shape[1] >= {tables.ACTUATOR_COLUMNS} and len(known.counts) >= {tables.COUNTS}",
         f"within(known.counts[{tables.ROW}], len(known.sent)) and known.settings[{tables.PER_BUCKET}] > 0",
         f"within(known.counts[{tables.BUCKET}] // known.settings[{tables.PER_BUCKET}], known.energy.shape[1] - 1)",
     )
     def guard(h: float, demanded: Vector, applied: Vector, known: Guarded) -> int:
         table, energy, sent, counts, settings, report = known
-        buckets, is_clamped, is_cut, cause = energy.shape[1] - 1, False, -1, 0
+        buckets, is_clamped, is_cut, is_slowed, cause, asked = energy.shape[1] - 1, False, -1, -1, 0, 0.0
         at = counts[tables.BUCKET] // settings[tables.PER_BUCKET]
         if counts[tables.BUCKET] % settings[tables.PER_BUCKET] == 0:
             for i in range(applied.size):
@@ -273,10 +275,13 @@ def guard() -> Kernel:
                 tell(report, i, demanded[i], 0.0)
                 cause = tables.COMMAND
         for i in range(applied.size):
-            applied[i] = 0.0
             if cause != 0:
                 continue
+            before, change = applied[i], table[i, tables.RATE] * h
             applied[i] = min(max(demanded[i], -table[i, LARGEST]), table[i, LARGEST])
+            if abs(applied[i] - before) > change:
+                asked, is_slowed = (applied[i] - before) / h, i
+                applied[i] = before + math.copysign(change, asked)
             is_clamped = is_clamped or applied[i] != demanded[i]
             heating = table[i, HEATING]
             if heating > 0.0:
@@ -291,12 +296,15 @@ def guard() -> Kernel:
         if is_clamped:
             counts[tables.CLAMPED] += 1
         counts[tables.CUT] = counts[tables.CUT] + 1 if is_cut >= 0 else max(0, counts[tables.CUT] - 1)
+        counts[tables.SLOWED] = counts[tables.SLOWED] + 1 if is_slowed >= 0 else max(0, counts[tables.SLOWED] - 1)
         if counts[tables.CUT] > settings[tables.CUTS]:
             tell(report, is_cut, table[is_cut, POWER], table[is_cut, POWER])
             cause = tables.THERMAL
-            for i in range(applied.size):
-                applied[i] = 0.0
+        elif counts[tables.SLOWED] > settings[tables.CUTS]:
+            tell(report, is_slowed, asked, table[is_slowed, tables.RATE])
+            cause = tables.COMMAND_RATE
         for i in range(applied.size):
+            applied[i] = 0.0 if cause != 0 else applied[i]
             sent[counts[tables.ROW], i] = applied[i]
         return cause
 

@@ -6,6 +6,7 @@ from typing import Final
 
 # What is found: numbers of `masking.lab.plants.safety_chain.Cause`.
 NONFINITE, STUCK, JUMP, RANGE, POSITION, VELOCITY, THERMAL, COMMAND, NO_RESPONSE, WRONG_SIGN = range(1, 11)
+COMMAND_RATE: Final = 19
 
 # Columns of the table of sensors (sensors, 8): least and largest reading; largest change in a sample; what a sound
 # reading may be off, by noise and rounding; standard deviation of the noise; acceleration that no model explains;
@@ -21,12 +22,16 @@ SEEN_COLUMNS: Final = 11
 # its rate is taken (0 for a position), whether the estimate gives it.
 BOUND, AT_ZERO, OVER, ESTIMATED = range(4)
 LIMIT_COLUMNS: Final = 4
-# Counts (6): samples since the last gap and since the beginning; the row of the latest reading and command; commands
-# that were cut for their mean power, and that were clamped; samples in the buckets of energy.
-WHOLE, TOTAL, ROW, CUT, CLAMPED, BUCKET = range(6)
-COUNTS: Final = 6
+# Columns of the table of actuators (actuators, 5): those of `controller_sizes`, and the largest change per s.
+RATE: Final = 4
+ACTUATOR_COLUMNS: Final = 5
+# Counts (7): samples since the last gap and since the beginning; the row of the latest reading and command; commands
+# that were cut for their mean power, and that were clamped; samples in the buckets of energy; commands that were
+# slowed.
+WHOLE, TOTAL, ROW, CUT, CLAMPED, BUCKET, SLOWED = range(7)
+COUNTS: Final = 7
 # Settings (6), in samples: half the window of a response, the delay, readings that are equal for too long, a second,
-# commands that may be cut, a bucket of energy.
+# commands that may be cut or slowed, a bucket of energy.
 HALF, DELAY, HELD, SECOND_OF, CUTS, PER_BUCKET = range(6)
 SETTINGS: Final = 6
 # What a response needs to be compared, beside what no model explains, and its ratio where it fails.

@@ -2,8 +2,8 @@
 
 Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `command_guard` in a server.
 In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
-answered: is the command finite, clamped, not too warm. The first cause trips the chain: from then on every command is
-zero, until a new chain is made for the next run.
+answered: is the command finite, clamped, not too fast, not too warm. The first cause trips the chain: from then on
+every command is zero, until a new chain is made for the next run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
 _LATE_IN_A_ROW: Final = 5
 _HELD: Final = 0.045  # s that a reading may stay the same while it would change
-_CUT: Final = 0.25  # s of commands that are cut for their mean power
+_CUT: Final = 0.25  # s of commands that are cut for their mean power, or slowed
 _LOST: Final = 4  # samples of silence that are borne
 
 
@@ -55,6 +55,7 @@ class Cause(IntEnum):
     ESTOP = 16
     COMMANDS_NOT_TAKEN = 17
     UNATTENDED = 18
+    COMMAND_RATE = 19
 
 
 _SAID: Final = {
@@ -113,6 +114,10 @@ _SAID: Final = {
         "the operator's page was not heard of for {value:.1f} s, where {limit:.0f} s are borne; "
         "keep it open and visible, or run without --attended"
     ),
+    Cause.COMMAND_RATE: (
+        "the command for {channel} has to be slowed for too long: it asks for {value:.4g}{unit}/s, where "
+        "{limit:.4g}{unit}/s are allowed; make the motion slower or smaller, or look for noise in the readings"
+    ),
 }
 
 
@@ -149,7 +154,7 @@ class Rules:
     rate: float  # samples per second
     sensors: tuple[str, ...]  # their names
     actuators: tuple[str, ...]  # their names
-    commands: Array  # table of limits of the actuators (actuators, 4), as `numerics.controller_sizes` has its columns
+    commands: Array  # table of limits of the actuators (actuators, 5), as `safety_tables` has its columns
     readings: Array  # table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns
     motion: Array  # second derivative of each reading by readings and commands (sensors, sensors + actuators)
     limited: tuple[str, ...] = ()  # what is limited, in words, a rate as that of the expression
@@ -175,8 +180,8 @@ class Rules:
         if largest.shape != (len(actuators),) or not np.all(largest > 0.0) or not np.all(np.isfinite(largest)):
             names = ", ".join(actuators)
             raise PlantMismatchError(f"limits are {largest.tolist()}; give one positive number for each of {names}")
-        commands = np.zeros((len(actuators), 4))
-        commands[:, LARGEST], commands[:, TIME] = largest, 1.0
+        commands = np.zeros((len(actuators), safety_tables.ACTUATOR_COLUMNS))
+        commands[:, LARGEST], commands[:, TIME], commands[:, safety_tables.RATE] = largest, 1.0, np.inf
         motion = np.zeros((len(sensors), len(sensors) + len(actuators)))
         return cls(rate, tuple(sensors), tuple(actuators), commands, unknown(len(sensors)), motion)
 
@@ -239,7 +244,7 @@ class Chain:
 
     @property
     def clamped(self) -> int:
-        """How many commands were made smaller."""
+        """How many commands were made smaller or slower."""
         return int(self._counts[safety_tables.CLAMPED])
 
     def watch(self, tick: int, values: Array, missed: int = 0) -> Trip | None:

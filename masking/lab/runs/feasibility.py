@@ -67,8 +67,8 @@ class Use:
     """How much of one limit a motion uses."""
 
     name: str  # of the actuator, or the expression that is limited
-    # of the limit: the largest command, the largest mean power, or the largest value of a coordinate
-    kind: Literal["command", "power", "coordinate"]
+    # of the limit: the largest command, its largest rate, the largest mean power, or the largest value of a coordinate
+    kind: Literal["command", "rate", "power", "coordinate"]
     needed: float  # largest magnitude over the motion, in `unit`
     limit: float  # largest magnitude that the plant file allows, in `unit`
     unit: str  # of both
@@ -86,7 +86,7 @@ class Use:
     @property
     def label(self) -> str:
         """Limited quantity, in words."""
-        return f"mean power of {self.name}" if self.kind == "power" else self.name
+        return {"power": "mean power of ", "rate": "rate of "}.get(self.kind, "") + self.name
 
     def __str__(self) -> str:
         return f"{self.label} needs {percent(self.part, 3)} of {_digits(self.limit)} {self.unit}".rstrip()
@@ -303,6 +303,9 @@ class Motion:
             size = sizes(declared.unit) / sizes(instruments.unit(name))
             peak = float(np.abs(commands[:, i]).max())
             found.append(Use(name, "command", peak / size, table[i, LARGEST] / size, declared.unit))
+            if declared.rate is not None:
+                fastest = float(np.abs(np.diff(commands[:, i])).max()) / float(times[1] - times[0])
+                found.append(Use(name, "rate", fastest / size, declared.rate, f"{declared.unit}/s"))
         power = plant.limits.power
         for i, name in enumerate(instruments.actuators):
             if power is not None and table[i, HEATING] > 0.0:

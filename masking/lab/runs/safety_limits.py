@@ -81,7 +81,7 @@ class _Builder:
     def __init__(self, instruments: Instruments, rate: float, twin: Twin | None, states: int) -> None:
         self.instruments, self.rate, self.twin, self.states = instruments, rate, twin, states
         self.model, self.count = instruments.model, len(instruments.model.coordinates)
-        self.commands = instruments.limits()
+        self.commands = self._commands()
         self.notes: list[str] = []
         self.table = unknown(len(instruments.sensors))
         gains = instruments.gains()
@@ -128,6 +128,15 @@ class _Builder:
             missed=1.0 if declared.missed is None else declared.missed,
             notes=tuple(self.notes),
         )  # fmt: skip
+
+    def _commands(self) -> Array:
+        """Table of limits of the actuators (actuators, 5), in their units."""
+        known, declared = self.instruments, self.instruments.plant.limits.inputs
+        table, rates = known.limits(), np.full((len(known.actuators), 1), np.inf)
+        for row, name in zip(rates, known.actuators, strict=True):
+            if (limit := declared[name]).rate is not None:
+                row[:] = limit.rate * known.factors[limit.unit] / known.factors[known.unit(name)]
+        return np.hstack([table, rates])
 
     def _linear(self, expression: Expression, unit: float = 1.0) -> _Linear | None:
         """Expression of [q, v] that is linear, as a multiple of a unit; None where it is not."""

@@ -45,6 +45,12 @@ class Limit(Block):
     unit: TextField = "1"
 
 
+class InputLimit(Limit):
+    """The largest magnitude of a command, and how fast it may change at most, in its unit per s."""
+
+    rate: Positive | None = None
+
+
 class Sensor(Block):
     """What a sensor measures, and how many of its own units one unit of that gives.
 
@@ -83,7 +89,7 @@ class Limits(Block):
     `missed` is the largest share of the samples of a second that a run may miss or answer late.
     """
 
-    inputs: dict[Name, Limit] = {}
+    inputs: dict[Name, InputLimit] = {}
     coordinates: dict[Formula, Limit] = {}
     velocities: dict[Formula, Limit] = {}
     power: PowerLimit | None = None

@@ -23,6 +23,7 @@ from masking.lab.records import stream
 from masking.lab.records.recording import Recording
 from masking.lab.runs import hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.feasibility import feasibility
 from masking.lab.runs.self_test import self_test
 from tests.lab.runs.test_hardware import serving
 from tests.support.rig_runs import run_rig
@@ -210,6 +211,65 @@ def test_no_mean_over_ten_seconds_exceeds_the_power():
     assert means.max() >= 8.0 * 0.98  # all that is allowed may be used
     assert not any(power[chain.trip.tick :])
     assert chain.trip.tick / 1000.0 == pytest.approx(10.0 * 8.0 / 12.0, rel=0.1)
+
+
+def slowed(rate=50.0):
+    """Return a chain of an actuator of 0.42 V that may change by 50 V/s, at 1 kHz."""
+    made = Rules.of_commands(np.array([0.42]), ("s",), ("u",), 1000.0)
+    made.commands[0, safety_tables.RATE] = rate
+    return Chain(made)
+
+
+def written(chain, demanded):
+    """Return what a chain lets pass of commands, tick by tick."""
+    applied = []
+    for tick, command in enumerate(demanded):
+        chain.watch(tick, np.zeros(1))
+        applied.append(chain.guard(tick, np.array([command]))[0])
+    return np.array(applied)
+
+
+def test_a_jump_of_a_command_takes_as_long_as_its_rate_says():
+    chain = slowed()
+    applied = written(chain, np.repeat([-0.42, 0.42, -9.0], 40))
+    assert np.abs(np.diff(applied, prepend=0.0)).max() == pytest.approx(0.05)
+    # 0 to -0.42 V takes 8.4 ticks, -0.42 V to 0.42 V 16.8; then the command is what was asked, to the last bit.
+    assert np.flatnonzero(applied == -0.42)[[0, 31]].tolist() == [8, 39]
+    assert np.flatnonzero(applied == 0.42).tolist() == list(range(56, 80))
+    assert (applied[-1], chain.trip) == (-0.42, None)
+    assert chain.clamped == 8 + 16 + 40
+
+
+def test_a_command_that_stays_too_fast_trips_after_a_quarter_of_a_second():
+    period = np.repeat([0.42, -0.42], 5)  # which no actuator of 50 V/s follows
+    chain = slowed()
+    applied = written(chain, np.tile(period, 60))
+    assert (chain.trip.cause, chain.trip.channel, chain.trip.tick) == (Cause.COMMAND_RATE, "u", 250)
+    assert "for u has to be slowed for too long" in str(chain.trip)
+    assert "50/s are allowed" in str(chain.trip)
+    assert np.abs(np.diff(applied[:250])).max() <= 0.05 * (1 + 1e-12)
+    assert not applied[250:].any()
+    assert written(slowed(np.inf), period).tolist() == period.tolist()
+
+
+def test_the_rate_of_a_plant_file_holds_in_its_unit_where_the_motion_asks_for_more(cart, tmp_path):
+    sound = np.abs(np.diff(run(cart)[2].written, axis=0)).max() * 500.0  # A/s
+
+    def change(declared, rate):
+        declared["limits"]["inputs"]["u"] = {"max": 2000, "unit": "mA", "rate": 1000.0 * rate}
+
+    free = on_a_plant(cart, tmp_path, lambda declared: change(declared, 1.01 * sound))
+    assert np.array_equal(run(free)[2].written, run(cart)[2].written)
+    asked = feasibility(free)["rate of u"]
+    assert (asked.unit, asked.fits) == ("mA/s", True)
+    allowed = 0.3 * asked.needed / 1000.0
+    held = on_a_plant(cart, tmp_path, lambda declared: change(declared, allowed))
+    plant = Damaged(SimulatedPlant(held.twin))
+    assert not feasibility(held)["rate of u"].fits
+    found = hardware.run(held, plant, hardware.RunSettings(lockstep=True)).manifest["rig"]
+    assert (found["end"], found["trip"]["cause"]) == ("tripped", "COMMAND_RATE")
+    assert f"where {allowed:.4g} A/s are allowed" in found["trip"]["sentence"]
+    assert np.abs(np.diff(plant.written[:-1], axis=0)).max() <= allowed / 500.0 * (1 + 1e-9)
 
 
 def test_the_allowed_power_never_trips():

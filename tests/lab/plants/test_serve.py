@@ -18,6 +18,7 @@ import pytest
 
 from masking.app import cli
 from masking.app.workflows.recover import recover
+from masking.compile.numerics import safety_tables
 from masking.control.rig.twin import Twin
 from masking.errors import CommandError, PlantLostError, PlantRefusedError, RecordError
 from masking.lab.plants import adapters, wire
@@ -394,6 +395,21 @@ def test_every_command_is_clamped_on_the_side_of_the_plant(tmp_path):
     assert own["plant.applied.u1"].tolist() == own["input.u1"].tolist()
     assert own["input.u2"].tolist() == [*([3.0] * 50), 0.0]
     assert own.manifest["counters"]["clamped"] == 50
+
+
+def test_every_command_is_slowed_on_the_side_of_the_plant(tmp_path):
+    run = {"rate": 1000.0, "samples": 50, "limits": np.full(2, 1e300), "lockstep": True}
+    rules = Rules.of_commands(np.array([0.25, 5.0]), MassSpring.sensors, ("u1", "u2"), 1000.0)
+    rules.commands[:, safety_tables.RATE] = 50.0, np.inf
+    with served(MassSpring(), clock="lockstep", record=tmp_path, guard=PlantLimits(lambda _: rules)) as (
+        address,
+        folders,
+    ):
+        run_rig(lambda tick, _: np.full(2, 9.0 * (-1) ** (tick // 20)), UdpPlant(address, patience=20.0), **run)
+    own = Recording.load(folders[0])
+    assert np.abs(np.diff(own["plant.applied.u1"][:-1], prepend=0.0)).max() == pytest.approx(0.05)
+    assert own["plant.applied.u1"][[19, 39, 49]].tolist() == [0.25, -0.25, pytest.approx(0.25)]
+    assert own["input.u2"][[0, 20]].tolist() == [5.0, -5.0]
 
 
 def test_the_limits_are_those_of_the_plant_file_in_the_units_of_its_commands(tmp_path):
