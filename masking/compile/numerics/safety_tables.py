@@ -22,9 +22,10 @@ SEEN_COLUMNS: Final = 11
 # its rate is taken (0 for a position), whether the estimate gives it.
 BOUND, AT_ZERO, OVER, ESTIMATED = range(4)
 LIMIT_COLUMNS: Final = 4
-# Columns of the table of actuators (actuators, 5): those of `controller_sizes`, and the largest change per s.
-RATE: Final = 4
-ACTUATOR_COLUMNS: Final = 5
+# Columns of the table of actuators (actuators, 6): those of `controller_sizes`, the largest change per s, and the
+# command where the other side is silent.
+RATE, EXPIRY = 4, 5
+ACTUATOR_COLUMNS: Final = 6
 # Counts (7): samples since the last gap and since the beginning; the row of the latest reading and command; commands
 # that were cut for their mean power, and that were clamped; samples in the buckets of energy; commands that were
 # slowed.

@@ -11,6 +11,7 @@ from typing import Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantMismatchError, nearest
 from masking.lab.plants.interface import Plant, Sample, Settings
@@ -27,6 +28,9 @@ class Guard(Protocol):
 
     def begin(self, plant: Plant, settings: Settings) -> None:
         """Begin a session with a plant that is configured; a `PlantError` where it does not fit the plant."""
+
+    def expire(self, command: Array) -> None:
+        """Make a command (actuators,) what the plant puts out once its controller is silent for its watchdog's time."""
 
     def check(self, sample: Sample, command: Array) -> str:
         """Bring a command (actuators,) within the limits, in place.
@@ -61,6 +65,11 @@ class PlantLimits:
         self._sensors = _places("sensor", rules.sensors, plant.sensors)
         self._actuators = _places("actuator", rules.actuators, plant.actuators)
         self._chain, self._last = Chain(rules), -1
+
+    def expire(self, command: Array) -> None:
+        """Write the values at expiry of what is limited into a command (actuators,), once a session began."""
+        if self._chain is not None:
+            command[self._actuators] = self._chain.rules.commands[:, safety_tables.EXPIRY]
 
     def check(self, sample: Sample, command: Array) -> str:
         """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped."""

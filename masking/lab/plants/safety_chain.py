@@ -3,7 +3,7 @@
 Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `command_guard` in a server.
 In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
 answered: is the command finite, clamped, not too fast, not too warm. The first cause trips the chain: from then on
-every command is zero, until a new chain is made for the next run.
+every command is zero, or that of expiry where samples do not come, until a new chain is made for the next run.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Rules:
     rate: float  # samples per second
     sensors: tuple[str, ...]  # their names
     actuators: tuple[str, ...]  # their names
-    commands: Array  # table of limits of the actuators (actuators, 5), as `safety_tables` has its columns
+    commands: Array  # table of limits of the actuators (actuators, 6), as `safety_tables` has its columns
     readings: Array  # table of the sensors (sensors, 8), as `masking.compile.numerics.safety_tables` has its columns
     motion: Array  # second derivative of each reading by readings and commands (sensors, sensors + actuators)
     limited: tuple[str, ...] = ()  # what is limited, in words, a rate as that of the expression
@@ -258,7 +258,7 @@ class Chain:
         return self.trip
 
     def guard(self, tick: int, demanded: Array) -> Array:
-        """Command that may be written (actuators,): the same array each time, zero after a trip."""
+        """Command that may be written (actuators,): the same array each time, that of `stop` after a trip."""
         if self.trip is None:
             self._demanded[:] = demanded
             self._guard.call()
@@ -268,8 +268,12 @@ class Chain:
 
     def stop(self, cause: Cause, tick: int, channel: str = "", *, value: float = 0.0, limit: float = 0.0,
              detail: str = "", unit: str = "1") -> Trip:  # fmt: skip
-        """Trip for a cause that another one found; the first cause stays."""
-        self.applied[:] = 0.0
+        """Trip for a cause that another one found; the first cause stays.
+
+        Commands are zero from then on; where it is the first, and that samples do not come, those of expiry.
+        """
+        is_silent = cause is Cause.COMM_LOST and self.trip is None
+        self.applied[:] = self.rules.commands[:, safety_tables.EXPIRY] if is_silent else 0.0
         self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail, unit)
         return made
 

@@ -12,6 +12,8 @@ stopped, and when the plant trips:
 * the server itself was held up for that time, so that nobody watched what the outputs held;
 * the guard says so, or the plant fails.
 
+In the second and third case, the guard may have other values than zero, which hold until the session ends.
+
 After a trip the next controller is refused until it acknowledges the cause (`Settings.acknowledge`).
 
 A tick that is late by more than a period moves all that follow: the plant stood still meanwhile, and no tick is caught
@@ -249,7 +251,10 @@ class _Server:
         if self.serving.record is not None:
             folder = claimed(Path(self.serving.record))
             rows = SessionRows(self.plant, folder, settings.rate, **_facts(settings, self.serving.clock))
-        return Session(frame.session, address, settings, len(self.plant.actuators), rows)
+        session = Session(frame.session, address, settings, len(self.plant.actuators), rows)
+        if self.guard is not None:
+            self.guard.expire(session.expiry)
+        return session
 
     def keep(self, cause: str) -> None:
         """Keep why the plant was stopped, for the next server, too."""
@@ -347,7 +352,7 @@ class _Server:
         until = time.monotonic() + self.serving.patience
         while not (session.fresh or session.end or self.stop()):
             if time.monotonic() > until:
-                session.trip(tick, f"no command for {self.serving.patience:g} s in lockstep")
+                session.trip(tick, f"no command for {self.serving.patience:g} s in lockstep", is_silent=True)
                 return
             self.listen(session, tick, POLL)
 

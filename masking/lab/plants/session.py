@@ -69,6 +69,7 @@ class Session:
     ) -> None:
         self.number, self.address, self.settings = number, address, settings
         self.command: Array = np.zeros(actuators)
+        self.expiry: Array = np.zeros(actuators)  # in force once the watchdog has expired
         self.answered = -1  # index of the newest sample that a command answered
         self.fresh = False  # a command arrived since the last sample
         self.is_written = False  # the command is in force already, before the tick
@@ -111,18 +112,20 @@ class Session:
         if self.latch is not None:
             return
         if self.answered >= 0 and silent >= self.settings.watchdog:
-            self.trip(tick, f"no valid command for {self.settings.watchdog * 1e3:g} ms")
+            self.trip(tick, f"no valid command for {self.settings.watchdog * 1e3:g} ms", is_silent=True)
         elif self.answered < 0 and silent >= SILENT_START:
             self.trip(tick, f"no command for {SILENT_START:g} s after the start")
 
     def watch_clock(self, tick: int, late: float) -> None:
         """Trip where the plant's clock stood still, by `late` s, for the watchdog's time: what waits is as old."""
         if self.latch is None and self.answered >= 0 and late >= self.settings.watchdog:
-            self.trip(tick, f"the server was held up for {late * 1e3:.0f} ms, while the last command held")
+            self.trip(
+                tick, f"the server was held up for {late * 1e3:.0f} ms, while the last command held", is_silent=True
+            )
 
-    def trip(self, tick: int, cause: str) -> None:
-        """Set the outputs to zero for the rest of the session; the first cause stays."""
-        self.command[:] = 0.0
+    def trip(self, tick: int, cause: str, *, is_silent: bool = False) -> None:
+        """Set the outputs to zero, or to `expiry` where the controller is silent; the first cause stays."""
+        self.command[:] = self.expiry if is_silent and self.latch is None else 0.0
         if self.latch is None:
             self.latch = {"cause": cause, "tick": tick}
 

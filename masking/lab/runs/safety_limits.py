@@ -130,13 +130,14 @@ class _Builder:
         )  # fmt: skip
 
     def _commands(self) -> Array:
-        """Table of limits of the actuators (actuators, 5), in their units."""
-        known, declared = self.instruments, self.instruments.plant.limits.inputs
-        table, rates = known.limits(), np.full((len(known.actuators), 1), np.inf)
-        for row, name in zip(rates, known.actuators, strict=True):
-            if (limit := declared[name]).rate is not None:
-                row[:] = limit.rate * known.factors[limit.unit] / known.factors[known.unit(name)]
-        return np.hstack([table, rates])
+        """Table of limits of the actuators (actuators, 6), in their units."""
+        known, declared, rows = self.instruments, self.instruments.plant.limits.inputs, []
+        table = known.limits()  # of the same actuators: each is declared
+        for name in known.actuators:
+            limit = declared[name]
+            size = known.factors[limit.unit] / known.factors[known.unit(name)]
+            rows.append((math.inf if limit.rate is None else limit.rate * size, limit.expiry * size))
+        return np.hstack([table, rows])
 
     def _linear(self, expression: Expression, unit: float = 1.0) -> _Linear | None:
         """Expression of [q, v] that is linear, as a multiple of a unit; None where it is not."""

@@ -46,10 +46,14 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
             problems.append(problem_at(plant, f"sensors.{name}.range", message, remedy))
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
-    for name in plant.limits.inputs:
+    for name, limit in plant.limits.inputs.items():
+        path = f"limits.inputs.{name}"
         if name not in channels:
-            path, message = f"limits.inputs.{name}", f"'{name}' is not {owner}"
+            message = f"'{name}' is not {owner}"
             problems.append(problem_at(plant, path, message, nearest(name, channels), at_key=True))
+        if abs(limit.expiry) > limit.max:
+            message = f"expiry is {limit.expiry:g}, beyond the largest command, {limit.max:g}"
+            problems.append(problem_at(plant, f"{path}.expiry", message, "write a number within it"))
     problems += _allocation(plant, model)
     for expression in plant.limits.coordinates:
         problems += check_symbols(expression, measurable, model.coordinates)

@@ -46,9 +46,13 @@ class Limit(Block):
 
 
 class InputLimit(Limit):
-    """The largest magnitude of a command, and how fast it may change at most, in its unit per s."""
+    """The largest magnitude of a command, and how fast it may change at most, in its unit per s.
+
+    `expiry` is its value where a watchdog expires, in its unit.
+    """
 
     rate: Positive | None = None
+    expiry: Number = 0.0
 
 
 class Sensor(Block):

@@ -15,7 +15,7 @@ from masking.app.cli import main
 from masking.compile.numerics import safety_tables
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
 from masking.control.rig.twin import Twin
-from masking.errors import MaskingError, PlantError
+from masking.errors import DeclarationError, MaskingError, PlantError
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.safety_chain import Cause, Chain, Rules
 from masking.lab.plants.simulated import SimulatedPlant
@@ -270,6 +270,24 @@ def test_the_rate_of_a_plant_file_holds_in_its_unit_where_the_motion_asks_for_mo
     assert (found["end"], found["trip"]["cause"]) == ("tripped", "COMMAND_RATE")
     assert f"where {allowed:.4g} A/s are allowed" in found["trip"]["sentence"]
     assert np.abs(np.diff(plant.written[:-1], axis=0)).max() <= allowed / 500.0 * (1 + 1e-9)
+
+
+def test_values_at_expiry_are_those_of_a_silent_plant_alone(cart, tmp_path):
+    def change(declared):
+        declared["limits"]["inputs"]["u"] = {"max": 2, "unit": "A", "expiry": -0.5}
+
+    rules = safety_limits.rules(on_a_plant(cart, tmp_path, change).instruments, 500.0)
+    chain, faulty = Chain(rules), Chain(rules)
+    chain.time(9, is_late=True, silence=9.0, missed=8, lost=8)
+    assert (chain.trip.cause, chain.guard(9, np.ones(1)).tolist()) == (Cause.COMM_LOST, [-0.5])
+    chain.stop(Cause.ESTOP, 10)  # a second cause
+    assert (chain.trip.cause, chain.guard(10, np.ones(1)).tolist()) == (Cause.COMM_LOST, [0.0])
+    faulty.watch(0, np.array([np.nan]))
+    assert faulty.guard(0, np.ones(1)).tolist() == [0.0]
+    with pytest.raises(
+        DeclarationError, match=r"expiry is -3, beyond the largest command, 2 *\n? *.*write a number within"
+    ):
+        on_a_plant(cart, tmp_path, lambda declared: declared["limits"]["inputs"]["u"].update(expiry=-3))
 
 
 def test_the_allowed_power_never_trips():

@@ -304,6 +304,32 @@ def test_the_watchdog_counts_seconds_where_a_tick_is_longer(tmp_path):
     assert np.array_equal(own["tick"], np.arange(len(own)))
 
 
+def test_the_values_at_expiry_hold_until_the_session_ends(tmp_path):
+    """Where the controller is silent; where the server is told to stop, or the session is over, outputs are zero."""
+    rules = Rules.of_commands(np.full(2, 2.0), MassSpring.sensors, ("u1", "u2"), 100.0)
+    rules.commands[:, safety_tables.EXPIRY] = 0.5, 0.0
+    plant, guard = Timed(), PlantLimits(lambda _: rules)
+    with served(plant, record=tmp_path, sessions=2, after_latch=0.2, guard=guard) as (address, folders):
+        for number, is_silent in ((5, True), (6, False)):
+            with line(address) as bare:
+                opened(bare, number, Settings(rate=100.0, watchdog=0.1, acknowledge=True))
+                index = wire.decode(bare.recv(65535)).index
+                bare.send(wire.encode(Kind.COMMAND, number, index, values=np.ones(2)))
+                if not is_silent:
+                    bare.send(wire.encode(Kind.STOP, number, text="enough"))
+                while wire.decode(bare.recv(65535)).kind is not Kind.STOP:
+                    pass
+                time.sleep(0.5)
+    silent, stopped = map(Recording.load, folders)
+    latched = silent["latched"] == 1.0
+    assert "no valid command for 100 ms" in silent.manifest["latch"]["cause"]
+    assert latched.sum() > 2
+    assert silent.array("input")[latched][:-1].tolist() == [[0.5, 0.0]] * (latched.sum() - 1)
+    assert not silent.array("input")[-1].any()  # of the row after which the plant is deactivated
+    assert set(stopped["input.u1"]) <= {0.0, 1.0}
+    assert not plant.applied.any()
+
+
 @pytest.mark.parametrize("kind", [Kind.BYE, Kind.STOP])
 def test_a_good_bye_is_heard_within_a_long_tick(tmp_path, kind):
     plant = Timed()
@@ -543,6 +569,9 @@ class Careful:
 
     def begin(self, plant, settings):
         pass
+
+    def expire(self, command):
+        command[:] = 0.0
 
     def check(self, sample, command):
         return "x1 is beyond its limit" if abs(sample.values[0]) > self.most else ""
