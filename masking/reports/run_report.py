@@ -71,6 +71,11 @@ def warnings(recording: Recording) -> list[str]:
     return run_text.warnings(Study(recording))
 
 
+def strayed(recording: Recording) -> str:
+    """Sentence on a masking error above 1; empty where there is none."""
+    return run_text.strayed(Study(recording))
+
+
 def limits_used(recording: Recording) -> dict[str, float]:
     """Part of its limit that each input used at its peak; inputs without a limit are left out."""
     return {use.name: use.used for use in Study(recording).inputs if use.used is not None}

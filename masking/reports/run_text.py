@@ -15,6 +15,8 @@ from masking.reports.text import capital, short
 
 _SUMMARY_LINES, _WIDTH = 14, 100
 _TRUE, _ROUGH = 0.01, 0.3  # chi up to which the rig moved as, or roughly as, the virtual system
+_OTHER = 1.0  # chi of a rig at rest
+_TARDY = 0.01  # of the samples of a run
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
 _AWAY = 0.02  # of the largest initial coordinate: what homing may leave
 _MUCH = 1.1  # times its limit: from here on an input is stated in multiples, below in percent
@@ -31,7 +33,8 @@ _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to b
 def warnings(study: Study) -> list[str]:
     """Sentences on what limits the validity of the result; empty if all is well."""
     manifest = study.recording.manifest
-    found = [text for text in (exceeded(study.inputs), cut(study.inputs), louder(study.recording)) if text]
+    measured = (exceeded(study.inputs), cut(study.inputs), louder(study.recording), tardy(manifest))
+    found = [text for text in measured if text]
     rate = float(manifest.get("rate") or 0.0)
     compensates = (manifest.get("observer") or {}).get("kind") in _WITH_MODEL
     is_late = manifest.get("mode") == "sampled" and rate > 0.0 and not compensates
@@ -50,7 +53,31 @@ def warnings(study: Study) -> list[str]:
             f"Not for long: {free['words']}. Nothing holds what is passive; choose a slower or smaller virtual motion, "
             "or drive it instead."
         )
-    return found
+    other = strayed(study)
+    if other and not found:
+        other += (
+            " Nothing that was measured explains it: compare zeros, noise, gains and delay of the rig with those of "
+            "its plant file ('masking rig check ADDRESS --plant PLANT', 'masking rig calibrate')."
+        )
+    return [other, *found] if other else found
+
+
+def strayed(study: Study) -> str:
+    """Coordinates that moved otherwise than wanted; nothing where none did, or something else is held."""
+    far = [f"{name} {number(chi, 2)}" for name, chi in study.chi.items() if not chi <= _OTHER]
+    if not far or regulation(study.recording.manifest):
+        return ""
+    return f"The masking error is above 1 ({', '.join(far)}): a rig at rest would be nearer to the wanted motion."
+
+
+def tardy(manifest: Mapping[str, Any]) -> str:
+    """Share of the samples of a run on a plant that came late or not at all; nothing where it is small."""
+    rig = manifest.get("rig") or {}
+    counts, ticks = rig.get("counters") or {}, sum(nested(rig, "timing", "controller").get("counts") or ())
+    late, missed = counts.get("late", 0), counts.get("missed", 0)
+    part = max(late, missed) / max(1, ticks + missed)
+    words = f"{percent(part)} of the samples were late or missed, so that commands acted later than declared"
+    return f"{words}; lower controller.rate, or take load off the machine and the line." if part > _TARDY else ""
 
 
 def passive(manifest: Mapping[str, Any]) -> str:

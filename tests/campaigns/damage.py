@@ -19,6 +19,7 @@ from masking.lab.plants.remote import RemotePlant
 from masking.lab.plants.udp import UdpLine
 from masking.lab.plants.wire import Kind
 
+_MAINS = 50.0  # Hz
 Spoil = Callable[[bytes], list[bytes]]
 
 
@@ -26,10 +27,10 @@ Spoil = Callable[[bytes], list[bytes]]
 class Damaged:
     """A plant whose readings and commands are damaged on the way, as a file says that is read at each `configure`.
 
-    The file holds a JSON object: `what` (`set`, `add`, `hold` or `scale` readings; `command`, which scales commands;
-    `stick`, which holds one at `value`; `index`, whose `value` is added to that of one sample; `fail`, where the plant
-    raises an error; `press`, where its emergency stop is pressed), `channel`, `at` (the first tick of it) and `value`,
-    as text where that is no finite number.
+    The file holds a JSON object: `what` (`set`, `add`, `hold`, `scale` or `hum` readings; `command`, which scales
+    commands; `stick`, which holds one at `value`; `index`, whose `value` is added to that of one sample; `fail`, where
+    the plant raises an error; `press`, where its emergency stop is pressed), `channel`, `at` (the first tick of it) and
+    `value`, as text where that is no finite number.
 
     Args:
         plant: any that reports its outputs.
@@ -42,11 +43,11 @@ class Damaged:
         self.plant, self.file = plant, file
         self.sensors, self.actuators = plant.sensors, plant.actuators
         self._chosen: Mapping[str, Any] = {}
-        self._held = 0.0
+        self._held, self._rate = 0.0, 1.0
 
     def configure(self, settings: Settings) -> None:
         """Configure the plant, and read what is to be damaged."""
-        self._chosen = json.loads(self.file.read_text()) if self.file.exists() else {}
+        self._chosen, self._rate = json.loads(self.file.read_text()) if self.file.exists() else {}, settings.rate
         self.plant.configure(settings)
 
     def activate(self) -> None:
@@ -79,6 +80,8 @@ class Damaged:
             values[channel] += value
         elif self._is_on(sample.index, "scale"):
             values[channel] *= value
+        elif self._is_on(sample.index, "hum"):
+            values[channel] += value * np.sin(2.0 * np.pi * _MAINS * sample.index / self._rate)
         if self._is_on(sample.index, "index") and sample.index == int(self._chosen["at"]):
             return Sample(sample.index + int(value), values)
         return Sample(sample.index, values)

@@ -1,4 +1,4 @@
-"""Faults 23, 24 and 28: a self-test on a rig that is wired wrongly, and declarations that are hostile or broken."""
+"""Faults 23, 24, 28 and 33: a self-test on a rig that is wired wrongly, and declarations that are hostile or broken."""
 
 from __future__ import annotations
 
@@ -14,26 +14,31 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.self_test import SIZE, self_test
 from tests.campaigns.bench import Bench
 from tests.campaigns.table import Fault, Judgement
-from tests.campaigns.twins import twin
+from tests.campaigns.twins import PLANT, twin
 
 _PLANT: Final = "linear_rig"
 _PLACE: Final = re.compile(r"\.yaml:\d+:\d+:")
 
 
-def _tested(bench: Bench, judgement: Judgement, damage: Mapping[str, Any], named: str) -> None:
+def _tested(bench: Bench, judgement: Judgement, damage: Mapping[str, Any], named: str, plant: str = _PLANT) -> None:
     """Demand that the self-test refuses a damaged rig, names the channel, and never sends more than its pulse."""
-    served = bench.served(plant=_PLANT)
+    served = bench.served(plant=plant)
     served.damage(**damage)
-    found = self_test(twin(_PLANT), UdpPlant(served.address, patience=20.0), lockstep=True, acknowledge=True)
+    found = self_test(twin(plant), UdpPlant(served.address, patience=20.0), lockstep=True, acknowledge=True)
     largest = 0.0
-    for _ in twin(_PLANT).actuators[: max(1, len({answer.actuator for answer in found.answers}))]:
+    for _ in twin(plant).actuators[: max(1, len({answer.actuator for answer in found.answers}))]:
         largest = max(largest, float(np.abs(served.record().array("input")).max()))
-    pulse = SIZE * max(limit.max for limit in twin(_PLANT).declaration.limits.inputs.values())
+    pulse = SIZE * max(limit.max for limit in twin(plant).declaration.limits.inputs.values())
     judgement.need(found.findings, f"{named}: not refused")
     judgement.need(any(named in finding for finding in found.findings), f"{named}: not named in {found.findings}")
     judgement.need(largest <= pulse * (1.0 + 1e-12), f"{named}: {largest:g} V, more than the pulse of {pulse:g} V")
     if found.findings:
         judgement.say(f"{found.findings[0].split(';')[0][:70]} (at most {largest:.3g} V)")
+
+
+def _hums(bench: Bench, judgement: Judgement) -> None:
+    declared = twin(PLANT).noise()["s2"]
+    _tested(bench, judgement, {"what": "hum", "channel": 1, "value": 10.0 * declared}, "s2", PLANT)
 
 
 def _wrong_sign(bench: Bench, judgement: Judgement) -> None:
@@ -84,4 +89,5 @@ FAULTS: Final = (
     Fault(23, "sensor with the wrong sign", "the self-test refuses; never more than its pulse", _wrong_sign),
     Fault(24, "actuator reversed, dead, stuck", "the self-test refuses; never more than its pulse", _wrong_actuator),
     Fault(28, "hostile or broken declarations", "refused with file:line:column; nothing executed", _hostile),
+    Fault(33, "50 Hz of 10 times the noise on a sensor", "the self-test refuses; never more than its pulse", _hums),
 )

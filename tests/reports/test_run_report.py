@@ -422,6 +422,19 @@ def test_there_is_no_warning_without_a_reason():
     assert limits_used(Recording({"t": [0.0], "input.u": [1.0]})) == {}
 
 
+def test_a_masking_error_above_one_is_said_with_the_causes_that_were_measured():
+    rig = {"end": "finished", "counters": {"late": 3, "missed": 80}, "timing": {"controller": {"counts": [900, 20]}}}
+    (other,) = warnings(duffing(2000, 1.5, mode="real time"))
+    assert other.startswith("The masking error is above 1 (x1 1.5, x2 1.5, x3 1.5): a rig at rest would be nearer")
+    assert "Nothing that was measured explains it: compare zeros, noise, gains and delay" in other
+    other, cause = warnings(duffing(2000, 1.5, mode="real time", rig=rig))
+    assert other.endswith("a rig at rest would be nearer to the wanted motion.")
+    assert cause.startswith("8 % of the samples were late or missed")
+    held = {"experiment": {"controller": {"regulate": {"energy": 0.1}}}}
+    assert warnings(duffing(2000, 1.5, mode="real time", declarations=held)) == []
+    assert warnings(duffing(2000, 0.99, mode="real time")) == []
+
+
 def test_the_longest_summary_is_fourteen_lines():
     changes = {"virtual": virtual(w3={"value": 1.0}), "experiment": {"parameters": {"w3": 2.0}}}
     lines = summary(

@@ -92,6 +92,7 @@ def _run(call: Call) -> int:
     from masking.lab.runs import hardware, stopping
     from masking.lab.runs.experiment import Experiment
     from masking.lab.runs.self_test import self_test
+    from masking.reports.run_report import strayed
 
     chosen: RunSettings = call.do()
     made = Experiment.load(chosen.experiment)
@@ -139,7 +140,10 @@ def _run(call: Call) -> int:
             print("masking: the page shows this until it is acknowledged, there or here by Ctrl+C", file=sys.stderr)
             raise_interrupts()
             operator.wait()
-    return int(not is_planned)
+    other = strayed(recording) if is_planned else ""
+    if other:
+        print(f"masking: {end}, but otherwise than wanted: {other}", file=sys.stderr)
+    return int(not is_planned or (end == stopping.FINISHED and bool(other)))
 
 
 @verb(

@@ -469,6 +469,26 @@ def test_an_index_that_repeats_or_goes_back_ends_the_run_with_the_rows_before(ca
     assert stream.written(tmp_path / "rows") == at
 
 
+def test_a_finished_run_whose_masking_error_is_above_one_has_status_1_and_says_why(cart, tmp_path, capsys, monkeypatch):
+    """A coil of a hundredth of its current is too weak for the motion: the chain has nothing against it."""
+
+    def change(declared):
+        declared["limits"]["inputs"]["u"]["max"] = 0.02
+
+    weak = on_a_plant(cart.changed(duration=30), tmp_path, change)
+    file = tmp_path / "weak.yaml"
+    file.write_text(json.dumps(weak.declaration.canonical()), encoding="utf-8")
+    monkeypatch.setattr("masking.lab.plants.group.adapters.connect", lambda *_: SimulatedPlant(weak.twin))
+    arguments = ["rig", "run", str(file), "--plant", "x:y", "--lockstep", "--out", str(tmp_path / "out"), "--json"]
+    assert main(arguments) == 1
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    assert found["rig"]["end"] == "finished"
+    assert max(found["masking_error"].values()) > 1.0
+    assert "masking: finished, but otherwise than wanted: The masking error is above 1" in said.err
+    assert "the rig could not follow there" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
 def test_the_command_line_tests_a_served_rig_and_refuses_the_wrong_plant_file(capsys):
     with serving("linear_rig", "--lockstep", "--sessions", 100) as (server, address):
         assert main(["rig", "check", address, "--lockstep", "--plant", "linear_rig", "--json"]) == 0
