@@ -1,4 +1,4 @@
-"""Faults 1 to 8, 31 and 32: of sensors, of the motion and of the controller, in lockstep on a served twin."""
+"""Faults 1 to 8, 31, 32 and 34: of sensors, of the motion and of the controller, in lockstep on a served twin."""
 
 from __future__ import annotations
 
@@ -188,6 +188,49 @@ def _rate(bench: Bench, judgement: Judgement) -> None:
         )
 
 
+def _energy(ended: Ended) -> Array:
+    """Return the mechanical energy per mass of the beam in a plant's own record, by the springs of the model."""
+    p, own = twin().model.parameter_values(), ended.own
+    x, v = ([own[f"plant.x{i}{prime}"] for i in (1, 2, 3)] for prime in ("", "'"))
+    parts = [p[f"mu{i}"] * (v[i - 1] ** 2 + p[f"w{i}"] ** 2 * (x[i - 1] - x[2]) ** 2) for i in (1, 2)]
+    return np.asarray((parts[0] + parts[1] + v[2] ** 2 + p["w3"] ** 2 * x[2] ** 2) / 2)
+
+
+def _brakes(bench: Bench, judgement: Judgement) -> None:
+    at = 700
+
+    def fails(tick: int, _: Array) -> Array:
+        if tick == at:
+            raise ZeroDivisionError("the controller was asked to raise")
+        return np.full(_SENSORS, 0.03 * np.sin(4.0 * np.pi * tick / RATE) * (tick < at))
+
+    def silent(tick: int, readings: Array) -> Array:
+        return fails(tick, readings) if tick < at else np.zeros(_SENSORS)
+
+    free = _energy(bench.run(silent, samples=at + 800))[at + 3 :]
+    ended = bench.run(fails, samples=at + 800, held=rules(brakes=True))
+    left = _energy(ended)[at + 3 :]
+    half = int(0.5 * RATE)
+    rise = float((left - np.minimum.accumulate(left)).max() / left[0])
+    most = float(np.abs(_inputs(ended)[at:]).max())
+    judgement.need(ended.cause == "CONTROLLER_EXCEPTION", f"ended as {ended.cause or ended.run.reason}")
+    judgement.need(left[half] < 0.01 * left[0] < 0.1 * free[half], f"{left[half] / left[0]:.2g} of the energy is left")
+    judgement.need(rise < 1e-3, f"the energy rises by {rise:.2g} of it")
+    judgement.need(most <= 0.42, f"the plant got {most:g} V")
+    judgement.need(not _inputs(ended)[-1].any(), "the plant is not at zero")
+    judgement.say(f"after 0.5 s {left[half] / left[0]:.1e} of the energy, {free[half] / free[0]:.2g} without a brake")
+    jump = bench.run(
+        fails,
+        samples=at + 800,
+        held=rules(brakes=True),
+        damage={"what": "add", "channel": 0, "at": at + 100, "value": _JUMP},
+    )
+    later = int(jump.own["tick"][np.flatnonzero(_inputs(jump).any(axis=1))[-1]]) - at - 100
+    judgement.need(jump.cause == "CONTROLLER_EXCEPTION", f"the first cause is {jump.cause}")
+    judgement.need(later < 1, f"a command {later} ticks after a sensor jumped in the brake")
+    judgement.say("zero in the tick in which a sensor jumps")
+
+
 def _index(bench: Bench, judgement: Judgement) -> None:
     for value in (-1, -5):
         said = f"gave sample {_AT + value} after sample {_AT - 1}"
@@ -223,4 +266,7 @@ FAULTS: Final = (
     Fault(8, "controller emits NaN / Inf / 1e300", "CONTROLLER_NONFINITE; finite in every tick", _controller),
     Fault(31, "index of a sample repeats, goes back", "refused with both indices; every row before is kept", _index),
     Fault(32, "command jumps by 0.42 V, once / always", "at most 50 V/s; COMMAND_RATE after 0.25 s of it", _rate),
+    Fault(
+        34, "trip at speed, with a brake; then a jump", "99 % of the energy gone in 0.5 s, never more; zero", _brakes
+    ),
 )

@@ -13,11 +13,12 @@ from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.runs import safety_limits
-from masking.model.declaration.instrument_declaration import Limit
+from masking.model.declaration.instrument_declaration import ControlledStop, Limit
 
 PLANT: Final = "tue_rig"
 RATE: Final = 1000.0  # Hz
 WATCHDOG: Final = 0.02  # s
+_BRAKED: Final = 2.0  # s
 
 
 @cache
@@ -27,7 +28,9 @@ def twin(plant: str = PLANT) -> Twin:
 
 
 @cache
-def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: float = 0.0) -> Rules:
+def rules(
+    plant: str = PLANT, rate: float = RATE, *, speed: float = 0.0, largest: float = 0.0, brakes: bool = False
+) -> Rules:
     """Return what the safety chain holds the twin to.
 
     Args:
@@ -35,6 +38,7 @@ def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: f
         rate: samples per second.
         speed: limit of the rate of the limited expressions, m/s; 0 for none.
         largest: command in place of the declared one, in its unit; 0 for the declared one.
+        brakes: whether a run ends with a brake.
     """
     found = twin(plant)
     declared = found.declaration
@@ -45,6 +49,8 @@ def rules(plant: str = PLANT, rate: float = RATE, speed: float = 0.0, largest: f
     if largest:
         inputs = {name: limit.model_copy(update={"max": largest}) for name, limit in limits.inputs.items()}
         limits = limits.model_copy(update={"inputs": inputs})
+    if brakes:
+        limits = limits.model_copy(update={"stop": ControlledStop(kind="brake", time=_BRAKED)})
     known, changed = Instruments.of(found), declared.model_copy(update={"limits": limits})
     return safety_limits.rules(replace(known, plant=changed, factors={**known.factors, "m/s": 1.0}), rate, found)
 

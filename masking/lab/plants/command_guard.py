@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
 from masking.errors import PlantMismatchError, nearest
+from masking.lab.plants.controlled_stop import Braking, follows
 from masking.lab.plants.interface import Plant, Sample, Settings
 from masking.lab.plants.safety_chain import Chain, Rules
 
@@ -50,6 +51,8 @@ class PlantLimits:
     def __init__(self, rules: Callable[[float], Rules]) -> None:
         self._rules = rules
         self._chain: Chain | None = None
+        self._braking: Braking | None = None
+        self._stopping, self._until = "", 0  # why, and the tick at which a controlled stop ends
         self._last = -1
         self._sensors, self._actuators = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
 
@@ -64,7 +67,8 @@ class PlantLimits:
         rules = self._rules(settings.rate)
         self._sensors = _places("sensor", rules.sensors, plant.sensors)
         self._actuators = _places("actuator", rules.actuators, plant.actuators)
-        self._chain, self._last = Chain(rules), -1
+        self._chain, self._last, self._stopping = Chain(rules), -1, ""
+        self._braking = None if rules.stop is None else Braking(self._chain, rules.stop)
 
     def expire(self, command: Array) -> None:
         """Write the values at expiry of what is limited into a command (actuators,), once a session began."""
@@ -72,13 +76,32 @@ class PlantLimits:
             command[self._actuators] = self._chain.rules.commands[:, safety_tables.EXPIRY]
 
     def check(self, sample: Sample, command: Array) -> str:
-        """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped."""
+        """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped.
+
+        A controlled stop of the plant file comes first: meanwhile its commands replace those that are given.
+        """
         chain, missed = self._chain, max(0, sample.index - self._last - 1) if self._last >= 0 else 0
         assert chain is not None  # noqa: S101  # a session begins before its commands are checked
-        self._last = sample.index
-        if chain.watch(sample.index, sample.values[self._sensors], missed) is None:
-            command[self._actuators] = chain.guard(sample.index, command[self._actuators])
-        return str(chain.trip) if chain.trip is not None else ""
+        self._last, read = sample.index, sample.values[self._sensors]
+        if chain.watch(sample.index, read, missed) is None:
+            wanted = command[self._actuators]
+            if self._stopping and self._braking is not None:
+                wanted = self._braking.step(sample.index, read)
+            command[self._actuators] = chain.guard(sample.index, wanted)
+        return self._cause(chain, sample.index, read, command)
+
+    def _cause(self, chain: Chain, tick: int, read: Array, command: Array) -> str:
+        """Why the plant must stop, once a controlled stop is over where there is one."""
+        if self._braking is None:
+            return str(chain.trip) if chain.trip is not None else ""
+        if self._stopping:
+            return self._stopping if chain.trip is not None or self._braking.is_over or tick >= self._until else ""
+        self._braking.see(tick, read)
+        if chain.trip is None or not follows(chain):
+            return str(chain.trip) if chain.trip is not None else ""
+        command[self._actuators] = chain.applied
+        self._stopping, self._until = str(chain.release()), tick + self._braking.samples
+        return ""
 
 
 def _places(kind: str, wanted: tuple[str, ...], there: tuple[str, ...]) -> NDArray[np.intp]:

@@ -58,6 +58,11 @@ class Cause(IntEnum):
     COMMAND_RATE = 19
 
 
+# Causes after which readings, actuators and the plant are trusted, so that a controlled stop may follow.
+BORNE: Final = frozenset({
+    Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT, Cause.CONTROLLER_NONFINITE, Cause.CONTROLLER_EXCEPTION,
+    Cause.COMMAND_RATE, Cause.UNATTENDED,
+})  # fmt: skip
 _SAID: Final = {
     Cause.SENSOR_NONFINITE: "the reading of {channel} is {value}; look at its cable and at what converts it",
     Cause.SENSOR_STUCK: (
@@ -148,6 +153,17 @@ class Trip:
 
 
 @dataclass(frozen=True, eq=False)
+class ControlledStop:
+    """How a run comes to rest before commands are zero."""
+
+    samples: int  # that it takes at most
+    damping: Array | None = None  # command per rate of the readings (actuators, sensors); None to hold the last command
+    span: int = 0  # samples over which a rate is taken
+    still: Array = field(default_factory=lambda: np.zeros(0))  # rate of each reading (sensors,) below which it is noise
+    settled: int = 0  # samples in a row of such rates, after which the rig is at rest
+
+
+@dataclass(frozen=True, eq=False)
 class Rules:
     """What a chain holds a rig to, at one rate, in the units of the channels."""
 
@@ -168,6 +184,7 @@ class Rules:
     delay: int = 0  # samples between a reading and the first effect of the command that answers it
     missed: float = 1.0  # largest share of the samples of a second that may be late or missed
     notes: tuple[str, ...] = ()  # what is not watched, a sentence each
+    stop: ControlledStop | None = None  # None where a run ends at zero at once
 
     def unit(self, kind: int, at: int) -> str:
         """Unit of a sensor (kind 0), an actuator (1) or what is limited (2); 1 where it is not known."""
@@ -214,6 +231,7 @@ class Chain:
         if max(sensed, channels) > 64:
             raise PlantMismatchError(f"{max(sensed, channels)} channels are more than the safety chain's 64")
         self._values, self._demanded, self.applied = np.zeros(sensed), np.zeros(channels), np.zeros(channels)
+        self._before = np.zeros(channels)
         self._missed, self._found = np.zeros(1, dtype=np.int64), np.zeros(3)
         self._counts = np.zeros(safety_tables.COUNTS, dtype=np.int64)
         self._late = self._late_in_a_row = 0
@@ -225,8 +243,9 @@ class Chain:
         seen[:, safety_tables.FINEST] = np.inf
         known = np.zeros(rules.estimated.shape[1]) if estimate is None else estimate
         reaction, energy, counts = np.zeros((channels, 2)), np.zeros((channels, BUCKETS + 1)), self._counts
+        self._limits = np.array(rules.limits, dtype=np.float64, order="C")
         watched = Watched(
-            *(_whole(rules.readings), seen, _whole(rules.motion), past, sent, _whole(rules.limits)),
+            *(_whole(rules.readings), seen, _whole(rules.motion), past, sent, self._limits),
             *(_whole(rules.weights), _whole(rules.estimated), reaction, counts, settings, self._found),
         )
         guarded = Guarded(_whole(rules.commands), energy, sent, counts, settings, self._found)
@@ -260,9 +279,10 @@ class Chain:
     def guard(self, tick: int, demanded: Array) -> Array:
         """Command that may be written (actuators,): the same array each time, that of `stop` after a trip."""
         if self.trip is None:
-            self._demanded[:] = demanded
+            self._demanded[:], self._before[:] = demanded, self.applied
             self._guard.call()
             if found := self._guard.results[0]:
+                self.applied[:] = self._before
                 self._found_by(int(found), tick)
         return self.applied
 
@@ -270,12 +290,21 @@ class Chain:
              detail: str = "", unit: str = "1") -> Trip:  # fmt: skip
         """Trip for a cause that another one found; the first cause stays.
 
-        Commands are zero from then on; where it is the first, and that samples do not come, those of expiry.
+        Commands are zero from then on. Where it is the first, they are those of expiry if samples do not come, and the
+        last ones if a controlled stop holds them.
         """
-        is_silent = cause is Cause.COMM_LOST and self.trip is None
-        self.applied[:] = self.rules.commands[:, safety_tables.EXPIRY] if is_silent else 0.0
+        is_first, held = self.trip is None, self.rules.stop is not None and self.rules.stop.damping is None
+        if not (is_first and held and cause in BORNE):
+            is_silent = is_first and cause is Cause.COMM_LOST
+            self.applied[:] = self.rules.commands[:, safety_tables.EXPIRY] if is_silent else 0.0
         self.trip = made = self.trip or Trip(cause, channel, tick, value, limit, detail, unit)
         return made
+
+    def release(self) -> Trip | None:
+        """Watch on for a controlled stop, in which what is limited may be beyond its limit; return why it tripped."""
+        first, self.trip = self.trip, None
+        self._limits[:, safety_tables.BOUND] = np.inf
+        return first
 
     def time(self, tick: int, *, is_late: bool, silence: float, missed: int, lost: int) -> None:
         """Look at the time of a tick that is late, or before which samples were missed; others need no look.

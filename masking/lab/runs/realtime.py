@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from masking import errors
 from masking.compile.numerics.arrays import Array
 from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
+from masking.lab.plants.controlled_stop import Braking, follows
 from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling, check_index
 from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
@@ -133,7 +134,7 @@ def run_rig(
             rows = Rows(samples, plant, Chain(limits, known.estimate), hooks.on_row, known)
             note = way_out.enter_context(undisturbed(priority=not settings.lockstep))
             way_out.enter_context(word.driving())
-            way_out.push(partial(_leave, plant, rows))  # first of all on the way out
+            way_out.push(partial(_leave, plant, rows, settings, hooks))  # first of all on the way out
             plant.activate()
             reason = _loop(step, plant, rows, settings, hooks=hooks, asked=asked)
     except BaseException as error:
@@ -142,20 +143,40 @@ def run_rig(
         if hooks.on_end is not None and rows is not None:
             hooks.on_end(rows.run(_reason(error, rows), plant, note))
         raise
-    run = rows.run(reason, plant, note)
+    run = rows.run(reason if rows.chain.trip is None else TRIPPED, plant, note)
     if hooks.on_end is not None:
         hooks.on_end(run)
     return run
 
 
-def _leave(plant: Plant, rows: Rows, _kind: object, error: BaseException | None, _trace: object) -> None:
-    """Leave a plant at zero, and let it know why the chain tripped, if it did."""
-    if error is not None:
+def _leave(plant: Plant, rows: Rows, settings: Settings, hooks: Hooks, *raised: object) -> None:
+    """Leave a plant at zero, after a controlled stop if there is one, and let it know why the chain tripped."""
+    error = raised[1]
+    if isinstance(error, BaseException):
         _reason(error, rows)
+    if rows.count and follows(rows.chain) and (error is None or rows.chain.trip is not None):
+        _stop(plant, rows, settings, hooks)
     if rows.chain.trip is not None and isinstance(plant, Latching):
         with contextlib.suppress(Exception):  # whatever an adapter does, the plant is left
             plant.trip(str(rows.chain.trip))
     plant.deactivate()
+
+
+def _stop(plant: Plant, rows: Rows, settings: Settings, hooks: Hooks) -> None:
+    """Go on with a controlled stop in place of the controller; whatever comes between ends it."""
+    first, stop, ended = rows.chain.release(), rows.chain.rules.stop, rows.count
+    assert stop is not None  # noqa: S101  # `follows`
+    braking = Braking(rows.chain, stop)
+    for row in range(max(0, ended - stop.span - 1), ended):
+        braking.see(int(rows.table[row, TICK]), rows.sensors[row])
+    rows.samples, rows.is_run = ended + stop.samples, False
+    own = Hooks(stop=lambda: braking.is_over, emergency=hooks.emergency, look=hooks.look)
+    try:
+        _loop(braking.step, plant, rows, settings, hooks=own, asked=lambda: False)
+    except Exception as error:  # the plant is left at zero, and the record has why
+        _reason(error, rows)
+        rows.tell()
+    rows.chain.trip = first or rows.chain.trip
 
 
 def _reason(error: BaseException, rows: Rows) -> str:
@@ -199,11 +220,12 @@ def every(progress: Callable[[float], None], samples: int) -> Callable[[int], No
 def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Hooks, asked: Stop) -> str:
     """Run tick after tick; return why it ended."""
     keeps_time = not (plant.owns_clock or settings.lockstep)
-    deadlines, chain, stop, look, on_tick = Deadlines(settings.rate), rows.chain, hooks.stop, hooks.look, hooks.on_tick
+    deadlines = rows.deadlines = rows.deadlines or Deadlines(settings.rate)
+    chain, stop, look, on_tick = rows.chain, hooks.stop, hooks.look, hooks.on_tick
     taken = _Taken(plant, chain, settings.rate) if isinstance(plant, Telling) else None
     counters = plant.counters if isinstance(plant, Counting) else {}
     ended, skipped = time.perf_counter(), 0
-    for row in range(rows.samples):
+    for row in range(rows.count, rows.samples):
         lateness = deadlines.wait(asked) if keeps_time and row else 0.0 if settings.lockstep else None
         if asked():
             return INTERRUPTED
@@ -228,6 +250,8 @@ def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Ho
         command = rows.applied[row]
         if chain.watch(sample.index, sample.values, missed) is None:
             _answer(step, plant, rows, sample, began)
+        else:
+            command[:] = chain.applied
         answered = time.perf_counter()
         plant.write(sample.index, command)
         ended = time.perf_counter()
@@ -250,6 +274,7 @@ def _answer(step: Step, plant: Plant, rows: Rows, sample: Sample, began: float) 
     except BaseException as error:
         cause = Cause.CONTROLLER_NONFINITE if isinstance(error, CommandError) else Cause.CONTROLLER_EXCEPTION
         rows.chain.stop(cause, tick, ", ".join(plant.actuators), value=np.nan, detail=traceback.format_exc())
+        rows.applied[rows.count - 1] = rows.chain.applied
         with contextlib.suppress(PlantError):
             plant.write(tick, rows.chain.applied)
         raise
@@ -316,7 +341,8 @@ class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
     `table` (samples, columns) has `LOOP`, the sensors, the applied commands, and what the controller knows; `count` are
-    the rows that were begun, and `ticks` their times. Each of `on_row` is called once with each row.
+    the rows that were begun, and `ticks` their times. Each of `on_row` is called once with each row. In a controlled
+    stop, behind the `samples` of a run, `is_run` is false, and no row is one that the controller answered.
     """
 
     def __init__(
@@ -325,6 +351,9 @@ class Rows:
         if samples < 1:
             raise PlantMismatchError(f"samples is {samples}; give at least 1")
         self.samples, self.count, self.chain = samples, 0, chain
+        self.is_run = True
+        self.deadlines: Deadlines | None = None
+        samples += 0 if chain.rules.stop is None else chain.rules.stop.samples
         self.ticks = _Ticks(chain.rules.rate, known.before)
         self._on_row, self._shape = on_row, chain.applied.shape
         self._told = self._at = 0  # rows that were passed on; cells before the last row
@@ -361,7 +390,7 @@ class Rows:
         `demanded` is (actuators,); the controller took `duration` s. A CommandError where it is of another shape.
         """
         row, chain = self.count - 1, self.chain
-        self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = 1.0, duration
+        self._cells[self._at + ANSWERED], self._cells[self._at + DURATION] = float(self.is_run), duration
         shape = demanded.shape if type(demanded) is np.ndarray else np.shape(demanded)
         if shape != self._shape:
             message = f"tick {tick}: the controller returned shape {shape}"

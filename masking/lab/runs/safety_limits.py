@@ -19,7 +19,8 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
-from masking.lab.plants.safety_chain import OFF, Rules, unknown
+from masking.errors import ModelError
+from masking.lab.plants.safety_chain import OFF, ControlledStop, Rules, unknown
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.instrument_declaration import Limit
 
@@ -29,6 +30,8 @@ _UNKNOWN: Final = 0.02  # of the acceleration of the largest commands: what a mo
 _PART: Final = 0.25  # of the largest command, which a response is to tell
 _LONGEST: Final = 0.1  # s over which a speed or a response is taken
 _NOISY: Final = 0.1  # of a limited speed: what noise may be of it
+_LAG: Final = 0.5  # rad of the fastest mode, by which a speed may be late
+_SLOWEST: Final = 1e-3  # of the fastest mode: what is slower has no spring
 _PROBES: Final = (0.01, 0.1, 1.0)  # parts of the fastest motion
 
 
@@ -67,6 +70,7 @@ def without_model(rules: Rules) -> Rules:
         rules,
         readings=readings,
         half=0,
+        stop=None,
         limited=tuple(name for name, is_kept in zip(rules.limited, kept, strict=True) if is_kept),
         units=(*rules.units[:2], tuple(x for x, is_kept in zip(rules.units[2], kept, strict=True) if is_kept)),
         limits=rules.limits[kept],
@@ -103,13 +107,50 @@ class _Builder:
         for name, row in zip(self.instruments.sensors, self.table, strict=True):
             if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
                 self.notes.append(f"whether {name} sticks is not watched: declare its noise")
-        return replace(self._within(), motion=motion, half=self._half(motion), delay=self.instruments.delay)
+        half, delay = self._half(motion), self.instruments.delay
+        return replace(self._within(), motion=motion, half=half, delay=delay, stop=self._stop())
+
+    def _stop(self) -> ControlledStop | None:
+        """Controlled stop that the plant file declares.
+
+        Brakes make each coordinate slow down by its own speed: a force of -c M v, whatever the masses M are, takes
+        energy out in each motion. c is that of critical damping of the slowest mode, or less where delays or noise are
+        large. A ModelError where the sensors do not read every coordinate, or the actuators do not push each.
+        """
+        declared, n = self.instruments.plant.limits.stop, self.count
+        samples = math.ceil(declared.time * self.rate)
+        if declared.kind != "brake":
+            return ControlledStop(samples) if declared.kind == "hold" else None
+        dynamics, driven = self.instruments.linear()
+        pushed = driven @ self.instruments.allocation
+        if min(np.linalg.matrix_rank(x) if x.size else 0 for x in (self.sensing, pushed)) < n:
+            raise ModelError(
+                f"{self.instruments.plant.name}: 'stop: brake' needs sensors that read every coordinate and actuators "
+                "that push each: write 'stop: hold' or leave it out"
+            )
+        inverse, off = np.linalg.pinv(self.sensing), self.table[:, safety_tables.OFF]
+        modes = np.sqrt(np.abs(np.linalg.eigvals(dynamics[n:, :n])))
+        fastest, moving = modes.max(), modes[modes > _SLOWEST * modes.max()]
+        longest = int(min(_LONGEST, _LAG / fastest if fastest else _LONGEST) * self.rate)
+        span = max(1, min(longest, int(self.table[:, safety_tables.SPAN].max())))
+        still = 2.0 * off * self.rate / span
+        commands = np.zeros((len(self.commands), len(self.table)))
+        commands[:, self.known] = -np.linalg.pinv(pushed) @ inverse
+        noisy = float((np.abs(commands) @ still / (_PART * self.commands[:, LARGEST])).max())
+        lag = (0.5 * span + self.instruments.delay + 1.0) / self.rate
+        damping = min(0.5 * _LAG / lag, 2.0 * moving.min(initial=np.inf), 1.0 / noisy if noisy else np.inf)
+        settled = round(0.5 * math.pi / moving.min() * self.rate) if moving.size else span
+        return ControlledStop(samples, damping * commands, span, still, settled)
 
     def limits(self) -> Rules:
         """Rules of what is limited alone: readings are finite and within their range."""
         self._declared()
+        if self.instruments.plant.limits.stop.kind == "brake":
+            self._motion()  # over how many samples a speed is taken
+        stop = self._stop()
         self.table[:, safety_tables.STEP], self.table[:, safety_tables.NOISE] = np.inf, 0.0
-        return self._within()
+        self.table[:, safety_tables.SPAN] = 0.0
+        return replace(self._within(), stop=stop)
 
     def _within(self) -> Rules:
         """Rules of what is limited, with the table of sensors as it is."""

@@ -118,6 +118,8 @@ def _plant(parts: list[Part]) -> dict[str, Any]:
         }
     shared = _shared(parts, "limits.power", [x.get("power") for x in limits.values()])
     made["limits"] |= {"power": shared} if shared else {}
+    stop = _shared(parts, "limits.stop", [x.get("stop") for x in limits.values()])
+    made["limits"] |= {"stop": stop} if stop else {}
     missed = [x["missed"] for x in limits.values() if "missed" in x]  # one loop, which is held to the least
     made["limits"] |= {"missed": min(missed)} if missed else {}
     made["own_effects"] = list(dict.fromkeys(one for part in parts for one in part.plant.own_effects))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import model_validator
 
@@ -11,6 +11,7 @@ from masking.model.declaration.shorthand import Short
 
 _NUMBER = Short("value", (int, float))
 _TEXT = Short("text", (str,))
+_KIND = Short("kind", (str,))
 
 
 class Quantity(Block):
@@ -87,10 +88,18 @@ class PowerLimit(Block):
     time: Positive = 10.0
 
 
+class ControlledStop(Block):
+    """What is commanded between the end of a run and zero, for `time` s at most: nothing, the last, or damping."""
+
+    kind: Literal["zero", "hold", "brake"] = "zero"
+    time: Positive = 1.0
+
+
 class Limits(Block):
     """What the rig withstands: actuators, coordinates (or expressions of them), their rates, power of each actuator.
 
-    `missed` is the largest share of the samples of a second that a run may miss or answer late.
+    `missed` is the largest share of the samples of a second that a run may miss or answer late; `stop` says how a run
+    comes to rest.
     """
 
     inputs: dict[Name, InputLimit] = {}
@@ -98,3 +107,4 @@ class Limits(Block):
     velocities: dict[Formula, Limit] = {}
     power: PowerLimit | None = None
     missed: Positive | None = None
+    stop: Annotated[ControlledStop, _KIND] = ControlledStop()
