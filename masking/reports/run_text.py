@@ -33,7 +33,7 @@ _HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to b
 def warnings(study: Study) -> list[str]:
     """Sentences on what limits the validity of the result; empty if all is well."""
     manifest = study.recording.manifest
-    measured = (exceeded(study.inputs), cut(study.inputs), louder(study.recording), tardy(manifest))
+    measured = (exceeded(study.inputs), cut(study.inputs), hasty(study), louder(study.recording), tardy(manifest))
     found = [text for text in measured if text]
     rate = float(manifest.get("rate") or 0.0)
     compensates = (manifest.get("observer") or {}).get("kind") in _WITH_MODEL
@@ -133,6 +133,17 @@ def cut(uses: Iterable[InputUse]) -> str:
         demand = f"{percent(use.demand / use.limit)} of {limit}" if use.limit else f"{number(use.demand)} {use.unit}"
         sentences.append(f"{use.name} was {' and '.join(parts)}: demanded up to {demand.rstrip()}")
     return f"{'; '.join(sentences)}; the rig could not follow there." if sentences else ""
+
+
+def hasty(study: Study) -> str:
+    """Inputs that change faster than the rig allows, as they may in a simulated run; nothing where none do."""
+    limits, found = nested(study.recording.manifest, "limits"), list[str]()
+    for use in study.inputs:
+        rate, times = nested(limits, use.name).get("rate"), study.whole.t
+        fastest = float(np.max(np.abs(np.diff(use.series)) / np.diff(times), initial=0.0)) if rate else 0.0
+        if rate and fastest > _MUCH * rate:
+            found.append(f"{use.name} changes by {number(fastest)} {use.unit}/s, where {number(rate)} are allowed")
+    return f"{'; '.join(found)}: on the rig, commands are slowed." if found else ""
 
 
 def louder(recording: Recording) -> str:

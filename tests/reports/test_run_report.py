@@ -435,6 +435,13 @@ def test_a_masking_error_above_one_is_said_with_the_causes_that_were_measured():
     assert warnings(duffing(2000, 0.99, mode="real time")) == []
 
 
+def test_commands_faster_than_the_rig_allows_are_said():
+    """0.21 cos(18 t) changes by 3.78 a second."""
+    (said,) = warnings(duffing(20_000, limits={"u1": {"max": 1.0, "rate": 2.0}, "u2": {"max": 1.0, "rate": 2.0}}))
+    assert re.fullmatch(r"u1 changes by 3\.78 \S*/s, where 2 are allowed: on the rig, commands are slowed\.", said)
+    assert warnings(duffing(20_000, limits={"u1": {"max": 1.0, "rate": 4.0}})) == []
+
+
 def test_the_longest_summary_is_fourteen_lines():
     changes = {"virtual": virtual(w3={"value": 1.0}), "experiment": {"parameters": {"w3": 2.0}}}
     lines = summary(

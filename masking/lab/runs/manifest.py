@@ -75,11 +75,13 @@ def observer(sampled: SampledController, kind: str) -> dict[str, Any]:
 
 
 def limits(plant: schema.PlantDeclaration, instruments: Instruments) -> dict[str, dict[str, Any]]:
-    """Limit of each actuator in the unit of its commands."""
+    """Limit of each actuator in the unit of its commands, and its rate per s if there is one."""
     found = {}
     for name, limit in plant.limits.inputs.items():
         unit = instruments.unit(name) if name in instruments.actuators else limit.unit
-        found[name] = {"max": limit.max * instruments.factors[limit.unit] / instruments.factors[unit], "unit": unit}
+        size = instruments.factors[limit.unit] / instruments.factors[unit]
+        found[name] = {"max": limit.max * size, "unit": unit}
+        found[name] |= {} if limit.rate is None else {"rate": limit.rate * size}
     return found
 
 
