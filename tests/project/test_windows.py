@@ -37,6 +37,6 @@ def test_every_module_is_imported_and_what_needs_another_system_names_it(tmp_pat
     done = subprocess.run(given, check=False, capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert done.stdout.split() == ["2"], done.stderr
     assert done.stderr.rstrip().endswith(
-        "Windows has no lock that processes hand on, as a journal needs; run it on Linux"
+        "Windows has no lock that processes hand on, as a batch needs; run it on Linux"
     )
     assert not (tmp_path / "out").exists()
