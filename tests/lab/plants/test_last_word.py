@@ -1,13 +1,22 @@
 """The outputs of a plant whose process is killed: they are at zero although nothing in that process could do so."""
 
+import contextlib
+import dataclasses
 import signal
 import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from masking import process_environment
+from masking.app.workflows.recover import recover
+from masking.errors import PlantRefusedError, RecordError
+from masking.lab.plants.interface import Settings
+from masking.lab.plants.udp import UdpPlant
+from masking.lab.records import stream_reader
+from masking.lab.records.recording import Recording
 
 ADAPTER = """
 import fcntl, os
@@ -100,3 +109,51 @@ def test_a_run_that_ends_in_order_needs_nobody(tmp_path, environment):
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=LIMIT)
     assert (done.stdout, float(output.read_text())) == ("driven\n", 0.0)
     assert "killed" not in done.stderr
+
+
+def test_a_server_that_is_killed_while_armed_loses_nothing_and_is_a_trip(tmp_path, environment):
+    """The outputs go to zero, the plant's own record is kept, and the next server refuses until somebody has looked."""
+    output, record = tmp_path / "output", tmp_path / "record"
+    command = [sys.executable, "-m", "masking", "rig", "serve", f"held:{output}", "--address", "udp://127.0.0.1:0"]
+    given = environment | {"XDG_STATE_HOME": str(tmp_path / "state")}
+
+    @contextlib.contextmanager
+    def served():
+        options = ["--record", str(record), "--lockstep"]
+        with subprocess.Popen([*command, *options], env=given, stderr=subprocess.PIPE, text=True) as server:
+            address = next(line for line in server.stderr if "is served at" in line).split()[-1]
+            yield server, UdpPlant(address, patience=LIMIT)
+            server.kill()
+
+    settings = Settings(1000.0, 1.0, lockstep=True)
+    with served() as (server, plant):
+        plant.configure(settings)
+        plant.activate()
+        for index in range(500):
+            assert plant.read().index == index
+            plant.write(index, np.array([0.7]))
+        assert plant.read().index == 500  # so that the command before is in force
+        assert float(output.read_text()) == 0.7
+        server.kill()
+        server.wait(LIMIT)
+        plant.deactivate()
+    awaited(lambda: float(output.read_text()) == 0.0)
+    session = record / "session-1"
+    awaited(lambda: stream_reader.read(session).end is not None if is_free(session) else False)
+    assert recover(session).rows >= 499
+    assert (Recording.load(session)["input.u"] == 0.7).all()
+    with served() as (_, plant):
+        with pytest.raises(
+            PlantRefusedError, match="it has tripped: its server was killed while a controller drove it"
+        ):
+            plant.configure(settings)
+        plant.configure(dataclasses.replace(settings, acknowledge=True))
+        plant.deactivate()
+
+
+def is_free(session):
+    """Tell whether no recorder writes into a session any more."""
+    with contextlib.suppress(RecordError):
+        stream_reader.read(session)
+        return True
+    return False
