@@ -225,7 +225,9 @@ class SessionRows:
         """Leave no record: the session was never started."""
         self.recorder.close()
         stream.remove(self.folder)
-        self.folder.rmdir()
+        with contextlib.suppress(OSError):  # where other sessions are
+            self.folder.rmdir()
+            self.folder.parent.rmdir()
 
 
 def claimed(record: Path) -> Path:

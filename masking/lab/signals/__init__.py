@@ -2,7 +2,7 @@
 
 In: lines, levels and durations.
 Out: excitations: the samples of each channel.
-Imports: numerics, records.
+Imports: numerics, display, records.
 
 `Multisine` is a sum of sines with any lines; `minimise_crest` chooses its phases. `multisine`, `steps`, `ramp`,
 `sawtooth`, `opposed_sines`, `linear_chirp` and `logarithmic_chirp` make an `Excitation`: the samples of each channel,

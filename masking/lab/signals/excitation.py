@@ -22,7 +22,7 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError, nearest
 from masking.lab.records import named_files
 from masking.lab.records.recording import FORMAT, Recording
-from masking.lab.signals.signal_arguments import names, positive
+from masking.lab.signals.signal_arguments import is_plain, names, positive
 from masking.lazy_imports import parquet
 
 KIND: Final = "excitation"
@@ -50,7 +50,7 @@ class Excitation:
     def __post_init__(self) -> None:
         channels = names("channel", self.channels)
         units = (self.units,) * len(channels) if isinstance(self.units, str) else tuple(self.units)
-        if any(not isinstance(unit, str) or set(unit) & set("[]\r\n") for unit in units):
+        if not all(map(is_plain, units)):
             raise ModelError(f"{self.name}: the units are {units!r}; give texts without brackets, such as 'V'")
         try:
             values = np.array(self.values, dtype=np.float64)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masking.compile.numerics.arrays import Array
+from masking.display.characters import visible_line
 from masking.errors import ModelError
 
 
@@ -83,8 +84,13 @@ def names(what: str, values: Sequence[str]) -> tuple[str, ...]:
     """Different texts, not empty and without brackets, which hold units in a csv; a ModelError where they are none."""
     found = (values,) if isinstance(values, str) else tuple(values)
     for name in found:
-        if not isinstance(name, str) or not name or name != name.strip() or set(name) & set("[]\r\n"):
+        if not is_plain(name) or not name or name != name.strip():
             raise ModelError(f"{what} {name!r} is not a name; give a text without brackets or spaces around it")
         if found.count(name) > 1:
             raise ModelError(f"{what} '{name}' appears more than once; give each channel a name of its own")
     return found
+
+
+def is_plain(text: object) -> bool:
+    """Whether something is a text in a line, without brackets and control characters."""
+    return isinstance(text, str) and not set(text) & set("[]") and text == visible_line(text)

@@ -38,7 +38,7 @@ OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
     kind: frozenset(keys.split())
     for kind, keys in {
         "experiment": "plants virtual transform controller initial duration time_scale record stop tolerance seed",
-        "plant": "kind model sensors actuators limits allocation own_effects",
+        "plant": "kind model sensors actuators limits allocation arm own_effects",
         "model": "extends coordinates states definitions equations lagrangian dissipation forces terms outputs "
         "energy scales oscillators elements events drawing",
         "dictionary": "dictionary",

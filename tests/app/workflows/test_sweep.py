@@ -235,7 +235,7 @@ def test_pictures_name_words_units_and_shares():
     assert axes.get_xlim() == (0.5, 3.5)
     heights = [max(path.vertices[:, 1]) for path in axes.collections[0].get_paths()]
     assert heights == [0.5]  # at rest, of the first and the second value
-    assert curve.figure.axes[0].get_ylabel() == "τ$_s$ (units of time)"
+    assert curve.figure.axes[0].get_ylabel() == r"$\tau_{s}$ (units of time)"
     low, high = flat.figure.axes[0].get_ylim()
     assert high - low >= 1e-3  # nothing that a reader would take for a change
     table = {"run": np.arange(20000), "m": np.repeat([1.0, 2.0], 10000), "k": np.tile([1.0, 2.0], 10000)}

@@ -198,7 +198,8 @@ def test_after_saturation_nothing_is_wound_up(tmp_path):
     ideal = masking.load_model("duffing").simulate(tau - tau[0], initial)
     for name in names:
         assert masking_error(recording[f"virtual.{name}"][first : first + 3000], ideal[name]) < 0.01
-    (said,) = warnings(recording)
+    other, said = warnings(recording)
+    assert other.startswith("The masking error is above 1 (")
     assert said.startswith("V1 was at its limit for ")
     assert " of the run: demanded up to " in said
     assert said.endswith(" of 0.02 V; the rig could not follow there.")
