@@ -139,7 +139,7 @@ def test_a_server_that_is_killed_while_armed_loses_nothing_and_is_a_trip(tmp_pat
         plant.deactivate()
     awaited(lambda: float(output.read_text()) == 0.0)
     session = record / "session-1"
-    awaited(lambda: stream_reader.read(session).end is not None if is_free(session) else False)
+    awaited(lambda: has_ended(session))
     assert recover(session).rows >= 499
     assert (Recording.load(session)["input.u"] == 0.7).all()
     with served() as (_, plant):
@@ -151,9 +151,8 @@ def test_a_server_that_is_killed_while_armed_loses_nothing_and_is_a_trip(tmp_pat
         plant.deactivate()
 
 
-def is_free(session):
-    """Tell whether no recorder writes into a session any more."""
-    with contextlib.suppress(RecordError):
-        stream_reader.read(session)
-        return True
+def has_ended(session):
+    """Tell whether the recorder of a session has written its last page."""
+    with contextlib.suppress(RecordError):  # it still writes
+        return stream_reader.read(session).end is not None
     return False
