@@ -55,8 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _say(error: RecordError) -> None:
     """Say why the record ends; a full disk may hold what is said, too."""
-    with contextlib.suppress(OSError):
-        print(f"masking: {visible(str(error))}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # past the buffer, which would be tried once more at the end
+        os.write(sys.stderr.fileno(), f"masking: {visible(str(error))}\n".encode(errors="backslashreplace"))
 
 
 def _record(reader: RingReader, folder: str) -> None:
