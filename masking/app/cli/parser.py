@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.app.cli import declaration_verbs, defects, identification_verbs, rig_verbs, run_verbs
+from masking.app.cli import declaration_verbs, identification_verbs, rig_verbs, run_verbs
 from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.app.cli.terminal import printable
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
@@ -52,6 +52,8 @@ def _done(arguments: Sequence[str] | None) -> int:
         return 0
     except Exception as error:  # the last catch: an input ends in a sentence, whatever is wrong
         if not isinstance(error, OSError) or error.errno not in NO_PLACE:
+            from masking.app.cli import defects  # whose libraries would take most of the time of a start
+
             sentence, status = defects.said(error, given)
             _refuse(sentence, (), given)
             return status

@@ -21,7 +21,7 @@ from masking.app.workflows.sweep_work import work
 from masking.display.json_text import json_text
 from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import foreign_json, table_chunks
-from masking.lab.records.parquet import replacing
+from masking.lab.records.file_replacement import replacing
 from masking.lab.records.table_chunks import Columns
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment

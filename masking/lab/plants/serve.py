@@ -170,7 +170,7 @@ class _Server:
                 session.counters.update(self.guard.counters)
             if session.rows is not None:
                 try:
-                    if session.rows.save(session.manifest(self.serving.clock), has_clock=self.is_real):
+                    if session.rows.save(session.outcome, has_clock=self.is_real):
                         folders.append(session.rows.folder)
                 except MaskingError as error:
                     self.tell(f"the recording of this session is not made: {error}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import tempfile
 from collections import Counter
@@ -24,6 +23,7 @@ from masking.lab.records.recorder import Recorder
 from masking.lab.records.ring import cells
 
 LATE: Final = "late"
+FACTS: Final = ("name", "created", "clock", "watchdog")  # that the manifest of its stream has of a session
 SILENT_START: Final = 10.0  # seconds until the first command; the outputs are zero meanwhile
 LONGEST_WATCHDOG: Final = 1.0  # s
 RATES: Final = (1.0, 100_000.0)  # Hz
@@ -143,12 +143,10 @@ class Session:
             except Exception:  # what a plant that failed cannot tell stays unknown
                 self.rows.put()
 
-    def manifest(self, clock: str) -> dict[str, Any]:
-        """Facts of the session, for the manifest of its record."""
+    @property
+    def outcome(self) -> dict[str, Any]:
+        """How it ended, for the manifest of its record."""
         return {
-            "clock": clock,
-            "rate": self.settings.rate,
-            "watchdog": self.settings.watchdog,
             "end": self.end,
             "latch": self.latch,
             **({"acknowledged": self.acknowledged} if self.acknowledged else {}),
@@ -204,8 +202,8 @@ class SessionRows:
         self.is_open = False
         self.recorder.ring.put(cells(self._row))
 
-    def save(self, facts: Mapping[str, Any], *, has_clock: bool) -> bool:
-        """Make the recording of the folder, with these facts, of all rows, if there are any; tell whether there are.
+    def save(self, outcome: Mapping[str, Any], *, has_clock: bool) -> bool:
+        """Make the recording of the folder, with the outcome, of all rows, if there are any; tell whether there are.
 
         A RecordError where it cannot be made: the stream stays.
         """
@@ -214,9 +212,9 @@ class SessionRows:
             return False
         self.recorder.close()
         found = stream_reader.read(self.folder)
-        head = {name: found.manifest[name] for name in ("name", "created")}
+        head = {name: found.manifest[name] for name in FACTS}
         note = {"recorder": self.recorder.as_dict()} if self.recorder.note else {}
-        tick_record.save(found, self.folder, {**head, **facts, **note}, LATE if has_clock else None)
+        tick_record.save(found, self.folder, {**head, **outcome, **note}, LATE if has_clock else None)
         if not found.damages:
             stream.remove(self.folder)
         return True
@@ -232,12 +230,15 @@ class SessionRows:
 
 def claimed(record: Path) -> Path:
     """New folder for a session, `session-1` or the first number that is free; a RecordError where none can be made."""
-    try:
-        record.mkdir(parents=True, exist_ok=True)
-        for number in itertools.count(1):
-            with contextlib.suppress(FileExistsError):
-                (record / f"session-{number}").mkdir()
-                return record / f"session-{number}"
-    except OSError as error:
-        raise RecordError(f"{record} cannot be written: {error.strerror or error}; name another folder") from error
-    raise AssertionError
+    number = 1
+    while True:
+        folder = record / f"session-{number}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+        except OSError as error:
+            message = f"{record} cannot be written: {error.strerror or error}; name another folder"
+            raise RecordError(message) from error
+        else:
+            return folder

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 from typing import Final, final
 
 import platformdirs
 
 from masking.errors import RecordError
+from masking.lab.records.file_replacement import replacing
 
 _LONGEST: Final = 10_000  # characters of a cause
 
@@ -47,12 +47,8 @@ class TripMemory:
                 file.unlink(missing_ok=True)
                 return
             file.parent.mkdir(parents=True, exist_ok=True)
-            partial = file.with_suffix(f".{os.getpid()}")
-            with partial.open("w", encoding="utf-8") as stream:
-                stream.write(cause)
-                stream.flush()
-                os.fsync(stream.fileno())
-            partial.replace(file)
+            with replacing(file) as stream:
+                stream.write(cause.encode())
         except OSError as error:
             raise RecordError(f"{file}: the trip cannot be kept ({error.strerror})") from error
 

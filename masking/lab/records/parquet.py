@@ -5,10 +5,7 @@ This module alone touches pyarrow, so that whoever only handles a recording in m
 
 from __future__ import annotations
 
-import glob
 import math
-import os
-import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,8 +21,6 @@ from numpy.typing import NDArray
 from masking.display.characters import visible_line
 from masking.errors import RecordError
 from masking.lab.records import unpacked_size
-from masking.lab.records.stop_switch import is_running
-from masking.lab.records.stream import sync_folder
 
 Column = NDArray[np.float64]
 MANIFEST_KEY = b"masking.manifest"
@@ -33,29 +28,6 @@ ROWS: Final = 2**16  # of a group of rows, what is read or written at once of a 
 _MAGIC = b"PAR1"  # the first bytes of every parquet file
 # Dictionaries do not pay for real numbers: measured 11 times the time and 1.3 times the size.
 _WRITTEN: Final[Mapping[str, Any]] = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Stream whose bytes become the file `path` once all are on disk; after an error `path` is untouched.
-
-    What processes that were killed had begun of it is removed.
-    """
-    for left in path.parent.glob(f".{glob.escape(path.name)}.*-*.partial"):
-        process = left.name.removesuffix(".partial").rpartition(".")[2].partition("-")[0]
-        if process.isdigit() and not is_running(int(process)):
-            left.unlink(missing_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
-    try:
-        with partial.open("wb") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)  # the new name itself must survive a power cut too
 
 
 def write(

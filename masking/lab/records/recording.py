@@ -29,6 +29,7 @@ from masking.display.json_text import json_text
 from masking.errors import RENAMED, RecordError, nearest
 from masking.lab.records import named_files
 from masking.lab.records.columns_on_disk import StoredColumns, read
+from masking.lab.records.file_replacement import replacing
 from masking.lab.records.time_slice import Part
 from masking.lazy_imports import axes, parquet, views
 
@@ -319,7 +320,7 @@ def writing(folder: Path, *, overwrite: bool = False) -> Iterator[tuple[BinaryIO
         raise RecordError(f"{folder} holds an earlier recording, {held}; name another folder, or give overwrite=True")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with parquet.replacing(folder / MANIFEST) as manifest, parquet.replacing(folder / TABLE) as table:
+        with replacing(folder / MANIFEST) as manifest, replacing(folder / TABLE) as table:
             yield manifest, table
     except OSError as error:
         raise RecordError(f"{folder}: the recording cannot be written: {error.strerror or error}") from error
@@ -364,13 +365,6 @@ def _column(name: str, values: Any) -> NDArray[np.float64]:  # noqa: ANN401  # w
     column = column.view()
     column.flags.writeable = False
     return column
-
-
-def with_finite(columns: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """Columns; what is not finite is 0 there, and 1 in `nonfinite.<column>`."""
-    finite = {name: np.isfinite(values) for name, values in columns.items()}
-    found = {name: np.where(finite[name], values, 0.0) for name, values in columns.items()}
-    return found | {f"nonfinite.{name}": np.where(part, 0.0, 1.0) for name, part in finite.items() if not part.all()}
 
 
 def _check(columns: Mapping[str, NDArray[np.float64]]) -> None:

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ class Stream:
     end: Mapping[str, Any] | None
     folder: Path  # that holds it
 
-    @property
+    @cached_property
     def table(self) -> Array:
         """All rows (rows, columns)."""
         return np.concatenate([np.empty((0, len(self.manifest["columns"]))), *self.tables])

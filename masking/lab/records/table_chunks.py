@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from masking.errors import RecordError
 from masking.lab.records import named_files
-from masking.lab.records.parquet import replacing
+from masking.lab.records.file_replacement import replacing
 
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | Sequence[str] | Sequence[NDArray[np.float64]]
 Columns: TypeAlias = dict[str, Column]

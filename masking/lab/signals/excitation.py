@@ -21,6 +21,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError, nearest
 from masking.lab.records import named_files
+from masking.lab.records.file_replacement import replacing
 from masking.lab.records.recording import FORMAT, Recording
 from masking.lab.signals.signal_arguments import is_plain, names, positive
 from masking.lazy_imports import parquet
@@ -162,7 +163,7 @@ class Excitation:
         content = write()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with parquet.replacing(path) as stream:
+            with replacing(path) as stream:
                 stream.write(content)
         except OSError as error:
             raise RecordError(f"{path}: the excitation cannot be written: {error.strerror or error}") from error

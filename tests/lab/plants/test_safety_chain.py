@@ -221,7 +221,7 @@ def slowed(rate=50.0):
 
 
 def written(chain, demanded):
-    """Return what a chain lets pass of commands, tick by tick."""
+    """Return the commands that a chain passes on, tick by tick."""
     applied = []
     for tick, command in enumerate(demanded):
         chain.watch(tick, np.zeros(1))

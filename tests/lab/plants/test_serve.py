@@ -305,7 +305,7 @@ def test_the_watchdog_counts_seconds_where_a_tick_is_longer(tmp_path):
 
 
 def test_the_values_at_expiry_hold_until_the_session_ends(tmp_path):
-    """Where the controller is silent; where the server is told to stop, or the session is over, outputs are zero."""
+    """Where the controller is silent; where the server stops, or the session is over, outputs are zero."""
     rules = Rules.of_commands(np.full(2, 2.0), MassSpring.sensors, ("u1", "u2"), 100.0)
     rules.commands[:, safety_tables.EXPIRY] = 0.5, 0.0
     plant, guard = Timed(), PlantLimits(lambda _: rules)

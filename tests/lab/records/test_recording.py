@@ -239,7 +239,7 @@ def test_an_error_while_saving_leaves_the_folder_as_it_was(tmp_path, monkeypatch
 
 
 def test_what_a_killed_process_had_begun_to_save_is_removed_by_the_next(tmp_path):
-    begun = "import os, sys; from pathlib import Path; from masking.lab.records.parquet import replacing\n"
+    begun = "import os, sys; from pathlib import Path; from masking.lab.records.file_replacement import replacing\n"
     begun += "with replacing(Path(sys.argv[1])) as stream: os.kill(os.getpid(), 9)"
     path = tmp_path / "recording.parquet"
     assert subprocess.run([sys.executable, "-c", begun, path], check=False).returncode == -9
