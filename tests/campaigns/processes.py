@@ -32,7 +32,8 @@ _MOST: Final = 5  # late ticks in a row
 
 
 def _started(judgement: Judgement, said: object) -> bool:
-    judgement.need(said == "running", "the controller did not come to run")
+    ended = said.get("trip") or said.get("reason") if isinstance(said, dict) else said
+    judgement.need(said == "running", f"the controller did not come to run: {ended}")
     return said == "running"
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import signal
 import time
 from collections.abc import Sequence
@@ -52,7 +51,9 @@ def attend(ring: Path, switch: Path, page: int | None = None, stream: str | None
     """
     options = [] if page is None else ["--page", str(page)]
     options += [] if stream is None else ["--stream", stream]
-    process = Child("masking.app.workflows.operator_process", [str(ring), str(switch), *options], is_quiet=True)
+    process = Child(
+        "masking.app.workflows.operator_process", [str(ring), str(switch), *options], is_quiet=True, nice=10
+    )
     answer = json.loads(process.line() or '{"error": "the process of the operator page did not start"}')
     if "error" in answer:
         process.wait()
@@ -68,12 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", type=int, metavar="PORT")
     parser.add_argument("--stream", metavar="HOST:PORT")
     chosen = parser.parse_args(arguments)
-    # The loop goes first, and this process outlives what ends a terminal.
+    # This process outlives what ends a terminal.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        os.nice(10)
     try:
         with contextlib.ExitStack() as way_out:
             reader, switch = RingReader(chosen.ring), Switch(chosen.switch)

@@ -22,7 +22,8 @@ class Child:
     """A module of this package, run as `python -P -m` runs it, in a minimal environment; what it prints is read here.
 
     It inherits the files `handles`; with `is_apart` it has a session of its own, which no signal of the terminal
-    reaches, and with `is_quiet` its errors are not shown there. An OSError where no process can be started.
+    reaches, and with `is_quiet` its errors are not shown there. With `nice` it runs behind others, as far as `nice(1)`
+    says, and takes no real-time priority from this one. An OSError where no process can be started.
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class Child:
         *,
         is_apart: bool = True,
         is_quiet: bool = False,
+        nice: int | None = None,
         handles: Collection[int] = (),
     ) -> None:
         self._process = subprocess.Popen(  # noqa: S603  # this program itself
@@ -40,6 +42,11 @@ class Child:
             stderr=subprocess.DEVNULL if is_quiet else None, start_new_session=is_apart, pass_fds=handles, text=True,
         )  # fmt: skip
         self.pid = self._process.pid
+        if nice is not None and sys.platform != "win32":
+            with contextlib.suppress(OSError):  # it has ended already
+                if sys.platform == "linux":
+                    os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))
+                os.setpriority(os.PRIO_PROCESS, self.pid, nice)
 
     @property
     def is_alive(self) -> bool:

@@ -40,8 +40,6 @@ _END: Final = 10.0  # s at most for the last rows
 def main(arguments: list[str] | None = None) -> int:
     """Record until the ring is closed, or the process that writes it has ended; return the exit status."""
     ring, folder = sys.argv[1:3] if arguments is None else arguments
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(_NICE)
     try:
         _record(RingReader(ring), folder)
     except stream.NoSpaceError as error:
@@ -163,7 +161,7 @@ class Recorder(Result):
         self.ring.path.unlink(missing_ok=True)
 
     def _start(self) -> Child:
-        return Child("masking.lab.records.recorder", [str(self.ring.path), str(self.folder)])
+        return Child("masking.lab.records.recorder", [str(self.ring.path), str(self.folder)], nice=_NICE)
 
 
 if __name__ == "__main__":

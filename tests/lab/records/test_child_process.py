@@ -84,3 +84,19 @@ def test_where_none_can_be_started_there_is_none():
     made = Supervisor(running("os._exit(1)"), start, most=5, final=[], name="test")
     made.join(LIMIT)
     assert made.child is None
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="priorities of Linux")
+@pytest.mark.parametrize("policy", ["SCHED_OTHER", "SCHED_RR"])
+def test_a_child_behind_others_takes_no_real_time_priority(policy):
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, getattr(os, policy), os.sched_param(int(policy == "SCHED_RR")))
+    except OSError:
+        pytest.skip("no real-time priority is permitted here")
+    try:
+        child = Child("timeit", ["-n1", "-r1", "import time; time.sleep(60)"], nice=7)
+    finally:
+        os.sched_setscheduler(0, *before)
+    assert (os.sched_getscheduler(child.pid), os.getpriority(os.PRIO_PROCESS, child.pid)) == (os.SCHED_OTHER, 7)
+    child.end(0.0)
