@@ -57,7 +57,8 @@ def warnings(study: Study) -> list[str]:
     if other and not found:
         other += (
             " Nothing that was measured explains it: compare zeros, noise, gains and delay of the rig with those of "
-            "its plant file ('masking rig check ADDRESS --plant PLANT', 'masking rig calibrate')."
+            "its plant file ('masking rig check ADDRESS --plant PLANT', 'masking rig calibrate'), or let 'masking "
+            "discover' look for the cause in this recording, such as the drift of a sensor."
         )
     return [other, *found] if other else found
 

@@ -47,14 +47,17 @@ CASES = {
     "saturation": replace(BASE, effect="saturation", at="V3", parameters={"limit": 0.08}),
     "none": BASE,
     "parameter": replace(BASE, effect="parameter", at="z2", parameters={"relative": 0.08}, family="parameter"),
+    "drift": BASE,
 }
+DRIFT = 0.02  # V/s, of s2; the record that validates begins where it has got to
 
 
-def table(record):
-    """Return the columns of a recording."""
+def table(record, begun=None):
+    """Return the columns of a recording; one of the sensors has drifted for a time, s, or does not."""
     columns = {"t": record.t}
     columns |= {f"input.V{i + 1}": x for i, x in enumerate(record.commands.T)}
-    return columns | {f"sensor.s{i + 1}": x for i, x in enumerate(record.readings.T)}
+    columns |= {f"sensor.s{i + 1}": x for i, x in enumerate(record.readings.T)}
+    return columns if begun is None else columns | {"sensor.s2": columns["sensor.s2"] + DRIFT * (begun + record.t)}
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +66,9 @@ def folder(tmp_path_factory):
     (out / "plant.yaml").write_text(PLANT)
     made = hidden.generate([*CASES.values()], SECONDS, SECONDS)
     for name, (_, train, valid) in zip(CASES, made, strict=True):
-        Recording(table(train), {"name": name}).save(out / name / "train")
-        Recording(table(valid), {"name": name}).save(out / name / "valid")
+        drifts = (0.0, SECONDS) if name == "drift" else (None, None)
+        Recording(table(train, drifts[0]), {"name": name}).save(out / name / "train")
+        Recording(table(valid, drifts[1]), {"name": name}).save(out / name / "valid")
     return out
 
 
@@ -141,6 +145,14 @@ def test_an_effect_of_an_actuator_is_the_plants(discovered):
     (effect,) = Twin.load(told["plant"]).effects
     assert (effect.kind, effect.at) == ("saturation", "V3")
     assert effect.parameters["limit"] == pytest.approx(0.08, rel=1e-3)
+
+
+def test_the_drift_of_a_sensor_goes_on_from_record_to_record(discovered):
+    found, told = discovered("drift")
+    (effect,) = told["effects"]
+    assert (told["verdict"], effect["name"], effect["on"]) == ("named", "sensor_drift", "s2")
+    assert effect["parameters"]["rate"]["value"] == pytest.approx(DRIFT, rel=0.01)
+    assert found.simulation_error.validation[1]["s2"] < 1.1 * found.simulation_error.validation_noise_floor["s2"]
 
 
 def test_json_has_fixed_keys(discovered):
