@@ -275,8 +275,8 @@ def _span(times: Array) -> tuple[float, float]:
 def in_order(times: Array) -> Array:
     """Times as the kernels take them; raises an `IntegrationError` if they are none, or not in order."""
     times = np.ascontiguousarray(times, dtype=float)
-    steps = np.diff(times)
-    if times.ndim != 1 or len(times) == 0 or not (np.all(steps >= 0.0) or np.all(steps <= 0.0)):
+    steps = times[1:] - times[:-1]
+    if times.ndim != 1 or len(times) == 0 or (len(steps) and not (steps.min() >= 0.0 or steps.max() <= 0.0)):
         raise IntegrationError(f"times must be one row of at least one time, in order; got shape {times.shape}")
     return times
 

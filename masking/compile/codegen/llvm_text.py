@@ -162,8 +162,8 @@ class _Body:
             self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
 
     def definition(self, symbol: str, kind: str) -> str:
-        # What does not fit into registers lies where a vector does. measured: by the chance of the caller's stack across
-        # two lines of the cache, a run takes a third more. Inlined, the attribute is lost.
+        # What does not fit into registers lies where a vector does. measured: across two lines of the cache, by the
+        # chance of the caller's stack, a run takes a third more. Inlined, the attribute is lost.
         aligned = f" noinline alignstack({8 * self.lanes})" if self.lanes > 1 else ""
         return defined(f"{kind} @{symbol}({', '.join(parameters(self.types))}){aligned}", self.lines)
 

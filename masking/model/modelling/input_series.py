@@ -27,7 +27,7 @@ FEWEST = {"linear": 1, "previous": 1, "cubic": 4}  # points
 def row_of_times(times: Array) -> Array:
     """Times (m,) as floats; raises a `ModelError` if they are none, or not finite."""
     times = np.atleast_1d(np.asarray(times, dtype=float))
-    if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
+    if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all():
         raise ModelError(f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}")
     return times
 

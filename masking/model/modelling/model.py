@@ -323,6 +323,13 @@ class Model:
         Raises:
             ModelError: a coordinate has no initial value, or a name is no state.
         """
+        return self._declared_state.copy() if not given else self._begun(given)
+
+    @cached_property
+    def _declared_state(self) -> np.ndarray:
+        return self._begun({})
+
+    def _begun(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
         names = self.state_names
         unknown = [name for name in given if name not in names]
         if unknown:
