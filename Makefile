@@ -71,7 +71,7 @@ docs: $(DOCS_READY)
 	$(BIN)/mkdocs build --strict
 
 dist: $(READY)
-	$(BIN)/python -m build --no-isolation
+	HATCH_BUILD_HOOK_ENABLE_CUSTOM=true $(BIN)/python -m build --no-isolation
 
 bench: $(BENCH_READY)
 	$(BIN)/python -m tests.benchmarks

@@ -98,12 +98,14 @@ def _between(start: float, end: float) -> str:
 def rig(model: str | Path | None, plant: str | Path | None = None) -> Twin:
     """Rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
 
-    Where one of both is given, its content says which it is. Raises a `DeclarationError` where neither is given, or
+    Where one of both is given, its content says which it is; a packaged name that both kinds have is what it is given
+    as. Raises a `DeclarationError` where neither is given, or
     one is wrong, and a `ModelError` where a mass is 0.
     """
     given = plant if model is None else model
     if given is not None and (model is None or plant is None):
-        model, plant = (None, given) if catalogue.kind_of(given) == "plant" else (given, None)
+        is_plant = catalogue.kind_of(given) == "plant" or (model is None and str(given) in catalogue.names("plant"))
+        model, plant = (None, given) if is_plant else (given, None)
     if plant is not None:
         twin = Twin.load(plant) if model is None else Twin.load(plant).as_model(model)
     elif model is None:

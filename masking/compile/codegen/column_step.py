@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from masking.compile.codegen import machine_code, module_store
 from masking.compile.codegen.argument_conditions import Needed
-from masking.compile.codegen.content_hashes import digest, versions
+from masking.compile.codegen.content_hashes import digest
 from masking.compile.codegen.llvm_text import ALIGNED, FUSED, defined, number, parameters
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.numerics.rig_sizes import LANES
@@ -39,7 +39,7 @@ def link(states: int, coordinates: int, more: int = 0) -> dict[str, NativeFuncti
     that is too large; others run in loops.
     """
     made = _text([n for n in range(states, states + more + 1) if n <= LARGEST], coordinates)
-    stem = module_store.directory() / "objects" / digest(versions(), made)
+    stem = module_store.directory() / "objects" / digest(made)
     needed = Needed({"columns": [2 * coordinates]}, CONDITIONS)
     return {SIGNATURE: NativeFunction(NAME, TYPES, [], None, lambda: machine_code.parsed(made), stem, needed)}
 

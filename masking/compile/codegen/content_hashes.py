@@ -1,8 +1,9 @@
 """Hashes of all that shapes machine code: generated text, sources of this package, versions, and the processor.
 
 Two hashes find what was made before. The key of a module covers what it was declared from and every source of this
-package: an edit anywhere prints the module anew. The content of a function covers its generated text, the sources of
-the kernels in it and the versions of what compiles it: text that an edit leaves as it was is not compiled again.
+package: an edit anywhere prints the module anew. The content of a function covers its generated text and the sources of
+the kernels in it: text that an edit leaves as it was is not compiled again. Files of machine code are named by the
+versions of what compiles it, too.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def contents(text: str, names: Iterable[str]) -> dict[str, str]:
             if (one := stack.pop()) in parts and one not in wanted:
                 wanted.add(one)
                 stack.extend(uses[one])
-        found[name] = digest(versions(), name, *(part for one in sorted(wanted) for part in parts[one]))
+        found[name] = digest(name, *(part for one in sorted(wanted) for part in parts[one]))
     return found
 
 

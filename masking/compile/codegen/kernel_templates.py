@@ -16,7 +16,7 @@ from typing import Any
 
 from masking.compile.codegen import machine_code, structs
 from masking.compile.codegen.closures import Closure, Named, part_of
-from masking.compile.codegen.content_hashes import digest, source_of, versions
+from masking.compile.codegen.content_hashes import digest, source_of
 from masking.compile.codegen.llvm_text import Expressions
 from masking.compile.codegen.source import Module
 
@@ -61,7 +61,7 @@ def template(module: Module, name: str) -> Template:
     sizes = [f'size_{i} = numba.types.ExternalFunction("{one}", numba.i8())' for i, one in enumerate(symbols)]
     header = HEADER + "".join(f"{line}\n" for line in sorted(printer.imports))
     text = "\n\n".join([header, "\n".join([*sorted(printer.structs), *sizes]), *printer.texts, interface]) + "\n"
-    content = digest(versions(), text, *(source_of(line.split()[1]) for line in sorted(printer.imports)))
+    content = digest(text, *(source_of(line.split()[1]) for line in sorted(printer.imports)))
     return Template(text, tuple(printer.sizes), tuple(printer.uses), content)
 
 

@@ -26,6 +26,7 @@ import numpy as np
 
 from masking.compile.codegen import argument_conditions, structs, trusted_files
 from masking.compile.codegen.argument_conditions import NOTHING, Linked, Needed
+from masking.compile.codegen.content_hashes import versions
 from masking.lazy_imports import binding as llvm
 from masking.lazy_imports import compilation, numba
 
@@ -424,9 +425,24 @@ def _initialise() -> None:
 
 @cache
 def processor() -> str:
-    """Short name of this processor and its features; machine code of another is not used."""
+    """Short name of this processor, its features, and the versions of what compiles for it."""
     features = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
-    return hashlib.sha256(features.encode()).hexdigest()[:8]
+    return hashlib.sha256(f"{features} {versions()}".encode()).hexdigest()[:8]
+
+
+def system() -> str:
+    """Kind of processor and system, as LLVM names them."""
+    return str(llvm.get_process_triple())
+
+
+def readable(path: Path) -> bytes | None:
+    """LLVM bitcode of a file; None where there is none, or only a later LLVM reads it."""
+    try:
+        found = path.read_bytes()
+        llvm.parse_bitcode(found)
+    except (OSError, RuntimeError):
+        return None
+    return found
 
 
 _libraries: dict[str, Any] = {}  # the machine code that this process has linked, which lives as long as these

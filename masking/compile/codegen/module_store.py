@@ -1,9 +1,10 @@
 """Generated modules on disk, found again by the hash of what they were made from.
 
 `modules/` holds for each key what the module says of itself and which text and objects are its own; `texts/` the
-printed modules, named by their hash; `objects/` the machine code of each function that was ever called, named by the
-hash of its content. A file that does not hold what its name says, or that another user could have written, is
-made anew.
+printed modules, named by their hash; `kernels/` what numba made of each kernel, as LLVM bitcode, and `objects/` the
+machine code of each function that was ever called, both named by the hash of their content. A file that does not hold
+what its name says, or that another user could have written, is made anew. A wheel brings the kernels of the packaged
+experiments along.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -28,12 +29,13 @@ import platformdirs
 from masking.compile.codegen import llvm_text, machine_code, trusted_files
 from masking.compile.codegen.argument_conditions import Needed
 from masking.compile.codegen.argument_sizes import least_sizes, sizes_of_cases
-from masking.compile.codegen.content_hashes import contents, digest, sources, versions
+from masking.compile.codegen.content_hashes import PACKAGE, contents, digest, sources
 from masking.compile.codegen.kernel_templates import size_symbol, template
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 
 KEPT = 60 * 86400.0  # seconds that a file is kept without being used
+BROUGHT = PACKAGE / "shipped" / "kernels"
 _importing = threading.Lock()
 
 
@@ -59,7 +61,8 @@ class Generated:
     text: str = field(repr=False)  # Python, as it is executed; never read again from the disk
     meta: Mapping[str, Any]  # what it says of itself
     objects: Mapping[str, str] = field(repr=False)  # the content hash of each function
-    # of each kernel that has a template, the hashes of that, its whole numbers and the functions it calls
+    # of each function that numba compiles, the hashes of its text and content, its whole numbers, and the functions of
+    # the module that it calls
     kernels: Mapping[str, Any] = field(repr=False)
     # functions of other modules that it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
@@ -81,10 +84,6 @@ class Generated:
     def _assembled(self, name: str) -> Any:  # noqa: ANN401  (llvmlite has no types)
         """LLVM code of a function behind its C interface, not optimised yet."""
         described = self.meta["functions"][name]
-        if "links" in self.meta or not self.text.startswith(";"):
-            interface = getattr(self.module(), f"{name}_c")
-            arguments = described["arguments"].values()
-            return machine_code.compiled_by_numba(interface, arguments, map(machine_code.symbol, self.links))
         if name not in self.kernels:
             symbol = machine_code.symbol(name)
             returns = bool(described["results"])
@@ -95,24 +94,31 @@ class Generated:
         parts = [llvm_text.definition(self.text, machine_code.symbol(one)) for one in kernel["uses"]]
         parts += [llvm_text.constant(size_symbol(i), size) for i, size in enumerate(kernel["sizes"])]
         declared = llvm_text.declarations("\n".join(parts))
-        return machine_code.linked_template(self._bitcode(name, kernel), "\n\n".join([declared, *parts]))
+        return machine_code.linked_template(self.bitcode(name), "\n\n".join([declared, *parts]))
 
-    def _bitcode(self, name: str, kernel: Mapping[str, Any]) -> bytes:
-        """Template of a kernel as LLVM bitcode; numba makes it if it is not on disk yet."""
+    def bitcode(self, name: str) -> bytes:
+        """Kernel as LLVM bitcode, from the disk or from the wheel; numba makes it if it is in neither."""
+        kernel = self.kernels[name]
         path = self.path.parent.parent / "kernels" / f"{kernel['content']}.{machine_code.processor()}.bc"
-        found = trusted_files.find(path)
+        found = trusted_files.find(path) or machine_code.readable(BROUGHT / bitcode_name(kernel["content"]))
         if found is None:
             text_path = _text_path(kernel["text"])
-            text = trusted_files.find(text_path)
+            text = self.text.encode() if text_path == self.path else trusted_files.find(text_path)
             if text is None:
                 raise ImportError(f"the generated text {text_path} is no longer there; start again")
-            symbols = [*map(machine_code.symbol, kernel["uses"]), *map(size_symbol, range(len(kernel["sizes"])))]
+            symbols = [*map(machine_code.symbol, [*kernel["uses"], *self.links])]
+            symbols += map(size_symbol, range(len(kernel["sizes"])))
             arguments = self.meta["functions"][name]["arguments"].values()
             with machine_code.lightly_optimised():
                 interface = getattr(_imported(text_path, text.decode()), f"{name}_c")
                 found = machine_code.template_bitcode(machine_code.compiled_by_numba(interface, arguments, symbols))
             trusted_files.keep(path, found)
         return found
+
+
+def bitcode_name(content: str) -> str:
+    """Name of the file of a kernel in a wheel: bitcode is for a system, and for any processor of its kind."""
+    return f"{content}.{machine_code.system()}.bc"
 
 
 def _imported(path: Path, text: str) -> ModuleType:
@@ -154,6 +160,13 @@ def exists(name: str) -> bool:
     return _read(name) is not None
 
 
+def kept() -> Iterator[Generated]:
+    """Modules that are on disk."""
+    for file in (directory() / "modules").glob("*.json"):
+        if (found := _read(file.stem)) is not None:
+            yield found
+
+
 def load(
     name: str,
     build: Callable[[], Module],
@@ -191,11 +204,16 @@ def described(made: Module) -> tuple[dict[str, str], dict[str, Any], list[str]]:
     """Content hashes of a module's functions, what is linked to its kernels, and the texts of templates."""
     names, texts = made.meta.get("functions", ()), list[str]()
     if made.functions:
-        return contents(made.text(), names), {}, texts
+        objects, text = contents(made.text(), names), digest(made.text())
+        return (
+            objects,
+            {n: {"text": text, "content": one, "sizes": (), "uses": ()} for n, one in objects.items()},
+            texts,
+        )
     objects, kernels = dict[str, str](), dict[str, Any]()
     for name in names:
         if name in made.definitions:
-            objects[name] = digest(versions(), name, made.definitions[name])
+            objects[name] = digest(name, made.definitions[name])
             continue
         one = template(made, name)
         kernels[name] = {"text": digest(one.text), "content": one.content, "sizes": one.sizes, "uses": one.uses}

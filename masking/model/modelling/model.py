@@ -308,10 +308,9 @@ class Model:
         if isinstance(inputs, Mapping):
             return input_series.driven(self, times, initial or {}, inputs, tolerance)
         times = input_series.row_of_times(times)
-        state = self.initial_state(initial or {})
         _ = self.delays()
         u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-        return self.kernels.integrate(times, state, u, self.values(), tolerance=tolerance)
+        return self.kernels.integrate(times, self.initial_state(initial or {}), u, self.values(), tolerance=tolerance)
 
     def initial_state(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
         """State (2 n + k,) of given and declared initial values, in SI units or in the declared scales.
@@ -323,19 +322,19 @@ class Model:
         Raises:
             ModelError: a coordinate has no initial value, or a name is no state.
         """
-        return self._declared_state.copy() if not given else self._begun(given)
+        return self._begun(given) if given else self._declared_state.copy()
 
     @cached_property
     def _declared_state(self) -> np.ndarray:
         return self._begun({})
 
     def _begun(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
-        names = self.state_names
-        unknown = [name for name in given if name not in names]
+        unknown = [name for name in given if name not in self.state_names]
         if unknown:
-            raise ModelError(f"initial value of '{unknown[0]}': {self.name} has the states {', '.join(names)}")
-        overrides, units = self.overrides, self.units
-        second = units.size("s", overrides) if self.is_dimensionless and not units.is_plain else 1.0
+            raise ModelError(
+                f"initial value of '{unknown[0]}': {self.name} has the states {', '.join(self.state_names)}"
+            )
+        second = self.units.size("s", self.overrides) if self.is_dimensionless and not self.units.is_plain else 1.0
         positions, velocities = [], []
         for name, coordinate in self.declaration.coordinates.items():
             value = given.get(name, coordinate.initial)
@@ -402,8 +401,7 @@ class Model:
         """
         if not self.coordinates:
             return
-        values = self.values()
-        e, s = self.equations, self.equations.symbols
+        e, s, values = self.equations, self.equations.symbols, self.values()
         rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
         point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
         point |= {z: self.declaration.states[z.name].initial for z in s.s}
@@ -442,9 +440,8 @@ class Model:
                 "take masking.analysis.stability.modes.state_matrix"
             )
         states = (*s.q, *s.v, *s.s)
-        point = {symbol: (at or {}).get(symbol.name, 0.0) for symbol in states}
-        point |= {symbol: (inputs or {}).get(symbol.name, 0.0) for symbol in s.u}
-        point |= dict(zip(s.p, self.values(), strict=True)) | {s.t: 0.0}
+        point = {symbol: (at or {}).get(symbol.name, 0.0) for symbol in states} | {s.t: 0.0}
+        point |= {u: (inputs or {}).get(u.name, 0.0) for u in s.u} | dict(zip(s.p, self.values(), strict=True))
         explicit = dict(zip(s.a, e.accelerations, strict=True))
         rates = sp.Matrix([*s.v, *e.accelerations, *e.rates])
         seen = [e.symbolic(o.expression).subs(explicit) for o in self.declaration.outputs.values()] or list(s.q)

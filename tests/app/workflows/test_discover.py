@@ -348,6 +348,13 @@ def test_records_of_other_programs(tmp_path):
         readers.read(tmp_path / "b.mat", {"u1": "V3"}, dt=0.01)
 
 
+@pytest.mark.parametrize(
+    ("given", "sensors"), [({"plant": "cart", "model": None}, ("encoder",)), ({"model": "cart"}, ("x",))]
+)
+def test_a_name_of_a_model_and_of_a_plant_is_what_it_is_given_as(given, sensors):
+    assert discovery_inputs.rig(**given).sensors == sensors
+
+
 def test_a_model_alone_is_read_by_its_coordinates(tmp_path):
     (tmp_path / "mass.yaml").write_text(
         "name: mass\ncoordinates: {x: {unit: m}}\ninputs: {f: {unit: N}}\nparameters: {m: {value: 1, unit: kg}, "

@@ -302,6 +302,23 @@ def test_equal_functions_of_different_modules_are_compiled_once(tmp_path, monkey
     assert len(list(tmp_path.glob("objects/*"))) == 1
 
 
+@pytest.mark.parametrize("is_whole", [True, False], ids=["whole", "not bitcode"])
+def test_what_a_wheel_brings_is_not_compiled_by_numba(tmp_path, monkeypatch, is_whole):
+    def function(cache):
+        monkeypatch.setenv("MASKING_CACHE", str(tmp_path / cache))
+        return module_store.load("7.5", lambda: number(7.5))
+
+    made, brought = function("one"), tmp_path / "brought"
+    brought.mkdir()
+    file = brought / module_store.bitcode_name(made.kernels["f"]["content"])
+    file.write_bytes(made.bitcode("f") if is_whole else b"text")
+    monkeypatch.setattr(module_store, "BROUGHT", brought)
+    compiled, compile_it = list[int](), machine_code.compiled_by_numba
+    monkeypatch.setattr(machine_code, "compiled_by_numba", lambda *given: compiled.append(1) or compile_it(*given))
+    assert function("two").function("f")(0.0) == 7.5
+    assert len(compiled) == (not is_whole)
+
+
 def test_an_argument_of_a_kernel_says_its_type():
     module = Module("test", {})
     with pytest.raises(TypeError, match="f: t is of the type 'str'; give float, int, Vector, Matrix"):
