@@ -92,7 +92,6 @@ $(READY): pyproject.toml requirements.txt
 # theirs is checked.
 $(BENCH_READY): $(READY)
 	-$(PIP) --constraint $(VERSIONS) heyoka==7.13.2
-	-$(PIP) --constraint $(VERSIONS) numbalsoda==0.3.4
 	-$(PIP) --constraint $(VERSIONS) casadi
 	@touch $@
 

@@ -11,7 +11,7 @@ import numpy as np
 from masking.lab.plants import wire
 from masking.lab.plants.authentication import TAG, Key
 from masking.lab.plants.wire import Kind
-from tests.benchmarks.table import Row, limited
+from tests.benchmarks.table import Row, few, limited
 
 CALLS, ROUNDS = 2000, 200
 MOST = 5.0  # us
@@ -50,7 +50,7 @@ def microseconds() -> tuple[float, float, float]:
 def shortest(*calls: Callable[[], object]) -> list[float]:
     """Return the shortest time of a call of each function in us, measured in turn."""
     timers = [timeit.Timer(call) for call in calls]
-    rounds = [[timer.timeit(CALLS) for timer in timers] for _ in range(ROUNDS)]
+    rounds = [[timer.timeit(CALLS) for timer in timers] for _ in range(few(ROUNDS))]
     return [min(times) / CALLS * 1e6 for times in zip(*rounds, strict=True)]
 
 

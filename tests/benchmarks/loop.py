@@ -31,7 +31,7 @@ from masking.lab.runs.loop_rows import StreamedRows, known
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.realtime import Hooks, run_rig
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
-from tests.benchmarks.table import Row, limited, told
+from tests.benchmarks.table import Row, few, limited, told
 from tests.support import chromium
 
 TICKS, ROUNDS = 20_000, 5
@@ -43,7 +43,7 @@ REAL_TURNS: Final = 3
 
 def rows() -> Iterator[Row]:
     """Measure both ways in turns, then the parts."""
-    found = measure()
+    found = measure(few(ROUNDS))
     spread = ", ".join(f"{way}: {min(each):.1f} to {max(each):.1f} us" for way, each in found["work p99"].items())
     for name, aim in AIMS.items():
         ours, theirs = (statistics.median(found[f"work {name}"][way]) for way in (ALL, ALONE))
@@ -53,7 +53,7 @@ def rows() -> Iterator[Row]:
         ours, theirs = (statistics.median(found[name][way]) for way in (ALL, ALONE))
         note = f"medians of {ROUNDS} turns of {TICKS} ticks; p99 of single turns {spread}" if name == "work p99" else ""
         yield told(f"{name}: {ALL} / {ALONE}", f"{ours:.1f} us", f"{theirs:.1f} us", ours / theirs, note)
-    real = measure(REAL_TURNS, lockstep=False)
+    real = measure(few(REAL_TURNS), lockstep=False)
     for name, each in real.items():
         ours, theirs = (statistics.median(each[way]) for way in (ALL, ALONE))
         spread = ", ".join(f"{way}: {min(turns):.1f} to {max(turns):.1f} us" for way, turns in each.items())

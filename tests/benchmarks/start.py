@@ -1,96 +1,65 @@
-"""How long a user waits: for the first compile, and for every later start from the cache."""
+"""What a start takes of the processor: the first one, which compiles, and every later one from the cache."""
 
 from __future__ import annotations
 
-import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tests.benchmarks.table import Row, limited, told
+from tests.benchmarks.table import Row, few, limited
 
 ROUNDS = 11
 TOP = Path(__file__).resolve().parents[2]
-# The parts of a first start, each measured where it happens.
-COLD = """
-import json, sys, time
-clock = [time.perf_counter()]
-from masking.compile.codegen.machine_code import NativeFunction
-from masking.lab.runs.experiment import Experiment
-def lap(): clock.append(time.perf_counter()); return clock[-1] - clock[-2]
-parts = {"import": lap()}
-timers, compiles = {}, NativeFunction._compile
-def compile(function):
-    begin = time.perf_counter()
-    code = compiles(function)
-    timers[f"{len(timers) + 1}. {function.name}"] = time.perf_counter() - begin
-    return code
-NativeFunction._compile = compile
-experiment = Experiment.load("examples/oscillators/duffing.yaml")
-experiment.plant.kernels, experiment.virtual.kernels, experiment.loop.kernels
-parts["equations to source"] = lap()
-experiment.run()
-first = lap()
-experiment.run()
-parts["machine code"] = first - lap()
-print(json.dumps({"parts": parts, "functions": timers}))
-"""
+# Processor time of a first start from an empty cache, with all that it loads and compiles.
+FIRST = {
+    "duffing in its closed loop": ("Experiment.load('duffing').run()", 1.6),
+    "huygens_rig": ("Experiment.load('huygens_rig').run()", 3.5),
+    "100 pendula on a beam": (
+        "Experiment.load('examples/many/beam.yaml', counts={'N': 100}).changed(duration=1.0).run()",
+        4.0,
+    ),
+}
 
 
 def rows() -> Iterator[Row]:
-    """Measure a first start, then later ones, in a cache folder of their own."""
+    """Measure first starts, each in a cache of its own, then later ones."""
+    for what, (call, most) in FIRST.items():
+        yield first(what, call, most)
     with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as out:
-        yield cold(cache)
         yield listing(cache)
         yield from warm(cache, Path(out))
 
 
-def cold(cache: str) -> Row:
-    """Measure the first run of the Duffing experiment on an empty cache."""
-    begin = time.perf_counter()
-    printed = json.loads(process([sys.executable, "-c", COLD], cache))
-    wall = time.perf_counter() - begin
-    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in printed["parts"].items())
-    slowest = sorted(printed["functions"].items(), key=lambda item: -item[1])[:6]
-    functions = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest)
-    return told("first start: duffing and its closed loop", f"{wall:.3g} s", note=f"{parts}; compiled: {functions}")
+def first(what: str, call: str, most: float) -> Row:
+    """Measure a first start."""
+    with tempfile.TemporaryDirectory() as cache:
+        code = f"from masking.lab.runs.experiment import Experiment\n{call}"
+        seconds = processor([sys.executable, "-c", code], cache)
+    return limited(f"first start: {what}", f"{seconds:.3g} s", "", seconds, at_most=most, unit="s")
 
 
 def listing(cache: str) -> Row:
     """Measure `masking list`, the whole process."""
-    seconds = timed([*script(), "list"], cache)
+    seconds = repeated([*script(), "list"], cache)
     return limited(
         "start: masking list", f"{min(seconds):.3g} s", "", min(seconds), at_most=0.3, unit="s", note=spread(seconds)
     )
 
 
 def warm(cache: str, out: Path) -> Iterator[Row]:
-    """Measure `masking run` from the cache: the whole, and what is neither simulation nor report."""
-    arguments = ["run", "examples/oscillators/duffing.yaml", "--overwrite", "--out", str(out)]
-    walls = timed([*script(), *arguments], cache)
-    overheads, reports = [], []
-    for _ in range(ROUNDS):
-        begin = time.perf_counter()
-        process([sys.executable, "-m", "tests.benchmarks.timed_run", *arguments], cache)
-        wall = time.perf_counter() - begin
-        timing = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["timing"]
-        reports.append(float(json.loads((out / "seconds.json").read_text(encoding="utf-8"))))
-        overheads.append(wall - timing["run"] - timing["ideal"] - reports[-1])
-    yield told("start: masking run, all of it", f"{min(walls):.3g} s", note=spread(walls))
-    yield limited(
-        "start: masking run, overhead",
-        f"{min(overheads):.3g} s",
-        "",
-        min(overheads),
-        at_most=0.8,
-        unit="s",
-        note=f"without simulation and report ({min(reports):.3g} s); {spread(overheads)}",
-    )
+    """Measure a run that is saved, from Python, and `masking run`, which writes its report, too."""
+    call = f"Experiment.load('duffing').run().save({str(out)!r}, overwrite=True)"
+    code = f"from masking.lab.runs.experiment import Experiment\n{call}"
+    saved, reported = [sys.executable, "-c", code], [*script(), "run", "duffing", "--overwrite", "--out", str(out)]
+    for what, command, most in (("run and save duffing", saved, 0.4), ("masking run duffing", reported, 1.5)):
+        seconds = repeated(command, cache)
+        value = min(seconds)
+        yield limited(f"start: {what}", f"{value:.3g} s", "", value, at_most=most, unit="s", note=spread(seconds))
 
 
 def spread(seconds: Sequence[float]) -> str:
@@ -104,21 +73,18 @@ def script() -> list[str]:
     return [str(found)] if found.exists() else [sys.executable, "-m", "masking"]
 
 
-def timed(command: Sequence[str], cache: str) -> list[float]:
-    """Time a process many times."""
-    process(command, cache)
-    seconds = []
-    for _ in range(ROUNDS):
-        begin = time.perf_counter()
-        process(command, cache)
-        seconds.append(time.perf_counter() - begin)
-    return seconds
+def repeated(command: Sequence[str], cache: str) -> list[float]:
+    """Return the processor times of a process that is run many times, after a first one."""
+    processor(command, cache)
+    return [processor(command, cache) for _ in range(few(ROUNDS))]
 
 
-def process(command: Sequence[str], cache: str) -> str:
-    """Run a process in the repository and give what it prints."""
+def processor(command: Sequence[str], cache: str) -> float:
+    """Run a process in the repository; return its processor time, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "MASKING_CACHE": cache, "PYTHONDONTWRITEBYTECODE": ""}  # as most users have it
     done = subprocess.run(command, cwd=TOP, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}: {done.stderr[-2000:]}")
-    return done.stdout
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -17,7 +17,7 @@ from masking.compile.codegen.printers import statements
 from masking.compile.codegen.source import reads
 from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.lab.runs.experiment import Experiment
-from tests.benchmarks.table import Row, limited, missing, told
+from tests.benchmarks.table import Row, few, limited, missing, told
 from tests.support.python_language import PYTHON
 
 CALLS, ROUNDS = 1000, 600
@@ -86,7 +86,7 @@ def nanoseconds(*calls: tuple[Callable[..., object], tuple[object, ...]]) -> lis
     for called, arguments in calls:
         names = {f"a{i}": value for i, value in enumerate(arguments)}
         timers.append(timeit.Timer(f"called({', '.join(names)})", globals={"called": called, **names}))
-    rounds = [[timer.timeit(CALLS) for timer in timers] for _ in range(ROUNDS)]
+    rounds = [[timer.timeit(CALLS) for timer in timers] for _ in range(few(ROUNDS))]
     return [min(times) / CALLS * 1e9 for times in zip(*rounds, strict=True)]
 
 
@@ -105,8 +105,8 @@ def beyond(what: str, call: Call) -> Row:
 
 def longest(law: LawStep, state: np.ndarray) -> Row:
     """Give the row of how long 999 of 1000 calls take at most, the clock included."""
-    clock, times = time.perf_counter_ns, np.empty(MANY, dtype=np.int64)
-    for i in range(MANY):
+    clock, times = time.perf_counter_ns, np.empty(few(MANY, 1000), dtype=np.int64)
+    for i in range(len(times)):
         begin = clock()
         law(0.1, state)
         times[i] = clock() - begin

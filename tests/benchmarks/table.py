@@ -12,7 +12,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 HEAD = ("what", "ours", "theirs", "ratio", "aim", "verdict")
-PACKAGES = ("masking", "numba", "numpy", "scipy", "sympy", "numbalsoda", "heyoka", "control", "casadi")
+WIDTHS = (72, 10, 10, 10, 10, 7)
+PACKAGES = ("masking", "numba", "numpy", "scipy", "sympy", "heyoka", "casadi")
+is_tiny = False  # whether it is only tried whether all runs
+
+
+def few(count: int, least: int = 1) -> int:
+    """Return how often something is done, which is seldom where it is only tried."""
+    return min(count, least) if is_tiny else count
 
 
 @dataclass(frozen=True)
@@ -51,17 +58,12 @@ def missing(what: str, why: str) -> Row:
     return Row(what, verdict=f"not measured: {why}")
 
 
-def text(rows: Sequence[Row]) -> str:
-    """Print rows as columns, then their notes."""
-    lines = [HEAD]
-    for row in rows:
-        ratio = "" if row.ratio is None else f"{row.ratio:.4g} {row.unit}"
-        lines.append((row.what, row.ours, row.theirs, ratio, row.aim, row.verdict))
-    widths = [max(len(line[i]) for line in lines) for i in range(5)]
-    printed = ["  ".join([*(c.ljust(w) for c, w in zip(line, widths, strict=False)), line[5]]) for line in lines]
-    printed.insert(1, "-" * max(map(len, printed)))
-    notes = [f"  {row.what}: {row.note}" for row in rows if row.note]
-    return "\n".join([*(line.rstrip() for line in printed), "", *notes])
+def line(row: Row | None = None) -> str:
+    """Print a row, or the names of the columns, its note in a line of its own."""
+    ratio = "" if row is None or row.ratio is None else f"{row.ratio:.4g} {row.unit}"
+    cells = HEAD if row is None else (row.what, row.ours, row.theirs, ratio, row.aim, row.verdict)
+    note = f"\n    {row.note}" if row is not None and row.note else ""
+    return "  ".join(cell.ljust(width) for cell, width in zip(cells, WIDTHS, strict=True)).rstrip() + note
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
@@ -95,14 +97,19 @@ def processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
 
 
-def interleaved(contenders: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Time contenders in turn, A B C A B C ..., so that a noisy machine disturbs all alike; seconds of each round."""
+def interleaved(
+    contenders: Mapping[str, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.process_time
+) -> dict[str, list[float]]:
+    """Time contenders in turn, A B C A B C ..., so that a noisy machine disturbs all alike; seconds of each round.
+
+    These are of the processor: other programs that keep it busy count as nothing.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, run in contenders.items():
-            begin = time.perf_counter()
+            begin = clock()
             run()
-            seconds[name].append(time.perf_counter() - begin)
+            seconds[name].append(clock() - begin)
     return seconds
 
 

@@ -13,7 +13,7 @@ from masking.compile.codegen import chattering, machine_code, module_store
 from masking.compile.codegen.event_jumps import Jumps
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.source import LOOSE, LOOSE_FROM, Module
 from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.stop_codes import (
@@ -106,6 +106,13 @@ class Kernels:
             self._functions[name] = self.generated.function(name)
         return self._functions[name]
 
+    def _solver(self, method: str, tolerance: float) -> NativeFunction:
+        """Integrator by a method, of the order that suits a tolerance."""
+        loose = f"solve_{method}{LOOSE}"
+        is_loose = tolerance >= LOOSE_FROM and loose in self.meta["functions"]
+        found: NativeFunction = getattr(self, loose if is_loose else f"solve_{method}")
+        return found
+
     def by_signature(self, *signatures: str) -> dict[str, NativeFunction]:
         """Functions by their signatures, as `linked` takes them."""
         return {signature: getattr(self, signature.partition("(")[0]) for signature in signatures}
@@ -139,7 +146,7 @@ class Kernels:
             IntegrationError: the integrator could not go on, or an event comes without end; says when and why.
         """
         times = in_order(times)
-        solve = getattr(self, f"solve_{method or self.meta['method']}")
+        solve = self._solver(method or self.meta["method"], 0.0 if fixed_step else tolerance)
         lags = self.meta.get("lags", 0)
         if lags and times[-1] < times[0]:
             message = "what depends on the past by a delay is integrated forwards only: let times increase"
@@ -225,7 +232,7 @@ class Kernels:
         p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
         begin, errors = float(times[0]), dict[int, str]()
         if "solve_in_lanes" in self.meta["functions"]:
-            found, solve = np.empty((len(y), 3)), self.solve_in_lanes
+            found, solve = np.empty((len(y), 3)), self._solver("in_lanes", tolerance)
             solve.prepare()  # before threads do
 
             def part(first: int, last: int) -> None:
@@ -234,7 +241,7 @@ class Kernels:
 
             machine_code.share(part, len(y), threads)
         else:
-            solve = getattr(self, f"solve_{self.meta['method']}")
+            solve = self._solver(self.meta["method"], tolerance)
             found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
         for run in np.flatnonzero(found[:, 0] != REACHED).tolist():  # alone it goes on, or says why it cannot
             try:

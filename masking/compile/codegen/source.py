@@ -28,9 +28,11 @@ from masking.compile.codegen.printers import Language, needed
 from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
 from masking.compile.numerics.rig_sizes import LANES
 
-# measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower
-# order: Duffing oscillators (4 products) are fastest at 14 from errors of 1e-6 to 1e-12, pendula (15) at 12.
-TAYLOR_ORDERS = (14, 12)
+LOOSE, LOOSE_FROM = "_loose", 1e-9
+# measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower order.
+# Duffing oscillators (4 products) are fastest at 18 from errors of 1e-6 to 1e-12, where 14 takes 5 to 17 % longer;
+# pendula (15) at 10 for errors from 1e-9 on, and at 12 for smaller ones.
+TAYLOR_ORDERS = ({"": 18}, {"": 12, LOOSE: 10})
 MOST_PRODUCTS_OF_HIGH_ORDER = 8
 # measured: beyond this number of products of series, straight-line code costs seconds to compile.
 LARGEST_TAYLOR_COST = 40
@@ -50,8 +52,11 @@ from masking.compile.numerics.compilation import compiled
 """
 
 
-def taylor_order(products: int) -> int:
-    """Order of the Taylor series for dynamics with this number of products of series."""
+def taylor_orders(products: int) -> Mapping[str, int]:
+    """Orders of the Taylor series for dynamics with this number of products of series.
+
+    They are by the ending of the names of their functions: `LOOSE` for tolerances from `LOOSE_FROM` on.
+    """
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
 
 
@@ -142,32 +147,35 @@ class Module:
         time: Node,
         health: Node,
         loads: Mapping[str, str],
-        order: int,
+        orders: Mapping[str, int],
     ) -> None:
-        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` up to `order` k of state i.
+        """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` up to an order k of state i.
 
+        `orders` are by the ending of the names of the functions, which all stand for the same series.
         For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
         `lane_terms(c, tolerance, terms)` writes what `codegen.taylor_coefficients.step_terms` gives, a row each, and
         `lane_states(x, c, y)` the states at the times x from there. `health` is what `coefficients` returns.
         """
-        rows = coefficients(graph, states, derivatives, time, order)
-        results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+        every = coefficients(graph, states, derivatives, time, max(orders.values()))
+        size, loads_of_lanes = len(states), {**loads, str(graph.operations[time][1]): "t[0]"}
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
         free = llvm_text.FREE
-        self.add("coefficients(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
-        size, loads_of_lanes = len(states), {**loads, str(graph.operations[time][1]): "t[0]"}
-        results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
-        signature = in_lanes("lane_coefficients", "t", "y", "u", "p", "c", "health")
-        self.add(signature, graph, [*results, ("health[0]", health)], loads_of_lanes, free=free, lanes=LANES)
-        steps = Graph()
-        given = [[steps.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(order + 1)]
-        terms = step_terms(steps, given, steps.symbol("tolerance[0]", varying=True))
-        results = [(f"terms[{i}]", node) for i, node in enumerate(terms)]
-        self.add(in_lanes("lane_terms", "c", "tolerance", "terms"), steps, results, {}, lanes=LANES)
-        found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
-        results = [(f"y[{i}]", node) for i, node in enumerate(found)]
-        self.add(in_lanes("lane_states", "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
+        for ending, order in orders.items():
+            rows = every[: order + 1]
+            results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+            self.add(f"coefficients{ending}(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
+            results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
+            signature = in_lanes(f"lane_coefficients{ending}", "t", "y", "u", "p", "c", "health")
+            self.add(signature, graph, [*results, ("health[0]", health)], loads_of_lanes, free=free, lanes=LANES)
+            steps = Graph()
+            given = [[steps.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(order + 1)]
+            terms = step_terms(steps, given, steps.symbol("tolerance[0]", varying=True))
+            results = [(f"terms[{i}]", node) for i, node in enumerate(terms)]
+            self.add(in_lanes(f"lane_terms{ending}", "c", "tolerance", "terms"), steps, results, {}, lanes=LANES)
+            found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
+            results, signature = [(f"y[{i}]", node) for i, node in enumerate(found)], f"lane_states{ending}"
+            self.add(in_lanes(signature, "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
 
     def add_factory(
         self,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
-from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_order
+from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_orders
 from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
@@ -109,7 +109,7 @@ def module(equations: Equations) -> Module:
     derivatives = [*states[n : 2 * n], *lowered.accelerations, *lowered.rates]
     size, lags, inputs = len(states), len(lowered.lagged), len(s.u)
     products = cost(graph, derivatives)
-    order = taylor_order(products)
+    orders = taylor_orders(products)
     is_smooth = is_analytic(graph, derivatives)
     use_taylor = (
         size > 0
@@ -118,7 +118,7 @@ def module(equations: Equations) -> Module:
         and is_smooth
         and not hides_a_switch(graph, derivatives)
         and products <= LARGEST_TAYLOR_COST
-        and degree(graph, derivatives) < order
+        and degree(graph, derivatives) < min(orders.values())
     )
     joined = lowered.joined()
     energy = equations.energy
@@ -150,12 +150,15 @@ def module(equations: Equations) -> Module:
     if energy is not None:
         module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
-        module.add_coefficients(graph, states, derivatives, time=time, health=lowered.health, loads=joined, order=order)
-        made = (taylor_integrator.taylor, "coefficients", order, size)
-        module.add_factory("solve_taylor", *made, work=(order + 1, size))
-        counts = (order, size, inputs, len(s.p), LANES)
-        linked = ("lane_coefficients", "lane_terms", "lane_states")
-        module.add_factory("solve_in_lanes", lanes.taylor, *linked, *counts, work=lane_work(*counts))
+        module.add_coefficients(
+            graph, states, derivatives, time=time, health=lowered.health, loads=joined, orders=orders
+        )
+        for ending, order in orders.items():
+            made = (taylor_integrator.taylor, f"coefficients{ending}", order, size)
+            module.add_factory(f"solve_taylor{ending}", *made, work=(order + 1, size))
+            counts = (order, size, inputs, len(s.p), LANES)
+            linked = (f"lane_{name}{ending}" for name in ("coefficients", "terms", "states"))
+            module.add_factory(f"solve_in_lanes{ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))
     added = Added(time, derivatives, lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module
