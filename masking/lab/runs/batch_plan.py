@@ -29,6 +29,8 @@ CUT_OFF: Final = "cut off"
 PEOPLE: Final = ("ESTOP", "UNATTENDED")  # causes after which nobody but a person goes on
 FREE: Final = (INTERRUPTED, UNREACHABLE, CUT_OFF)  # ends of tries that are no fault of the run
 MOST: Final = 1_000_000  # runs
+COUNTED: Final = 10**15  # of which a number of runs is said
+LONGEST: Final = 604_800.0  # s that a pause may take
 
 
 @dataclass(frozen=True)
@@ -102,15 +104,19 @@ def _problems(plan: BatchDeclaration) -> Iterator[Problem]:
     if plan.budget.trips == 0:
         remedy = "leave it out for any number; a run that tripped is made again only as 'retries' says"
         yield Problem(plan.place("budget.trips"), "budget.trips", "must be at least 1, not 0", remedy)
-    if plan.cool < 0.0:
-        yield Problem(plan.place("cool"), "cool", f"must be at least 0, not {plan.cool:g}", "give seconds")
+    for name, seconds in (("cool", plan.cool), ("patience", plan.patience)):
+        if seconds < 0.0:
+            yield Problem(plan.place(name), name, f"must be at least 0, not {seconds:g}", "give seconds")
+        if seconds > LONGEST:
+            yield Problem(plan.place(name), name, f"must be at most {LONGEST:g} s, a week, not {seconds:g}")
     many = plan.repeats
     for name, values in plan.vary.items():
         many *= len(values)
         if not values:
             yield Problem(plan.key_place(f"vary.{name}"), f"vary.{name}", "has no values", "list some, or leave it out")
+    shown = many if many < COUNTED else "more than 10^15"
     if many > MOST:
-        yield Problem(plan.key_place("vary"), "vary", f"asks for {many} runs; at most {MOST} are allowed")
+        yield Problem(plan.key_place("vary"), "vary", f"asks for {shown} runs; at most {MOST} are allowed")
 
 
 def changed(experiment: Experiment, settings: Mapping[str, float]) -> Experiment:

@@ -29,7 +29,7 @@ NAME_PATTERN = "[A-Za-z][A-Za-z0-9_]*"
 class Block(BaseModel):
     """A mapping with fixed keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)
 
 
 class Text(str):
