@@ -68,7 +68,38 @@ def coefficients(
 
     `states` and `time` are symbols, `derivatives` nodes of the graph.
     """
-    return _Series(graph, states, derivatives, time).rows(order)
+    return _Series(graph, states, factored(graph, derivatives), time).rows(order)
+
+
+def factored(graph: Graph, nodes: Sequence[Node]) -> list[Node]:
+    """The same values, with factors that do not vary taken out of products, quotients and, where they are alike, sums.
+
+    Each of these factors would cost a product in each order, and would hide that a product is a square.
+    """
+    one = graph.number(1.0)
+    split: dict[Node, tuple[bool, Node, Node]] = {}  # whether it is negative, a factor that does not vary, and the rest
+
+    def joined(node: Node) -> Node:
+        is_negative, factor, rest = split[node]
+        found = graph.mul(factor, rest)
+        return graph.apply("neg", found) if is_negative else found
+
+    for node in needed(graph, nodes):
+        name, given = str(graph.operations[node][0]), arguments(graph, node)
+        signs, factors, rests = zip(*(split[a] for a in given), strict=True) if given else ((), (), ())
+        if not graph.varying[node]:
+            is_negative = graph.is_negative(node)
+            split[node] = (is_negative, graph.inner(node) if is_negative else node, one)
+        elif name == "neg":
+            split[node] = (not signs[0], factors[0], rests[0])
+        elif name in {"mul", "div"}:
+            split[node] = (signs[0] != signs[1], graph.apply(name, *factors), graph.apply(name, *rests))
+        elif name in {"add", "sub"} and factors[0] == factors[1] and one not in rests:
+            is_sum = (name == "add") == (signs[0] == signs[1])
+            split[node] = (signs[0], factors[0], graph.apply("add" if is_sum else "sub", *rests))
+        else:
+            split[node] = (False, one, graph.apply(name, *map(joined, given)) if given else node)
+    return [*map(joined, nodes)]
 
 
 def step_terms(graph: Graph, rows: Sequence[Sequence[Node]], tolerance: Node) -> list[Node]:
@@ -118,6 +149,7 @@ class _Series:
     def __init__(self, graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], time: Node) -> None:
         self.graph = graph
         self.derivatives = list(derivatives)
+        self.rates = dict(zip(states, derivatives, strict=True))
         self.varying = [n for n in needed(graph, self.derivatives) if graph.varying[n]]
         self.zero = graph.number(0.0)
         self.a: dict[Node, list[Node]] = {node: [node] for node in states}
@@ -220,7 +252,10 @@ class _Series:
 
     def _integral(self, k: int, x: Node, series: list[Node]) -> Node:
         """(1/k) sum_(0<i<=k) i x_i b_(k-i), the k-th coefficient of the integral of x' b."""
-        terms = [self._weighted(i, self.at(x, i), series[k - i]) for i in range(1, k + 1)]
+        if x in self.rates:  # of a state, i x_i is the coefficient before of its derivative
+            terms = [self.graph.mul(self.at(self.rates[x], i - 1), series[k - i]) for i in range(1, k + 1)]
+        else:
+            terms = [self._weighted(i, self.at(x, i), series[k - i]) for i in range(1, k + 1)]
         return self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
 
     def _weighted(self, i: int, x: Node, y: Node) -> Node:

@@ -2,6 +2,8 @@
 
 import ctypes
 import json
+import math
+import operator
 import os
 import shutil
 import subprocess
@@ -20,9 +22,10 @@ from hypothesis import strategies as st
 from masking.compile.codegen import content_hashes, llvm_text, machine_code, module_store
 from masking.compile.codegen.c_functions import EXTREMES
 from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.graph_values import values_of
 from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.taylor_coefficients import degree, is_analytic
+from masking.compile.codegen.taylor_coefficients import degree, factored, is_analytic
 from masking.compile.codegen.trusted_files import write_whole
 from masking.compile.numerics import runge_kutta
 from masking.compile.numerics.rig_sizes import LANES
@@ -321,6 +324,69 @@ def series_of(equations, start, order=14, time=0.0):
     generated = module_store.load(module_store.key({"test": printed.text()}), lambda: printed)
     assert generated.function("coefficients")(time, np.array(start, dtype=float), none, none, c) == 1.0
     return c
+
+
+FACTORED = [
+    ("a*x*(b*x)", "(a*b)*(x*x)"),
+    ("-(a*x)*sin(b*x)/c", "-((a/c)*(x*sin(b*x)))"),
+    ("-(a*x) + a*y", "a*(y - x)"),
+    ("a*x*y - x*y*a", "0"),
+    ("a*x/(b*y)", "(a/b)*(x/y)"),
+    ("-a*(x + 1) - b*y", "-(a*(x + 1)) - b*y"),
+    ("1/(a*x) + c", "(1/a)*(1/x) + c"),
+]
+
+
+@pytest.mark.parametrize(("written", "expected"), FACTORED)
+def test_factors_that_do_not_vary_leave_products(written, expected):
+    graph = Graph()
+    names = {name: graph.symbol(name, varying=name in "xy") for name in "abcxy"}
+    rules = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg")}
+    rules |= {"div": operator.truediv, "sin": math.sin, "number": float, "square": lambda x: x * x}
+
+    def nodes(text):
+        # As it is written, and not in the order of sympy.
+        made = eval(text, {}, {"sin": Written.sine} | {n: Written(graph, node) for n, node in names.items()})  # noqa: S307
+        return made.node if isinstance(made, Written) else graph.number(float(made))
+
+    (found,) = factored(graph, [nodes(written)])
+    assert found == nodes(expected)
+    values = dict(zip(names.values(), (2.0, -3.0, 5.0, 0.7, 1.9), strict=True))
+    assert values_of(graph, [found], values, rules, "value")[0] == pytest.approx(
+        values_of(graph, [nodes(written)], values, rules, "value")[0], rel=1e-14, abs=1e-14
+    )
+
+
+class Written:
+    """A node that Python's operators combine."""
+
+    def __init__(self, graph, node):
+        self.graph, self.node = graph, node
+
+    def _apply(self, name, *others):
+        nodes = [one.node if isinstance(one, Written) else self.graph.number(float(one)) for one in others]
+        return Written(self.graph, self.graph.apply(name, *nodes))
+
+    def sine(self):
+        return self._apply("sin", self)
+
+    def __neg__(self):
+        return self._apply("neg", self)
+
+    def __add__(self, other):
+        return self._apply("add", self, other)
+
+    def __sub__(self, other):
+        return self._apply("sub", self, other)
+
+    def __mul__(self, other):
+        return self._apply("mul", self, other)
+
+    def __truediv__(self, other):
+        return self._apply("div", self, other)
+
+    def __rtruediv__(self, other):
+        return self._apply("div", other, self)
 
 
 @pytest.mark.parametrize("name", SERIES)
