@@ -39,7 +39,7 @@ def first(what: str, call: str, most: float) -> Row:
     """Measure a first start."""
     with tempfile.TemporaryDirectory() as cache:
         code = f"from masking.lab.runs.experiment import Experiment\n{call}"
-        seconds = processor([sys.executable, "-c", code], cache)
+        seconds = processor_time([sys.executable, "-c", code], cache)
     return limited(f"first start: {what}", f"{seconds:.3g} s", "", seconds, at_most=most, unit="s")
 
 
@@ -75,11 +75,11 @@ def script() -> list[str]:
 
 def repeated(command: Sequence[str], cache: str) -> list[float]:
     """Return the processor times of a process that is run many times, after a first one."""
-    processor(command, cache)
-    return [processor(command, cache) for _ in range(few(ROUNDS))]
+    processor_time(command, cache)
+    return [processor_time(command, cache) for _ in range(few(ROUNDS))]
 
 
-def processor(command: Sequence[str], cache: str) -> float:
+def processor_time(command: Sequence[str], cache: str) -> float:
     """Run a process in the repository; return its processor time, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "MASKING_CACHE": cache, "PYTHONDONTWRITEBYTECODE": ""}  # as most users have it
