@@ -99,8 +99,7 @@ def rig(model: str | Path | None, plant: str | Path | None = None) -> Twin:
     """Rig of a plant, or of a model alone: perfect sensors of its outputs, or else of its coordinates.
 
     Where one of both is given, its content says which it is; a packaged name that both kinds have is what it is given
-    as. Raises a `DeclarationError` where neither is given, or
-    one is wrong, and a `ModelError` where a mass is 0.
+    as. Raises a `DeclarationError` where neither is given, or one is wrong, and a `ModelError` where a mass is 0.
     """
     given = plant if model is None else model
     if given is not None and (model is None or plant is None):

@@ -204,12 +204,8 @@ def described(made: Module) -> tuple[dict[str, str], dict[str, Any], list[str]]:
     """Content hashes of a module's functions, what is linked to its kernels, and the texts of templates."""
     names, texts = made.meta.get("functions", ()), list[str]()
     if made.functions:
-        objects, text = contents(made.text(), names), digest(made.text())
-        return (
-            objects,
-            {n: {"text": text, "content": one, "sizes": (), "uses": ()} for n, one in objects.items()},
-            texts,
-        )
+        objects, common = contents(made.text(), names), {"text": digest(made.text()), "sizes": (), "uses": ()}
+        return objects, {name: common | {"content": one} for name, one in objects.items()}, texts
     objects, kernels = dict[str, str](), dict[str, Any]()
     for name in names:
         if name in made.definitions:
