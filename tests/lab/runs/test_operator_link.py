@@ -291,7 +291,9 @@ def test_a_served_rig_is_run_and_stopped_from_the_page(cart, tmp_path):
             with chromium.browsing() as tab:
                 tab.open(address[1])
                 tab.wait_for("document.querySelector('#state b').textContent === 'RUNNING'", 60.0)
-                time.sleep(1.0)
+                tab.wait_for(
+                    "parseFloat(document.getElementById('time').textContent.slice(4)) > 2.5"
+                )  # homing takes 2 s
                 tab.value("document.getElementById('stop').click()")
                 tab.wait_for("document.querySelector('#state b').textContent === 'TRIPPED'")
                 assert tab.value("document.getElementById('sentence').textContent").startswith("the emergency stop was")
