@@ -46,6 +46,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         remedy="let the rig warm up before it is used, adjust the zero between runs",
         source=_DOEBELIN,
         states={"e": EffectState("rate", "S", "shift of the zero", _ANY)},
+        nested=("sensor_offset",),
     ),
     _sensor(
         "sensor_gain",
