@@ -111,7 +111,7 @@ def longest(law: LawStep, state: np.ndarray) -> Row:
         law(0.1, state)
         times[i] = clock() - begin
     middle, most, all_of = np.quantile(times, (0.5, 0.999, 1.0))
-    note = f"of {MANY:g} calls; median {middle:.0f} ns, longest {all_of / 1000:.0f} us"
+    note = f"of {len(times):g} calls; median {middle:.0f} ns, longest {all_of / 1000:.0f} us"
     what = "step(t, state), duffing: 99.9 % of calls within"
     return limited(what, f"{most:.0f} ns", "", most, at_most=MOST_OF_THOUSAND, unit="ns", note=note)
 

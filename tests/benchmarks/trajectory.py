@@ -119,7 +119,7 @@ def against_scipy(system: System) -> Row:
         f"{system.name}, error {error:g}: scipy's DOP853, compiled / Model.simulate",
         *(milliseconds(seconds[name]) for name in ("ours", "theirs")),
         ratio(seconds, "theirs", "ours"),
-        at_least=50.0,
+        at_least=200.0,
         note=f"{ours.note}; {theirs.note}",
     )
 

@@ -149,7 +149,8 @@ class NativeFunction:
                 or type(value) is not np.ndarray
                 or value.dtype is not dtype
                 or not value.flags.carray
-                or (value.ndim != dimension or any(map(operator.lt, value.shape, least)))
+                or value.ndim != dimension
+                or any(map(operator.lt, value.shape, least))
             ):
                 self._check(name, kind, dimension + axes, value)
             address = _address(value)
@@ -189,9 +190,8 @@ class NativeFunction:
         if not value.flags.writeable:
             raise TypeError(f"{self.name}: {name} must be an array that can be written, not one that is read alone")
         least, shape = self.needed.sizes.get(name, ()), value.shape[dimension - DIMENSIONS.get(kind, 1) :]
-        for have, wanted in zip(shape, least, strict=False):
-            if have < wanted:
-                raise TypeError(f"{self.name}: {name} must have a shape of at least {tuple(least)}, not {shape}")
+        if any(have < wanted for have, wanted in zip(shape, least, strict=False)):
+            raise TypeError(f"{self.name}: {name} must have a shape of at least {tuple(least)}, not {shape}")
 
     def _require(self, values: Sequence[Any]) -> None:
         """Refuse arguments that do not meet the conditions of the function."""

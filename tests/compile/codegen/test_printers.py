@@ -326,67 +326,52 @@ def series_of(equations, start, order=14, time=0.0):
     return c
 
 
-FACTORED = [
-    ("a*x*(b*x)", "(a*b)*(x*x)"),
-    ("-(a*x)*sin(b*x)/c", "-((a/c)*(x*sin(b*x)))"),
-    ("-(a*x) + a*y", "a*(y - x)"),
-    ("a*x*y - x*y*a", "0"),
-    ("a*x/(b*y)", "(a/b)*(x/y)"),
-    ("-a*(x + 1) - b*y", "-(a*(x + 1)) - b*y"),
-    ("1/(a*x) + c", "(1/a)*(1/x) + c"),
-]
+# What is written, and what becomes of it, of fixed a, b, c and varying x, y.
+FACTORED = {
+    "a x (b x)": (
+        lambda g, a, b, c, x, y: g.mul(g.mul(a, x), g.mul(b, x)),
+        lambda g, a, b, c, x, y: g.mul(g.mul(a, b), g.mul(x, x)),
+    ),
+    "-(a x) sin(b x) / c": (
+        lambda g, a, b, c, x, y: g.div(g.mul(g.apply("neg", g.mul(a, x)), g.apply("sin", g.mul(b, x))), c),
+        lambda g, a, b, c, x, y: g.apply("neg", g.mul(g.div(a, c), g.mul(x, g.apply("sin", g.mul(b, x))))),
+    ),
+    "-(a x) + a y": (
+        lambda g, a, b, c, x, y: g.add(g.apply("neg", g.mul(a, x)), g.mul(a, y)),
+        lambda g, a, b, c, x, y: g.mul(a, g.sub(y, x)),
+    ),
+    "a x y - x y a": (
+        lambda g, a, b, c, x, y: g.sub(g.mul(g.mul(a, x), y), g.mul(g.mul(x, y), a)),
+        lambda g, a, b, c, x, y: g.number(0.0),
+    ),
+    "a x / (b y)": (
+        lambda g, a, b, c, x, y: g.div(g.mul(a, x), g.mul(b, y)),
+        lambda g, a, b, c, x, y: g.mul(g.div(a, b), g.div(x, y)),
+    ),
+    "(-a) (x + 1) - b y": (
+        lambda g, a, b, c, x, y: g.sub(g.mul(g.apply("neg", a), g.add(x, g.number(1.0))), g.mul(b, y)),
+        lambda g, a, b, c, x, y: g.sub(g.apply("neg", g.mul(a, g.add(x, g.number(1.0)))), g.mul(b, y)),
+    ),
+    "1 / (a x) + c": (
+        lambda g, a, b, c, x, y: g.add(g.div(g.number(1.0), g.mul(a, x)), c),
+        lambda g, a, b, c, x, y: g.add(g.mul(g.div(g.number(1.0), a), g.div(g.number(1.0), x)), c),
+    ),
+}
 
 
-@pytest.mark.parametrize(("written", "expected"), FACTORED)
+@pytest.mark.parametrize(("written", "expected"), FACTORED.values(), ids=FACTORED)
 def test_factors_that_do_not_vary_leave_products(written, expected):
     graph = Graph()
-    names = {name: graph.symbol(name, varying=name in "xy") for name in "abcxy"}
+    symbols = [graph.symbol(name, varying=name in "xy") for name in "abcxy"]
     rules = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg")}
     rules |= {"div": operator.truediv, "sin": math.sin, "number": float, "square": lambda x: x * x}
-
-    def nodes(text):
-        # As it is written, and not in the order of sympy.
-        made = eval(text, {}, {"sin": Written.sine} | {n: Written(graph, node) for n, node in names.items()})  # noqa: S307
-        return made.node if isinstance(made, Written) else graph.number(float(made))
-
-    (found,) = factored(graph, [nodes(written)])
-    assert found == nodes(expected)
-    values = dict(zip(names.values(), (2.0, -3.0, 5.0, 0.7, 1.9), strict=True))
+    given = written(graph, *symbols)
+    (found,) = factored(graph, [given])
+    assert found == expected(graph, *symbols)
+    values = dict(zip(symbols, (2.0, -3.0, 5.0, 0.7, 1.9), strict=True))
     assert values_of(graph, [found], values, rules, "value")[0] == pytest.approx(
-        values_of(graph, [nodes(written)], values, rules, "value")[0], rel=1e-14, abs=1e-14
+        values_of(graph, [given], values, rules, "value")[0], rel=1e-14, abs=1e-14
     )
-
-
-class Written:
-    """A node that Python's operators combine."""
-
-    def __init__(self, graph, node):
-        self.graph, self.node = graph, node
-
-    def _apply(self, name, *others):
-        nodes = [one.node if isinstance(one, Written) else self.graph.number(float(one)) for one in others]
-        return Written(self.graph, self.graph.apply(name, *nodes))
-
-    def sine(self):
-        return self._apply("sin", self)
-
-    def __neg__(self):
-        return self._apply("neg", self)
-
-    def __add__(self, other):
-        return self._apply("add", self, other)
-
-    def __sub__(self, other):
-        return self._apply("sub", self, other)
-
-    def __mul__(self, other):
-        return self._apply("mul", self, other)
-
-    def __truediv__(self, other):
-        return self._apply("div", self, other)
-
-    def __rtruediv__(self, other):
-        return self._apply("div", other, self)
 
 
 @pytest.mark.parametrize("name", SERIES)
