@@ -12,7 +12,6 @@ from scipy import io as io
 from scipy import linalg as linalg
 from scipy import stats as stats
 
-from masking.compile.numerics import augmented_motion as augmented_motion
 from masking.compile.numerics import compilation as compilation
 from masking.compile.numerics import delayed as delayed
 from masking.compile.numerics import events as events

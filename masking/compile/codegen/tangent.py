@@ -81,9 +81,23 @@ SWITCHES: dict[str, Callable[[Graph, tuple[Node, ...]], tuple[Node, Node, Node]]
 
 def derivatives(graph: Graph, nodes: Sequence[Node], symbols: Sequence[Node]) -> list[list[Node]]:
     """D node / d symbol for each node (rows) and symbol (columns), added to the graph; see `along`."""
-    one, order, partial = graph.number(1.0), needed(graph, nodes), dict[Node, tuple[Node | None, ...]]()
-    columns = [_along(graph, nodes, {symbol: one}, order, partial) for symbol in symbols]
+    one, partial, users = graph.number(1.0), dict[Node, tuple[Node | None, ...]](), dict[Node, list[Node]]()
+    for node in needed(graph, nodes):
+        name, *given = graph.operations[node]
+        for argument in given if name not in {"symbol", "number"} else ():
+            users.setdefault(int(argument), []).append(node)
+    columns = [_along(graph, nodes, {symbol: one}, _behind(symbol, users), partial) for symbol in symbols]
     return [list(row) for row in zip(*columns, strict=True)] if columns else [[] for _ in nodes]
+
+
+def _behind(symbol: Node, users: Mapping[Node, Sequence[Node]]) -> list[Node]:
+    """Nodes that depend on a symbol, in computable order, for those that use each node."""
+    found, open_ones = set[Node](), [symbol]
+    while open_ones:
+        new = set(users.get(open_ones.pop(), ())) - found
+        found |= new
+        open_ones += new
+    return sorted(found)
 
 
 def along(graph: Graph, nodes: Sequence[Node], rates: Mapping[Node, Node]) -> list[Node]:

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 MOST_STATES = 2  # of an effect: those of a mass on a spring
-# Columns: number of the law, kind of place, index of the place, of the first parameter and of the first state, and how
-# many states it has.
-COLUMNS = LAW, KIND, PLACE, FIRST, STATE, STATE_COUNT = range(6)
-# Kinds of place. An inertia is an effect in an element that follows its acceleration.
-ELEMENT, ACTUATOR, SENSOR, INERTIA = range(4)
 # Columns of what a law writes, a row for its value and one for the rate of each state: this and its derivatives.
 VALUE, BY_DISPLACEMENT, BY_RATE, BY_STATE = range(4)
 BY_PARAMETER = BY_STATE + MOST_STATES

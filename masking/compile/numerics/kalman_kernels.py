@@ -287,7 +287,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: boo
         gain, seen, since, origin = vectors[5], vectors[6], vectors[7], vectors[8]
         u, end = vectors[9][:channels], vectors[10][:channels]
         none = vectors[11][:channels]  # the commands are those that act
-        given = TwinArrays(p, moved, moved_by, moved, moved_by, coordinates, none)
+        given = TwinArrays(p, moved, moved_by, moved, moved_by, coordinates, none, 0, affected[:0], none[:0])
         carried, work = take(work, 2 * n)
         copy(theta, since, k)
         for i in range(affected.size):

@@ -134,24 +134,8 @@ class TwinArrays(NamedTuple):
     read_by: Vector
     coordinates: int  # how many of the states are coordinates, whose rates are the states that follow them
     late: Vector  # samples after which each actuator acts
-
-
-class AugmentedArrays(NamedTuple):
-    """Arrays that an augmented model is simulated with."""
-
-    table: IntMatrix  # sizes and indices of the rig, as `rig_sizes` has them
-    p: Vector  # the parameter array of the rig
-    moved: IntMatrix  # as those of `TwinArrays`
-    moved_by: Vector
-    read: IntMatrix
-    read_by: Vector
-    instances: IntMatrix  # of effects, those of sensors last; columns as `effect_table` says
-    estimated: IntMatrix  # column of each parameter of an instance, -1 for none (instances, parameters)
-    values: Vector  # parameters of the instances, one after the other
-    support: Matrix  # displacements, then rates, between which each instance acts (instances, 4)
-    acting: IntVector  # places, then channels, where an effect acts, by their numbers
-    late: Vector  # delay of each channel, in samples
-    late_columns: IntVector  # column of each channel's delay, or -1
+    commanded: int  # first of the columns of derivatives by entries that are by commands
+    late_columns: IntVector  # column of each actuator's delay, or -1
     lead: Vector  # derivative of each command by its delay, work space
 
 

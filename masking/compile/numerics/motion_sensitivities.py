@@ -52,6 +52,8 @@ OF_RECORD = (
     "steps.samples <= min(len(record.readings), len(sums.simulated)) and len(record.commands) > 0",
     "sensors <= min(len(record.weights), len(sums.squares), sums.simulated.shape[1]) and len(given.late) >= channels",
     "are_terms(given.read, given.read_by, sensors, wide, columns)",
+    "channels <= min(len(given.lead), len(given.late_columns)) and within(given.late_columns + 1, columns + 1)",
+    "0 <= given.commanded <= wide - channels",
 )
 
 
@@ -104,11 +106,28 @@ def drive(commands, index, step, steps, given, u, end):
 
 
 @inlined
-def rows_in(work, rows):
-    """Derivatives in a work space, and what remains of it."""
-    by_state, work = take(work, rows)
-    by_column, work = take(work, rows)
-    return Derivatives(by_state, by_column), work
+def lead_of(commands, index, channel, late, part, dt, is_linear):
+    """Derivative of a command by its delay: the difference over a sample about it."""
+    before = command_at(commands, index, channel, late + 0.5, part, is_linear)
+    after = command_at(commands, index, channel, late - 0.5, part, is_linear)
+    return (before - after) / dt
+
+
+@inlined
+def drive_late(commands, index, step, steps, given, u, end):
+    """Write what `drive` does, and the derivatives by delays that are estimated."""
+    substeps, dt, is_linear = steps.substeps, steps.dt, steps.is_linear
+    drive(commands, index, step, steps, given, u, end)
+    for a in range(u.shape[0]):
+        late = given.late[a]
+        if given.late_columns[a] < 0:
+            continue
+        if is_linear:
+            given.lead[a] = lead_of(commands, index, a, late, (step + 0.5) / substeps, dt, is_linear)
+        else:
+            before, _ = held_late(commands, index, a, late + 0.5 / substeps, step, substeps)
+            after, _ = held_late(commands, index, a, late - 0.5 / substeps, step, substeps)
+            given.lead[a] = (before - after) * substeps / dt
 
 
 @inlined
@@ -122,6 +141,16 @@ def put_entries(by_entry, terms, values, first, out):
     for m in range(values.size):
         i, j = np.uintp(terms[0, m]), np.uintp(terms[2, m])
         out[i, j] += by_entry[i, np.uintp(terms[1, m])] * values[m]
+
+
+@inlined
+def add_leads(by_entry, given, first, out):
+    """Add what delays do to the rows of a table from `first` on; columns of commands are the last of `by_entry`."""
+    for a in range(given.late_columns.size):
+        column = given.late_columns[a]
+        if column >= 0:
+            for i in range(first, out.shape[0]):
+                out[i, column] += by_entry[i, given.commanded + a] * given.lead[a]
 
 
 def motion_alone(derivative: Kernel) -> Kernel:
@@ -146,6 +175,7 @@ def motion_with_derivatives(slopes: Kernel) -> Kernel:
         by_entry, _ = take(work, y.size)
         slopes(t, y, u, given.p, rate, made.by_state, by_entry)
         put_entries(by_entry, given.moved, given.moved_by, given.coordinates, made.by_column)
+        add_leads(by_entry, given, given.coordinates, made.by_column)
 
     return flow
 
@@ -164,8 +194,11 @@ def readings_with_derivatives(sensed: Kernel) -> Kernel:
         u = work[1][: commands.shape[1]]
         for a in range(u.size):
             u[a] = command_at(commands, index, a, given.late[a], 0.0, steps.is_linear)
+            if given.late_columns[a] >= 0:
+                given.lead[a] = lead_of(commands, index, a, given.late[a], 0.0, steps.dt, steps.is_linear)
         sensed(index * steps.dt, y, u, given.p, work[0], s, made.by_state, by_entry)
         put_entries(by_entry, given.read, given.read_by, 0, made.by_column)
+        add_leads(by_entry, given, 0, made.by_column)
 
     return read
 
@@ -269,24 +302,30 @@ def add(at, width, rows, weighted, residuals, products, matrix, gradient):
     weighted[:many] = 0.0
 
 
-def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -> Kernel:
-    """Make the accumulation of normal equations over a record.
+def normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
+    """Make the accumulation of the normal equations of a twin over a record.
 
-    `read` writes readings, `drive` the commands of an integration step, `flow` the rates of motion; `carry` moves
-    columns over a step.
-
-    Returns `accumulate(steps, interval, shooting, given, record, sums, read_work, work) -> status`, which is 1 if the
-    motion is no longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of
-    `starts`, where the states `free` may have any value, each with a column of S behind the k of the basis; columns
-    beyond these are 0 and count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J; above its
-    diagonal, entries mean nothing, and rows are as long as those of `columns`) and entries of `gradient` (J^T W r). A
-    reading that is not a number counts for nothing. States beyond n go on from one interval to the next. `read_work` is
-    work space of `read`.
+    Returns `normal(steps, interval, shooting, given, record, sums, work) -> status`, which is 1 if the motion is no
+    longer finite. Every `interval` samples (multiple shooting) the motion starts again at a row of `starts`, where the
+    states `free` may have any value, each with a column of S behind the k of the basis; columns beyond these are 0 and
+    count for nothing. Each shooting interval has `width` rows of `matrix` (J^T W J; above its diagonal, entries mean
+    nothing, and rows are as long as those of `columns`) and entries of `gradient` (J^T W r). A reading that is not a
+    number counts for nothing. States beyond those of `starts` go on from one interval to the next.
     """
-    advance = runge_kutta_4(flow)
+    advance, read = runge_kutta_4(motion_with_derivatives(slopes)), readings_with_derivatives(sensed)
 
-    @inlined
-    def accumulate(steps, interval, shooting, given, record, sums, read_work, work):
+    @compiled
+    @requires(
+        "interval > 0",
+        *OF_RECORD,
+        "len(work) >= 5 * n + 6 * sensors + 14 and 0 <= given.coordinates <= n",
+        "are_terms(given.moved, given.moved_by, n, wide, columns)",
+    )
+    def normal(
+        steps: Steps, interval: int, shooting: Shooting, given: TwinArrays, record: Readings, sums: Sums, work: Matrix
+    ) -> int:
+        work[:] = 0.0
+        read_work, work = take(work, record.readings.shape[1] + 2)
         count, dt, substeps, _ = steps
         first, free, y = shooting.k, shooting.free, shooting.y
         commands, readings, weights = record
@@ -325,31 +364,9 @@ def normal_equations(read: Kernel, drive: Kernel, flow: Kernel, carry: Kernel) -
                 add(window * width, width, rows, weighted, residuals, products, matrix, gradient)
                 held = 0
             for step in range(substeps):
-                drive(commands, index, step, steps, given, u, end)
+                drive_late(commands, index, step, steps, given, u, end)
                 advance(t + step * h, y, u, end, given, h, stages, work)
                 carry(stages.by_state, stages.by_column, columns, h)
         return 0
-
-    return accumulate
-
-
-def twin_normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
-    """Make the normal equations of a twin over one record, from one initial state.
-
-    Returns `normal(steps, shooting, given, record, sums, work) -> status`, as `normal_equations`; `starts` is (1, n).
-    """
-    accumulate = normal_equations(readings_with_derivatives(sensed), drive, motion_with_derivatives(slopes), carry)
-
-    @compiled
-    @requires(
-        "(interval := max(steps.samples, 1)) > 0",
-        *OF_RECORD,
-        "len(work) >= 5 * n + 6 * sensors + 14 and 0 <= given.coordinates <= n",
-        "are_terms(given.moved, given.moved_by, n, wide, columns)",
-    )
-    def normal(steps: Steps, shooting: Shooting, given: TwinArrays, record: Readings, sums: Sums, work: Matrix) -> int:
-        work[:] = 0.0
-        read_work, work = take(work, record.readings.shape[1] + 2)
-        return accumulate(steps, steps.samples, shooting, given, record, sums, read_work, work)
 
     return normal

@@ -7,6 +7,7 @@ Source: as `masking.compile.numerics.augmented_motion`.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,28 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen import column_step, module_store
+from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import jacobian
-from masking.compile.numerics.arrays import Array, IntMatrix, IntVector
-from masking.compile.numerics.effect_table import ACTUATOR, COLUMNS, ELEMENT, INERTIA, SENSOR
+from masking.compile.numerics.arrays import Array, IntVector
 from masking.compile.numerics.kernel_arguments import Course, Pieces
-from masking.compile.numerics.rig_sizes import PortSizes, whole_lanes
+from masking.compile.numerics.rig_sizes import RigSizes, whole_lanes
 from masking.control.rig.twin import LoweredTwin, Twin
 from masking.inference.discovery import compiled_laws as laws
 from masking.inference.discovery.places import Place, degrees, followed, identifier, opened, port, rates, taken
+from masking.inference.discovery.trial_equations import Ported, Seated, Trial
 from masking.inference.estimation.sensitivity import SIGNATURES, Sensitivity, add_slopes
-from masking.lazy_imports import augmented_motion, kalman_kernels, known_motion
+from masking.lazy_imports import kalman_kernels, known_motion
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
 from masking.model.declaration.expression import Expression
 from masking.model.effects import FORCE, OFFSET, Effect
 
-MOST_STATES = 6  # of effects together
-OWN_STATES = 2  # of effects together, up to which the columns of derivatives have code of their own size
 MOST_COLUMNS = 96  # features that are spread at once
 PLACED = "placed(t: float, y, u, p, d, jy: Matrix)"
-KINDS = {"element": ELEMENT, "actuator": ACTUATOR, "sensor": SENSOR}
 
 
 @dataclass(frozen=True)
@@ -132,22 +130,20 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class Instances:
-    """Tables of effect instances, as kernels read them."""
+class Given:
+    """A rig with effects at values of their parameters, as kernels take it."""
 
-    table: IntMatrix  # a row for each instance, those of sensors last (i, 6); columns as `numerics.effect_table` says
-    estimated: IntMatrix  # the column of each parameter in the normal equations, or -1 (i, parameters)
-    values: Array  # all parameters, one after the other
-    support: Array  # displacements, then rates, between which each acts, as `laws.support` has them (i, 4)
-    acting: IntVector  # places, then actuators, where an effect acts, by their numbers
+    trial: Trial  # compiled equations
+    p: Array  # parameter array, with those of the effects behind
+    # how it depends on what is estimated: parameters of the rig, of imperfections and of effects (affected, k)
+    basis: Array
     late: Array  # delay of each actuator, s (actuators,)
     late_columns: IntVector  # column of this delay, or -1 (actuators,)
-    states: int  # how many states the effects have
 
-    def known(self) -> Instances:
-        """Same with all parameters known: none has a column."""
-        estimated, late_columns = np.full_like(self.estimated, -1), np.full_like(self.late_columns, -1)
-        return replace(self, estimated=estimated, late_columns=late_columns)
+    @property
+    def states(self) -> int:
+        """Number of states of the effects."""
+        return sum(len(one.effect.states) for one in self.trial.placed)
 
 
 @dataclass(frozen=True)
@@ -215,7 +211,8 @@ class AugmentedModel:
         return tuple(i for i, place in enumerate(self.places) if place.has_force)
 
     @property
-    def _seats(self) -> list[Place]:
+    def seats(self) -> list[Place]:
+        """Places, and what may be taken from the displacement and the rate of those that yield."""
         return [*self.places, *(self.places[i] for i in self._yielding for _ in range(2))]
 
     def parts(self, instance: EffectInstance) -> list[tuple[int, int]]:
@@ -266,11 +263,11 @@ class AugmentedModel:
     def _basis(self) -> tuple[Array, Array]:
         return self._sensitivity.basis(self._sensitivity.start())
 
-    def basis(self, theta: Array, more: int = 0) -> tuple[Array, Array]:
-        """Parameter array for values (k,), and how it depends on them (affected, k + more)."""
+    def basis(self, theta: Array) -> tuple[Array, Array]:
+        """Parameter array for values (k,), and how it depends on them (affected, k)."""
         p, columns = self._basis
         k, affected = len(self.names), list(self._sensitivity.affected)
-        made, more = p.copy(), more + len(self.imperfections)
+        made, more = p.copy(), len(self.imperfections)
         made[affected] += columns[:, :k] @ (theta - self.start)[:k]
         return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
 
@@ -282,7 +279,7 @@ class AugmentedModel:
 
     @cached_property
     def _ports(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-        sensitivity, k, many = self._sensitivity, len(self.names), len(self._seats)
+        sensitivity, k, many = self._sensitivity, len(self.names), len(self.seats)
         _, basis = self._basis
         at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
         return tuple(sensitivity.affected[i] for i in at[:many]), tuple(at[:many]), tuple(at[many:])
@@ -304,11 +301,11 @@ class AugmentedModel:
         module = Module(f"{twin.declaration.name}, augmented", {"kind": "augmented", **twin.state_kinds})
         lowered = LoweredTwin(twin)
         graph, loads = lowered.graph, lowered.loads
-        add_slopes(module, lowered, self._sensitivity.affected)
+        add_slopes(module, lowered, [f"p[{i}]" for i in self._sensitivity.affected])
         by_text = {text: name for name, text in loads.items()}
         at = [i for i in range(len(twin.state_names)) if f"y[{i}]" in by_text]
         y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
-        nodes = [*followed(lowered, self._seats), *rates(lowered, self._seats, by_text)]
+        nodes = [*followed(lowered, self.seats), *rates(lowered, self.seats, by_text)]
         results = [(f"d[{i}]", node) for i, node in enumerate(nodes)]
         module.add(PLACED, graph, [*results, *jacobian(graph, "jy", nodes, y, at)], loads)
         return module
@@ -316,14 +313,11 @@ class AugmentedModel:
     @cached_property
     def kernels(self) -> Kernels:
         """Compiled functions; from the cache on disk where they have been made before."""
-        most = len(self.start) + 4 * MOST_PARAMETERS + self.sizes.states + MOST_STATES
-        width = whole_lanes(max(most, self.affected, 2 * len(self._seats), self.sizes.added_rows, MOST_COLUMNS))
+        width = whole_lanes(max(self.affected, 2 * len(self.seats), laws.WIDTH, MOST_COLUMNS))
         links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
-        links |= column_step.link(self.sizes.states, self.sizes.coordinates, OWN_STATES)
 
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
-                "run": (augmented_motion.augmented_normal_equations, laws.LAW, "placed", "slopes", "sensed", "carry"),
                 "respond": (known_motion.linear_responses, "slopes", "sensed"),
                 "follow": (kalman_kernels.fixed_gain_filter, "rates", "sensed"),
                 "smooth_backward": (kalman_kernels.backward_smoother,),
@@ -340,11 +334,10 @@ class AugmentedModel:
         return np.array([self.columns[0][i] for i in self.degree_places], dtype=np.int64)
 
     @cached_property
-    def sizes(self) -> PortSizes:
-        """Sizes of the rig with ports, as kernels read them."""
+    def sizes(self) -> RigSizes:
+        """Sizes of the rig."""
         twin = self._opened[0]
-        counts = len(twin.state_names), len(self.coordinates), len(twin.sensors)
-        return PortSizes(*counts, *self._ports, twin.is_fed, MOST_STATES)
+        return RigSizes(len(twin.state_names), len(self.coordinates), len(twin.sensors))
 
     @cached_property
     def mobilities(self) -> dict[str, float]:
@@ -356,7 +349,7 @@ class AugmentedModel:
     @cached_property
     def _slopes_at_rest(self) -> tuple[Array, Array]:
         """How seats and their rates depend on the state (2 seats, n), and its rate on affected entries."""
-        n, many, u = len(self._opened[0].state_names), len(self._seats), np.zeros(len(self.twin.actuators))
+        n, many, u = len(self._opened[0].state_names), len(self.seats), np.zeros(len(self.twin.actuators))
         by_state, (p, _) = np.zeros((2 * many, n)), self.basis(self.start)
         self.equations.placed(0.0, self.rest, u, p, np.zeros(2 * many), by_state)
         return by_state, self.slopes(self.start)[1]
@@ -388,47 +381,55 @@ class AugmentedModel:
         self.equations.sensed(0.0, state, given, p, np.zeros(sensors), s, js, jps)
         return s, js, jps
 
-    def instances(self, instances: Sequence[EffectInstance], theta: Array) -> Instances:
-        """Tables of effect instances that kernels read.
-
-        `theta` has the free parameters of imperfections and of these, one after the other (f,).
-        """
-        channels, seats, used, states = len(self.twin.actuators), len(self._seats), len(self.names), 0
+    def given(self, instances: Sequence[EffectInstance], theta: Array) -> Given:
+        """Rig with effects, and how it depends on parameters of the rig, imperfections and effects, in turn (k,)."""
+        used, channels = len(self.names), len(self.twin.actuators)
         late, late_columns = np.zeros(channels), np.full(channels, -1)
-        all_taken = [list(self.laws).index(name) for name in laws.ALL_TAKEN]
-        rows, columns, supports, values = [], [], [], list[float]()
+        own, columns = self.basis(theta[: len(self.start)])
+        values, at, seated, same = list[float](), dict[int, int](), list[Seated](), dict[float, int]()
         for instance in (*self.imperfections, *instances):
-            first, estimated = len(values), [-1] * MOST_PARAMETERS
-            values += instance.values
-            for j in instance.free:
-                values[first + j] = float(theta[used - len(self.names)])
-                estimated[j] = used
-                used += 1
+            estimated = {i: used + m for m, i in enumerate(instance.free)}
+            of_effect = [float(theta[estimated[i]]) if i in estimated else x for i, x in enumerate(instance.values)]
+            used += len(estimated)
             if instance.effect == laws.DELAY:
-                at = [self.twin.actuators.index(instance.at)] if instance.at else range(channels)
-                for channel in at:
-                    late[channel] += values[first]
-                    late_columns[channel] = estimated[0]
+                delayed = [self.twin.actuators.index(instance.at)] if instance.at else [*range(channels)]
+                late[delayed] += of_effect[0]
+                late_columns[delayed] = estimated.get(0, -1)
                 continue
-            kind, place = INERTIA if instance.entry.is_inertia else KINDS[instance.where], self.index(instance)
-            state, many = len(self.twin.state_names) + states, len(instance.entry.states)
-            states += many
-            acting = self.parts(instance) if kind == ELEMENT else [(self._number(instance), place)]
-            for number, seat in acting:
-                of_effect = number not in all_taken
-                rows.append((number, kind, seat, first, state, many if of_effect else 0))
-                columns.append(estimated if of_effect else [-1] * MOST_PARAMETERS)
-                supports.append(laws.support(instance.effect if of_effect else "", instance.values))
-        order = sorted(range(len(rows)), key=lambda i: rows[i][1] == SENSOR)  # these may read what the others do
-        # Laws read as many parameters as they have from where theirs begin.
-        read = np.array([*values, *np.zeros(MOST_PARAMETERS)])
-        table = np.array([rows[i] for i in order], dtype=np.int64).reshape(-1, len(COLUMNS))
-        found = np.array([columns[i] for i in order], dtype=np.int64).reshape(-1, MOST_PARAMETERS)
-        support = np.array(supports).reshape(-1, 4)[order]
-        ports = {seat + seats * (kind == ACTUATOR) for _, kind, seat, *_ in rows if kind != SENSOR}
-        ports |= {seats + int(channel) for channel in np.flatnonzero(late_columns >= 0)}
-        used_ports = np.array(sorted(ports), dtype=np.int64)
-        return Instances(table, found, read, support, used_ports, late, late_columns, states)
+            reads, may_be = list[int](), laws.estimable(instance.entry)
+            for i, (name, x) in enumerate(zip(instance.entry.parameters, of_effect, strict=True)):
+                place = len(values) if name in may_be else same.setdefault(x, len(values))
+                values += [x] * (place == len(values))
+                reads.append(place)
+                at |= {place: estimated[i]} if i in estimated else {}
+            seated.append(self._seated(instance, tuple(reads)))
+        trial = self._trial(tuple(seated))
+        basis = np.zeros((len(columns) + len(trial.free), used))
+        basis[: len(columns), : columns.shape[1]] = columns
+        for row, place in enumerate(trial.free, len(columns)):
+            if place in at:
+                basis[row, at[place]] = 1.0
+        return Given(trial, np.concatenate([own, values]), basis, late, late_columns)
+
+    def _seated(self, instance: EffectInstance, reads: tuple[int, ...]) -> Seated:
+        known = list(self.laws.items())
+        parts = self.parts(instance) if instance.where == "element" else []
+        acting = tuple((*known[number], seat) for number, seat in parts)
+        return Seated(self.laws[instance.effect], self.index(instance), acting, reads)
+
+    def _trial(self, placed: tuple[Seated, ...]) -> Trial:
+        key = json.dumps([one.structure() for one in placed])
+        if key not in self._trials:
+            self._trials[key] = Trial.of(self._ported, placed, self._sensitivity.affected, self._opened[0].structure())
+        return self._trials[key]
+
+    @cached_property
+    def _trials(self) -> dict[str, Trial]:
+        return {}
+
+    @cached_property
+    def _ported(self) -> Ported:
+        return Ported(LoweredTwin(self._opened[0]), self.seats, self._ports[0])
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Force or value of an effect along a known motion, and its derivatives by the parameters `by` (m, 1 + c).

@@ -9,16 +9,17 @@ parameters. They do not know any model, so that an effect is put anywhere in one
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from masking.compile.codegen import module_store
-from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.tangent import derivatives
+from masking.compile.codegen.tangent import copied, derivatives
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.effect_table import (
     BY_DISPLACEMENT,
@@ -90,22 +91,6 @@ BASES: Mapping[str, Effect] = {
                f"a*{_even('((d - x0)/w)')}*{_even('((d_rate - v0)/wv)')}", {**_EVEN, **_ALONG}),
     )
 }  # fmt: skip
-EVERYWHERE = (-np.inf, np.inf)
-
-
-def support(effect: str, values: Sequence[float]) -> tuple[float, float, float, float]:
-    """Displacements, then the rates, between which a law acts; beyond them a piece of a curve is 0."""
-    match effect, values:
-        case "free_spring" | "free_resistance", (_, first, _, _, _, last):
-            return first, last, *EVERYWHERE
-        case "free_damping", (_, first, _, _, _, last):
-            return *EVERYWHERE, first, last
-        case "free_rub", (_, x, w, _):
-            return x - 2.0 * w, x + 2.0 * w, *EVERYWHERE
-        case "free_surface", (_, x, w, v, wv):
-            return x - 2.0 * w, x + 2.0 * w, v - 2.0 * wv, v + 2.0 * wv
-    return *EVERYWHERE, *EVERYWHERE
-
 
 # What an effect takes from an element in whose place it stands: the whole displacement and the whole rate.
 ALL_TAKEN = {f"all_{x}": Effect(f"all_{x}", "", x, {}) for x in ("d", "d_rate")}
@@ -147,29 +132,44 @@ def printed(kinds: Mapping[str, Effect]) -> Module:
     """Laws as a module of one function, which chooses by their number."""
     module = Module("laws of effects", {})
     zeros = [f"rows[{i}, {j}]" for i in range(LAW_ROWS) for j in range(WIDTH)]
-    module.add_choice(SIGNATURE, zeros, [_law(name, effect) for name, effect in kinds.items()])
+    module.add_choice(SIGNATURE, zeros, [*map(_law, kinds.values())])
     return module
 
 
-def _law(name: str, effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:
+def lowered(graph: Graph, effect: Effect, nodes: Mapping[str, Node]) -> list[Node]:
+    """Force or value of an effect, then the rates of its states, for nodes of all that it follows and holds."""
+    texts = effect.expression, *(state.rate for state in effect.states.values())
+    law, names, rows = _alone(texts)
+    given = {**nodes, "xi": graph.number(0.0)}
+    return copied(law, rows, [law.symbol(name, varying=True) for name in names], graph, [given[name] for name in names])
+
+
+@cache
+def _alone(texts: tuple[str, ...]) -> tuple[Graph, tuple[str, ...], list[Node]]:
+    """Expressions as nodes of a graph of their own, and the names of its symbols."""
+    found = [Expression(text) for text in texts]
+    names, graph = tuple(sorted({name for one in found for name in one.symbols})), Graph()
+    symbols = {name: sp.Symbol(name, real=True) for name in names}
+    by_symbol = {symbols[name]: graph.symbol(name, varying=True) for name in names}
+    return graph, names, [graph.lower(one.to_sympy(symbols), by_symbol) for one in found]
+
+
+def estimable(effect: Effect) -> set[str]:
+    """Parameters of an effect that may be estimated: of pieces of curves, the factor alone."""
+    return {*_FACTOR} if effect.name in BASES else {*effect.parameters}
+
+
+def _law(effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:
     """Graph of a law, its rows, and what its symbols read."""
     graph = Graph()
     subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
     reads = {"t": "t", subject: "x", "d_rate": "rate", **dict(zip(effect.states, ("z", "z2"), strict=False))}
     reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
     nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}
-    nodes["xi"] = graph.number(0.0)
-    symbols = {symbol: sp.Symbol(symbol, real=True) for symbol in nodes}
-    by_symbol = {symbols[symbol]: node for symbol, node in nodes.items()}
-
-    def lower(expression: str) -> int:
-        return graph.lower(Expression(expression, path=name).to_sympy(symbols), by_symbol)
-
-    rows = [lower(effect.expression), *(lower(state.rate) for state in effect.states.values())]
+    rows = lowered(graph, effect, nodes)
     wanted = {subject: BY_DISPLACEMENT, "d_rate": BY_RATE}
     wanted |= {state: BY_STATE + i for i, state in enumerate(effect.states)}
-    fixed = {*effect.parameters} - {*_FACTOR} if name in BASES else set[str]()  # knots are not estimated
-    wanted |= {p: BY_PARAMETER + i for i, p in enumerate(effect.parameters) if p not in fixed}
+    wanted |= {p: BY_PARAMETER + i for i, p in enumerate(effect.parameters) if p in estimable(effect)}
     columns = derivatives(graph, rows, [nodes[symbol] for symbol in wanted])
     results = [(f"rows[{i}, {VALUE}]", node) for i, node in enumerate(rows)]
     results += [

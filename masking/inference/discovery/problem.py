@@ -10,7 +10,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.effect_table import NEARLY_ZERO
-from masking.compile.numerics.kernel_arguments import AugmentedArrays, Readings, Shooting, Steps, Sums
+from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance, Equations
@@ -127,15 +127,13 @@ class EstimationProblem:
             IntegrationError: the motion is no longer finite.
         """
         rig, record = self.rig, self.record
-        added = np.empty(0) if added is None else added
-        given = rig.instances(instances, np.concatenate([theta[len(rig.names) :], added]))
-        states = given.states
-        p, basis = rig.basis(theta, len(added) + states)
-        every, moving, intervals = basis.shape[1], len(rig.twin.free), self.intervals
+        given = rig.given(instances, np.concatenate([theta, np.empty(0) if added is None else added]))
+        states, moving, intervals = given.states, len(rig.twin.free), self.intervals
+        basis, late_columns, every = given.basis, given.late_columns, given.basis.shape[1] + states
         if frozen:
-            given, basis = given.known(), np.zeros((len(basis), states))
-        k = basis.shape[1]
-        n, width = len(rig.twin.state_names), k + moving
+            basis, late_columns = np.zeros((len(basis), 0)), np.full_like(late_columns, -1)
+        k, n = basis.shape[1] + states, given.trial.states - states
+        width = k + moving
         y = np.full(n + states, NEARLY_ZERO)
         derivatives = np.zeros((COLUMN_ROWS * (n + states), whole_lanes(width)))
         y[n:] += 0.0 if inner is None else inner
@@ -146,12 +144,11 @@ class EstimationProblem:
         late = given.late / self.dt
         steps = Steps(len(record), self.dt, self.substeps, is_first_order(record.hold))
         shooting = Shooting(k, np.array(rig.twin.free, dtype=np.int64), np.ascontiguousarray(start), y, derivatives)
-        known = rig.sizes.table, p, *terms(rig.equations, basis), given.table, given.estimated, given.values
-        acting = given.support, given.acting, record.late + late, given.late_columns, np.empty(len(late))
+        delayed = record.late + late, len(basis), late_columns, np.empty(len(late))
+        arrays = TwinArrays(given.p, *terms(given.trial.equations, basis), given.trial.sizes.coordinates, *delayed)
         readings = Readings(record.commands, record.counted(late), self.weights if weights is None else weights)
         sums = Sums(matrices, gradients, squares, simulated)
-        arrays = AugmentedArrays(*known, *acting)
-        status = rig.kernels.run(steps, self.interval_samples, shooting, arrays, readings, sums)
+        status = given.trial.kernels.normal(steps, self.interval_samples, shooting, arrays, readings, sums)
         if status or not np.isfinite(squares).all() or not np.isfinite(matrices).all():
             raise IntegrationError("the simulated motion is no longer finite")
         matrix, gradient = np.zeros((every + intervals * moving,) * 2), np.zeros(every + intervals * moving)

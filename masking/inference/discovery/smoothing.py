@@ -96,7 +96,7 @@ def smooth(problem: EstimationProblem, theta: Array, start: Array) -> Motion:
     n = len(rig.twin.state_names)
     seen = unit > UNSEEN
     states[:, n:] = np.where(seen, states[:, n:], 0.0)
-    placed = np.empty((len(record), 3 * len(rig.sizes.force_entries)))
+    placed = np.empty((len(record), 3 * len(rig.seats)))
     acting = np.ascontiguousarray(record.acting)
     p = rig.basis(theta)[0]
     rig.kernels.motions(len(record), 1.0 / record.rate, rig.sizes.coordinates, rig.latent, p, states, acting, placed)

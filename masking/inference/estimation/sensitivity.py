@@ -9,16 +9,18 @@ Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and W
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.llvm_text import Results
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
@@ -42,7 +44,6 @@ SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
 SIGNATURES = RATES, SLOPES, READING, SENSED
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
-_LATER = 0.01  # of a sample, by which commands are later in those that tell how readings depend on a dead time
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,12 @@ class Sensitivity:
         return tuple(sorted(touched))
 
     @property
+    def columns(self) -> list[str]:
+        """What the compiled derivatives are by: affected entries of the parameter array, and commands that are late."""
+        late = len(self.twin.actuators) if self.twin.dead_times else 0
+        return [*(f"p[{i}]" for i in self.affected), *(f"u[{i}]" for i in range(late))]
+
+    @property
     def states(self) -> int:
         """Length of the twin's state."""
         return len(self.twin.state_names)
@@ -152,7 +159,7 @@ class Sensitivity:
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
                 "simulate": (motion_sensitivities.simulation, "reading", "rates"),
-                "normal": (motion_sensitivities.twin_normal_equations, "slopes", "sensed", "carry"),
+                "normal": (motion_sensitivities.normal_equations, "slopes", "sensed", "carry"),
             }
 
         links = {**self.equations.by_signature(*SIGNATURES), **self.carry}
@@ -172,7 +179,7 @@ class Sensitivity:
     def _build(self) -> Module:
         name = self.twin.declaration.name
         module = Module(f"{name}, with derivatives", {"kind": "sensitivity", **self.twin.state_kinds})
-        add_slopes(module, LoweredTwin(self.twin), self.affected)
+        add_slopes(module, LoweredTwin(self.twin), self.columns)
         return module
 
     @property
@@ -182,8 +189,8 @@ class Sensitivity:
 
     @property
     def widths(self) -> tuple[int, ...]:
-        """Lengths of state, affected entries, readings that are added at once, and commands."""
-        return self.states, len(self.affected), self.sizes.added_rows, len(self.twin.actuators)
+        """Lengths of state, of columns of derivatives, and of readings that are added at once."""
+        return self.states, len(self.affected) + len(self.twin.actuators), self.sizes.added_rows
 
     def simulate(
         self, theta: Array, start: Array, commands: Array, *, rate: float, substeps: int, hold: Hold = "zero-order"
@@ -215,9 +222,9 @@ class Sensitivity:
 
         Sensors may read commands (actuators,) at once; these are 0 by default, and parameters (k,) as declared.
         """
-        sensors, affected = len(self.twin.sensors), len(self.affected)
+        sensors, width = len(self.twin.sensors), max(1, len(self.columns))
         given = np.zeros(len(self.twin.actuators)) if commands is None else np.array(commands, dtype=float)
-        read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, max(1, affected)))
+        read, jy, jp = np.empty(sensors), np.zeros((sensors, self.states)), np.zeros((sensors, width))
         p = self.parameters(self.start() if theta is None else theta)
         self.equations.sensed(0.0, state, given, p, np.zeros(sensors), read, jy, jp)
         return read, jy
@@ -237,36 +244,20 @@ class Sensitivity:
         Raises:
             IntegrationError: the motion is no longer finite.
         """
-        found = self._accumulated(basis, start, record, weights, substeps)
-        matrix, gradient = found.matrix, found.gradient
-        residual, columns = record.residuals(found.simulated), dict[int, Array]()
-        for i, actuator in self.dead_times.items():
-            late = record.late.copy()
-            late[actuator] += _LATER
-            later = self._accumulated(basis, start, replace(record, late=late), weights, substeps).simulated
-            readings, each = np.where(np.isnan(record.readings), np.nan, later), record.rate / _LATER
-            turned = self._accumulated(basis, start, replace(record, readings=readings), weights, substeps)
-            matrix[i] = matrix[:, i] = each * turned.gradient
-            columns[i] = np.where(np.isnan(record.counted()), 0.0, each * (later - found.simulated))
-            gradient[i] = ((columns[i] * residual) @ weights).sum()
-            for k, other in columns.items():
-                matrix[i, k] = matrix[k, i] = ((columns[i] * other) @ weights).sum()
-        return found
-
-    def _accumulated(
-        self, basis: tuple[Array, Array], start: Array, record: Data, weights: Array, substeps: int
-    ) -> NormalEquations:
-        """Normal equations with known dead times."""
         (p, columns), count, states = basis, len(record), self.states
-        size = len(self.names) + states
+        size, affected = len(self.names) + states, len(columns)
         matrix, gradient, squares = np.zeros((size, whole_lanes(size))), np.zeros(size), np.zeros(len(weights))
         y, simulated = np.empty(states), np.empty((count, len(squares)))
         derivatives = np.zeros((COLUMN_ROWS * states, whole_lanes(size)))
         steps = Steps(count, 1.0 / record.rate, substeps, is_first_order(record.hold))
         shooting = Shooting(len(self.names), np.arange(states), np.array([start], dtype=float), y, derivatives)
-        arrays = TwinArrays(p, *terms(self.equations, columns), self.sizes.coordinates, record.late)
+        late_columns = np.full(len(self.twin.actuators), -1)
+        late_columns[[*self.dead_times.values()]] = [*self.dead_times]
+        delayed = record.late, affected, late_columns, np.empty(len(late_columns))
+        arrays = TwinArrays(p, *terms(self.equations, columns), self.sizes.coordinates, *delayed)
         readings = Readings(record.commands, record.counted(), np.ascontiguousarray(weights, dtype=float))
-        if self.kernels.normal(steps, shooting, arrays, readings, Sums(matrix, gradient, squares, simulated)):
+        sums = Sums(matrix, gradient, squares, simulated)
+        if self.kernels.normal(steps, max(count, 1), shooting, arrays, readings, sums):
             raise IntegrationError("the simulated motion is no longer finite")
         return NormalEquations(symmetric(matrix), gradient, squares, simulated, y)
 
@@ -282,32 +273,69 @@ def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix
     found = list[Any]()
     for pairs in equations.meta["depends"]:
         rows, entries = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        is_known = entries < len(basis)  # no parameter is a command
+        rows, entries = rows[is_known], entries[is_known]
         at, columns = np.nonzero(basis[entries])
         found += [np.array([rows[at], entries[at], columns], dtype=np.int64), basis[entries[at], columns]]
     moved, moved_by, read, read_by = found
     return moved, moved_by, read, read_by
 
 
-def add_slopes(module: Module, lowered: LoweredTwin, affected: Sequence[int]) -> None:
-    """Add the equations of a twin and its readings as `rates` and `reading`, with derivatives as `slopes` and `sensed`.
+class Lowered(Protocol):
+    """Rates of a state and readings as nodes of a graph, by the texts that they are assigned to; see `LoweredTwin`."""
 
-    Derivatives are by the affected entries of the parameter array; those that are 0 everywhere are not written.
-    `depends` of the module's `meta` has the row and the entry of the others, of rates and of readings.
+    @property
+    def graph(self) -> Graph:
+        """The graph."""
+
+    @property
+    def loads(self) -> Mapping[str, str]:
+        """What reads each symbol, by its text."""
+
+    @property
+    def derivatives(self) -> Results:
+        """Rates of the state."""
+
+    @property
+    def readings(self) -> Results:
+        """Readings of the sensors."""
+
+
+def with_derivatives(
+    lowered: Lowered, columns: Sequence[str]
+) -> tuple[list[list[tuple[int, int]]], dict[str, Results]]:
+    """Equations of a twin and its readings with derivatives by the state and by what `columns` read, as `p[3]`, `u[0]`.
+
+    Derivatives that are 0 everywhere are left out. Returns the row and the column of the others by columns, of rates
+    and of readings, and the results of `slopes` and `sensed`.
     """
-    graph, loads = lowered.graph, lowered.loads
-    by_text = {text: name for name, text in loads.items()}
-    at = [i for i in range(len(lowered.twin.state_names)) if f"y[{i}]" in by_text]
+    graph, by_text = lowered.graph, {text: name for name, text in lowered.loads.items()}
+    at = [i for i in range(len(lowered.derivatives)) if f"y[{i}]" in by_text]
     y = [graph.symbol(by_text[f"y[{i}]"], varying=True) for i in at]
-    p = [graph.symbol(by_text.get(f"p[{i}]", f"unused_{i}"), varying=False) for i in affected]
-    depends = module.meta.setdefault("depends", [])
-    for alone, signature, results in ((RATES, SLOPES, lowered.derivatives), (READING, SENSED, lowered.readings)):
-        module.add(alone, graph, results, loads)
+    given = [graph.symbol(by_text.get(text, f"unused_{i}"), varying=False) for i, text in enumerate(columns)]
+    depends, made = list[list[tuple[int, int]]](), dict[str, Results]()
+    for signature, results in ((SLOPES, lowered.derivatives), (SENSED, lowered.readings)):
         nodes = [node for _, node in results]
-        by_entry = derivatives(graph, nodes, p)
-        found = [(i, m) for i, row in enumerate(by_entry) for m, x in enumerate(row) if not graph.is_number(x, 0.0)]
-        depends.append(found)
-        entries = [(f"jp[{i}, {m}]", by_entry[i][m]) for i, m in found]
-        module.add(signature, graph, [*results, *jacobian(graph, "jy", nodes, y, at), *entries], loads)
+        found = {
+            (i, m): node
+            for i, row in enumerate(derivatives(graph, nodes, given))
+            for m, node in enumerate(row)
+            if not graph.is_number(node, 0.0)
+        }
+        depends.append([*found])
+        by_state = [(x, node) for x, node in jacobian(graph, "jy", nodes, y, at) if not graph.is_number(node, 0.0)]
+        made[signature] = [*results, *by_state, *((f"jp[{i}, {m}]", node) for (i, m), node in found.items())]
+    return depends, made
+
+
+def add_slopes(module: Module, lowered: Lowered, columns: Sequence[str]) -> None:
+    """Add the equations of a twin and its readings as `rates` and `reading`, and `with_derivatives`.
+
+    `depends` of the module's `meta` says which derivatives there are.
+    """
+    module.meta["depends"], made = with_derivatives(lowered, columns)
+    for signature, results in {RATES: lowered.derivatives, READING: lowered.readings, **made}.items():
+        module.add(signature, lowered.graph, results, lowered.loads)
 
 
 def _beside(theta: Array, i: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
