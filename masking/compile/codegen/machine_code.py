@@ -12,7 +12,6 @@ import contextlib
 import ctypes
 import hashlib
 import itertools
-import operator
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from masking.compile.codegen import argument_conditions, structs, trusted_files
-from masking.compile.codegen.argument_conditions import NOTHING, Linked, Needed
+from masking.compile.codegen.argument_conditions import MEMORY, NOTHING, Linked, Needed
 from masking.compile.codegen.content_hashes import versions
 from masking.lazy_imports import binding as llvm
 from masking.lazy_imports import compilation, numba
@@ -38,6 +37,7 @@ NUMBA_TYPES = {"float": "f8", "int": "i8"}
 NUMBA_TYPES |= {
     kind: f"CPointer({'i8' if kind.startswith('Int') else 'f8'})" + axes * ", i8" for kind, axes in DIMENSIONS.items()
 }
+ELEMENTS = {kind: "int64" if kind in {"int", "IntVector", "IntMatrix"} else "float64" for kind in C_TYPES}
 LLVM_TYPES = {"float": "double", "int": "i64"}
 ENTRY = "masking_entry"
 # No liberty is taken with floating point: NaN, infinity and the order of operations are kept, so that every path
@@ -45,6 +45,7 @@ ENTRY = "masking_entry"
 DECORATOR = "@compiled"
 VECTOR = 64  # bytes of the longest that a processor computes with
 RESULTS = 4  # room for the results of a function
+Results = ctypes.c_double * RESULTS
 SIMPLIFYING = ("sroa", "simplify_cfg", "instruction_combine", "new_gvn", "simplify_cfg", "aggressive_dce")
 
 
@@ -74,13 +75,14 @@ class NativeFunction:
     # functions whose machine code it calls, by the names that it has for them
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     _call: Any = field(default=None, repr=False)
-    _holds: Callable[..., bool] | None = field(default=None, repr=False)  # the conditions on its arguments
 
     def __call__(self, *given: Any) -> Any:  # noqa: ANN401
         """Call the machine code, on arrays in place; a `TypeError` where one is missing or not as it takes them."""
-        call, values, found = self.prepare(), self._completed(given), (ctypes.c_double * RESULTS)()
+        call, values, found = self.prepare(), self._completed(given), Results()
         call(*self._passed(values), found)
-        read = [int(x) if kind == "int" else x for kind, x in zip(self.results, found, strict=False)]
+        read = found[: len(self.results)]
+        for place in self._whole:
+            read[place] = int(read[place])
         return None if not read else read[0] if len(read) == 1 else tuple(read)
 
     def each(self, runs: int, *given: Any, threads: int = 1) -> np.ndarray:  # noqa: ANN401
@@ -92,10 +94,24 @@ class NativeFunction:
         call, results = self.prepare(), np.zeros((runs, RESULTS))
 
         def part(first: int, last: int) -> None:
-            values, moved = self._completed(given), list[tuple[int, int, int]]()
-            passed = self._passed(values, moved, runs)
-            moved.append((len(passed), results.ctypes.data, results.strides[0]))
-            passed.append(0)
+            values, moved, place = [*self._completed(given)], list[tuple[int, int, int]](), 0
+            for i, (name, kind) in enumerate(self.arguments.items()):
+                value, axes = values[i], DIMENSIONS.get(kind, 0)
+                if is_rows := axes > 0 and np.ndim(value) == axes + 1:
+                    self._check(name, kind, axes + 1, value)
+                    values[i] = value[0] if len(value) else np.empty(value.shape[1:], value.dtype)
+                if axes:
+                    self._check(name, kind, axes, values[i])
+                if is_rows:
+                    if len(value) < runs:
+                        have = len(value)
+                        raise TypeError(f"{self.name}: {name} must have a row for each of {runs} runs, not {have}")
+                    moved.append((place, value.ctypes.data, value.strides[0]))
+                place += 1 + axes
+            if not runs:
+                return
+            passed = [*self._passed(values), 0]
+            moved.append((place, results.ctypes.data, results.strides[0]))
             for run in range(first, last):
                 for place, address, stride in moved:
                     passed[place] = address + run * stride
@@ -106,7 +122,7 @@ class NativeFunction:
 
     def bind(self, *given: np.ndarray | tuple[Any, ...]) -> BoundFunction:
         """Function with arrays that it reads and writes at each call; a number is an array of one."""
-        results, passed, lines = (ctypes.c_double * RESULTS)(), list[str](), list[str]()
+        results, passed, lines = Results(), list[str](), list[str]()
         arrays = self._completed(given)
         for (name, kind), value in zip(self.arguments.items(), arrays, strict=True):
             self._check(name, kind, DIMENSIONS.get(kind, 1), value)
@@ -128,87 +144,62 @@ class NativeFunction:
         call = ctypes.PYFUNCTYPE(None)(library[ENTRY])
         return BoundFunction(call, results, arrays, (library, self))
 
-    def _passed(
-        self, values: Sequence[Any], moved: list[tuple[int, int, int]] | None = None, runs: int = 0
-    ) -> list[Any]:
-        """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds.
-
-        `moved` gets the place, address and stride of each array with one axis more than the function takes, whose rows
-        are passed one by one, in this number of runs; without it no array may have one.
-        """
-        passed, single = list[Any](), [*values]
-        for i, (name, kind, dimension, dtype, least) in enumerate(self._kinds):
-            value = values[i]
-            if not dimension:
-                passed.append(value)
-                continue
-            axes = 0 if moved is None else int(np.ndim(value) == dimension + 1)
-            # measured: a check whose message is not wanted takes half the time.
-            if (
-                axes
-                or type(value) is not np.ndarray
-                or value.dtype is not dtype
-                or not value.flags.carray
-                or value.ndim != dimension
-                or any(map(operator.lt, value.shape, least))
-            ):
-                self._check(name, kind, dimension + axes, value)
-            address = _address(value)
-            if axes and moved is not None:
-                if len(value) < runs:
-                    raise TypeError(f"{self.name}: {name} must have a row for each of {runs} runs, not {len(value)}")
-                single[i] = value[0] if runs else value
-                moved.append((len(passed), address, value.strides[0]))
-            passed += (address, *value.shape[axes:])
-        if runs or moved is None:
-            self._require(single)
+    def _passed(self, values: Sequence[Any]) -> Any:  # noqa: ANN401  (a tuple)
+        """Arguments of the C interface: numbers, and addresses and shapes of arrays that a caller holds."""
+        passed = self._guarded(*values)
+        if passed is None:
+            for (name, kind), value in zip(self.arguments.items(), values, strict=True):
+                if kind in DIMENSIONS:
+                    self._check(name, kind, DIMENSIONS[kind], value)
+            self._require(values)
         return passed
 
     @cached_property
-    def _kinds(self) -> Sequence[tuple[str, str, int, Any, Sequence[int]]]:
-        """Name, kind, number of axes, type of the elements and least shape of each argument."""
-        sizes = self.needed.sizes
-        return [(n, k, DIMENSIONS.get(k, 0), _dtype(k), sizes.get(n, ())) for n, k in self.arguments.items()]
+    def _whole(self) -> Sequence[int]:
+        """Places of the results that are whole numbers."""
+        return [place for place, kind in enumerate(self.results) if kind == "int"]
+
+    @cached_property
+    def _guarded(self) -> Callable[..., Any]:
+        """What `_passed` returns, of arguments that meet all conditions; else None."""
+        passed, conditions = list[str](), list[str]()
+        for name, kind in self.arguments.items():
+            axes = DIMENSIONS.get(kind, 0)
+            passed += [f"addressof(memory({name}))", f"len({name})", f"{name}.shape[1]"][: axes + 1] if axes else [name]
+            least = self.needed.sizes.get(name, ())
+            of_array = argument_conditions.of_array(ELEMENTS[kind], axes, least) if axes else ()
+            conditions += [condition.format(x=name) for condition in of_array]
+        return self._under([*conditions, *self.needed.conditions], f"{', '.join(passed)},")
 
     def _completed(self, given: Sequence[Any]) -> Sequence[Any]:
         """All arguments for those that a caller has given, structs taken apart."""
-        values = [part for value in given for part in (value if isinstance(value, tuple) else (value,))]
+        values = given
+        if any(map(isinstance, given, itertools.repeat(tuple))):
+            values = [part for value in given for part in (value if isinstance(value, tuple) else (value,))]
         if len(values) + (self.work is not None) != len(self.arguments):
             raise TypeError(f"{self.name} takes {', '.join(self.arguments)}: got {len(values)} arguments")
         return values if self.work is None else [*values, _aligned(self.work)]
 
-    def _check(self, name: str, kind: str, dimension: int, value: Any) -> None:  # noqa: ANN401
+    def _check(self, name: str, kind: str, axes: int, value: Any) -> None:  # noqa: ANN401
         """Refuse what machine code cannot read as an array."""
-        if not isinstance(value, np.ndarray):
-            raise TypeError(f"{self.name}: {name} must be an array, not {type(value).__name__}")
-        dtype = _dtype(kind)
-        if value.ndim != dimension or value.dtype != dtype or not value.flags.c_contiguous:
-            raise TypeError(
-                f"{self.name}: {name} must be a C-contiguous {dtype.name} array of dimension "
-                f"{dimension}, not {value.dtype} of shape {value.shape}"
-            )
-        if not value.flags.writeable:
-            raise TypeError(f"{self.name}: {name} must be an array that can be written, not one that is read alone")
-        least, shape = self.needed.sizes.get(name, ()), value.shape[dimension - DIMENSIONS.get(kind, 1) :]
-        if any(have < wanted for have, wanted in zip(shape, least, strict=False)):
-            raise TypeError(f"{self.name}: {name} must have a shape of at least {tuple(least)}, not {shape}")
+        least = self.needed.sizes.get(name, ()) if axes == DIMENSIONS.get(kind, 1) else ()  # not of an array of rows
+        if said := argument_conditions.broken(value, ELEMENTS[kind], axes, least):
+            raise TypeError(f"{self.name}: {name} {said}")
 
     def _require(self, values: Sequence[Any]) -> None:
         """Refuse arguments that do not meet the conditions of the function."""
         conditions = self.needed.conditions
-        if not conditions:
+        if self._under(conditions)(*values):
             return
-        if self._holds is None:
-            self._holds = self._predicate(conditions)
-        if not self._holds(*values):
-            first = next(i for i in range(len(conditions)) if not self._predicate(conditions[: i + 1])(*values))
-            given = {n: x for n, x in zip(self.arguments, values, strict=True) if n in conditions[first]}
-            found = [f"{name} {f'of shape {x.shape}' if np.ndim(x) else f'= {x}'}" for name, x in given.items()]
-            raise TypeError(f"{self.name}: {conditions[first]} must hold; got {', '.join(found)}")
+        first = next(i for i in range(len(conditions)) if not self._under(conditions[: i + 1])(*values))
+        given = {n: x for n, x in zip(self.arguments, values, strict=True) if n in conditions[first]}
+        found = [f"{name} {f'of shape {x.shape}' if np.ndim(x) else f'= {x}'}" for name, x in given.items()]
+        raise TypeError(f"{self.name}: {conditions[first]} must hold; got {', '.join(found)}")
 
-    def _predicate(self, conditions: Sequence[str]) -> Callable[..., bool]:
+    def _under(self, conditions: Sequence[str], result: str = "True") -> Callable[..., Any]:
+        """Expression of the arguments as a function of them: None where they break a condition."""
         linked = Linked([self.needed, *(one.needed for one in self.links.values())])
-        return argument_conditions.predicate(conditions, self.arguments, linked)
+        return argument_conditions.guarded(result, conditions, self.arguments, linked)
 
     def prepare(self) -> Any:  # noqa: ANN401  (a ctypes function)
         """Compile or load the function now; return its C interface."""
@@ -255,21 +246,11 @@ def share(part: Callable[[int, int], None], runs: int, threads: int) -> None:
         list(pool.map(part, bounds[:-1], bounds[1:]))
 
 
-def _dtype(kind: str) -> np.dtype[Any]:
-    """Type of the elements of an array of a kind."""
-    return np.dtype(np.int64 if kind in {"int", "IntVector", "IntMatrix"} else np.float64)
-
-
-def _address(array: np.ndarray) -> int:
-    """Address of an array that can be written; measured: a quarter of the time of its attribute `ctypes.data`."""
-    return ctypes.addressof(ctypes.c_char.from_buffer(array.data)) if array.size else 0
-
-
 def _aligned(shape: tuple[int, int]) -> np.ndarray:
     """New array that begins where a vector does: one that lies across two lines of the cache is read twice."""
     rows, columns = shape
     memory = np.empty(rows * columns + VECTOR // 8)
-    first = -_address(memory) % VECTOR // 8
+    first = -ctypes.addressof(MEMORY(memory)) % VECTOR // 8
     return memory[first : first + rows * columns].reshape(shape)
 
 

@@ -140,7 +140,7 @@ class Spans:
         """Ranges of the grid, first and one after last: the spans, and about as many pieces as are wanted."""
         size = len(self.grid)
         count = max(1, min(count, size))
-        return pairwise(sorted({size * i // count for i in range(count + 1)} | self.begins.keys()))
+        return pairwise(sorted({0, size, *self.begins, *[size * i // count for i in range(1, count)]}))
 
 
 class _Kept:

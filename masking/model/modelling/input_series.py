@@ -10,7 +10,7 @@ from typing import Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, Trajectory
+from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, Trajectory, every
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.lazy_imports import interpolate
@@ -26,8 +26,8 @@ FEWEST = {"linear": 1, "previous": 1, "cubic": 4}  # points
 
 def row_of_times(times: Array) -> Array:
     """Times (m,) as floats; raises a `ModelError` if they are none, or not finite."""
-    times = np.atleast_1d(np.asarray(times, dtype=float))
-    if times.ndim != 1 or len(times) == 0 or not np.isfinite(times).all():
+    times = np.array(times, dtype=float, ndmin=1, copy=None)
+    if times.ndim != 1 or len(times) == 0 or not every(np.isfinite(times)):
         raise ModelError(f"times must be finite, in one row, such as np.linspace(0, 10, 101); got shape {times.shape}")
     return times
 
