@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from masking.display.palette import PAPER
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.screening import Score
@@ -18,11 +17,11 @@ from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.simulation import Simulated
 from masking.model.declaration.quantities import percent, quantity
 from masking.model.declaration.units import pretty
-from masking.reports import discovery_text, fit_figures, force_map, place_text, style
+from masking.reports import discovery_text, error_panel, fit_figures, force_map, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
 from masking.reports.panels import Level, Line, Panel, Span, bars, drawn, either_side, plain_numbers, spectrum
-from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE, CaptionedFigure
+from masking.reports.style import COLOURS, GRID, MUTED, SIZE, CaptionedFigure
 from masking.reports.text import capital, capped, listed
 
 MOST_SENSORS = 6
@@ -30,6 +29,8 @@ MOST_TRIED = 12
 LETTER = 0.082  # inches of a letter of a label, with some room
 NEAR = 0.9  # of the best candidate's gain: those that are named together
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
+MODELS = ("as declared", "adjusted parameters", "with the finding", error_panel.NOISE)
+VALIDATION, ERROR_LABEL = "validation record", "error relative to the reading"
 Tried = tuple[str, str, float, float]  # effect, place, part of the residual, part of what would count
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 
@@ -70,31 +71,6 @@ def _intervals(found: Discovery) -> str:
 
 def _gap(found: Discovery) -> CaptionedFigure:
     """Error of each sensor before and after, in the record and in the validation record, beside the noise."""
-    names, has_finding = found.twin.sensors, bool(found.effects or found.law)
-    sides = errors(found)
-    every = [v for side in sides.values() for one in side for v in one.values() if 0.0 < v < np.inf]
-    ends = 100.0 * min(every) / 1.6, 100.0 * max(every) * 1.6
-    at = np.arange(len(names))
-
-    def finish(axes: Axes) -> None:
-        bars(axes, [style.symbol(name) for name in names])
-        plain_numbers(axes.xaxis, " %")
-        axes.xaxis.set_minor_locator(NullLocator())
-
-    def panel(title: str, side: Sequence[Mapping[str, float]]) -> Panel:
-        declared, adjusted, after, noise = (np.array([100.0 * one[name] for name in names]) for one in side)
-        joined = [
-            Line([max(a, b), c], [i, i], GRID, 4.0, order=1)
-            for i, (a, b, c) in enumerate(zip(declared, adjusted, after, strict=True))
-        ]
-        dots = [
-            Line(declared, at, PAPER, 0.0, "as declared", marker="o", size=6.5, edge=MUTED),
-            Line(adjusted, at, BEFORE, 0.0, "adjusted parameters", marker="o", size=7, order=3),
-            *([Line(after, at, AFTER, 0.0, "with the finding", marker="o", size=7, order=4)] if has_finding else []),
-            Line(noise, at, INK, 0.0, "noise floor", marker="|", size=15, order=5),
-        ]
-        return Panel([*joined, *dots], "", "error relative to the reading", ends, log="x", title=title, finish=finish)
-
     said = discovery_text.noise_remark(found) if found.verdict == "none" else discovery_text.error_change(found)
     caption = (
         "The error of the free simulation of each sensor, chi = ||measured - simulated|| / ||measured||, with the best "
@@ -102,8 +78,16 @@ def _gap(found: Discovery) -> CaptionedFigure:
         f"with the finding. The noise floor is the error that the noise alone makes.{_intervals(found)}"
     )
     words = CaptionedFigure("gap", "Simulation error", caption)
-    rows = [[panel(title, side) for title, side in sides.items()]]
-    return drawn(words, rows, 0.34 * len(names) + 0.35, heading=capital(said))
+    sides = {record: by_model(found, record) for record in errors(found)}
+    ends = error_panel.reach(*sides.values()) or (0.1, 100.0)
+    row = [error_panel.panel(side, ERROR_LABEL, title, ends=ends) for title, side in sides.items()]
+    return drawn(words, [row], 0.34 * len(found.twin.sensors) + 0.35, heading=capital(said))
+
+
+def by_model(found: Discovery, record: str) -> dict[str, Mapping[str, float]]:
+    """Relative errors by sensor of each model in a record of `errors`, with what was found if anything was."""
+    every = dict(zip(MODELS, errors(found)[record], strict=True))
+    return {name: part for name, part in every.items() if name != MODELS[2] or found.effects or found.law}
 
 
 def _course(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:
@@ -284,5 +268,5 @@ def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
     adjusted = dict(zip(found.twin.sensors, map(float, own), strict=True))
     return {
         "record": (gap.estimation[0], adjusted, fitted, gap.noise_floor),
-        "validation record": (gap.validation[0], gap.adjusted, validated, gap.validation_noise_floor),
+        VALIDATION: (gap.validation[0], gap.adjusted, validated, gap.validation_noise_floor),
     }

@@ -57,6 +57,11 @@ class Files:
     model: Path | None
     plant: Path | None
 
+    @property
+    def written(self) -> str:
+        """Line that names what was written."""
+        return f"written: {', '.join(str(path) for path in (self.model, self.plant, self.numbers) if path)}"
+
 
 def save(
     found: Discovery,

@@ -12,11 +12,14 @@ from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
 from masking.reports import discovery_figures, discovery_files, discovery_text, discovery_trace, html, place_text
+from masking.reports.discovery_figures import VALIDATION
 from masking.reports.discovery_files import Files, Origin
+from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
 from masking.reports.text import aligned, probability_text
 
 MOST_TRIED = 20
+MOST_TILES = 3  # of causes
 LEAST_SURE = 0.001  # probability: less is shown as less than this
 LEAST = 0.01  # share of a place that is shown
 TITLES = {
@@ -46,8 +49,7 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         found=found,
         words=discovery_text,
         place_words=place_text,
-        least_sure=LEAST_SURE,
-        most=noise_threshold(len(found.validation_record), found.problem.rules),
+        tiles=tiles(found),
         figures=figures,
         errors=discovery_figures.errors(found),
         energies=latent_force.energies(found),
@@ -99,17 +101,39 @@ def summary(found: Discovery, files: Files | None) -> str:
     said += [discovery_text.probability_sentence(found), *discovery_text.location(found)]
     lines = [f"{sentence}." for sentence in (*said, discovery_text.intervals(found)) if sentence]
     table = [("validation error", *found.twin.sensors)]
-    what = ("as declared", "adjusted parameters", "with the finding", "noise floor")
-    for label, part in zip(what, discovery_figures.errors(found)["validation record"], strict=True):
-        if found.effects or found.law or label != "with the finding":
-            table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
+    for label, part in discovery_figures.by_model(found, VALIDATION).items():
+        table.append((label, *(percent(part[name]) for name in found.twin.sensors)))
     lines += aligned(table)
+    lines += advice(found)
+    if files is not None:
+        lines += [files.written, f"page: {files.page}"]
+    return "\n".join(lines)
+
+
+def advice(found: Discovery) -> list[str]:
+    """Usual cause of each effect that is reported, and what helps against it, where they are known."""
+    lines = []
     for name in dict.fromkeys(one.name for one in discovery_text.reported(found)):
         effect = found.twin.dictionary.get(name)
         if effect is not None and (effect.cause or effect.remedy):
-            advice = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
-            lines.append(f"{effect.spoken}: {'; '.join(advice)}")
-    if files is not None:
-        written = [str(path) for path in (files.model, files.plant, files.numbers) if path]
-        lines += [f"written: {', '.join(written)}", f"page: {files.page}"]
-    return "\n".join(lines)
+            said = [effect.cause or effect.meaning, *([f"what helps: {effect.remedy}"] if effect.remedy else [])]
+            lines.append(f"{effect.spoken}: {'; '.join(said)}")
+    return lines
+
+
+def tiles(found: Discovery) -> list[Tile]:
+    """Causes with their probabilities, and the error on unseen data of the worst sensor, without and with them."""
+    made, name = [], discovery_text.worst_sensor(found)
+    for one in found.effects[:MOST_TILES] if found.verdict != "unknown" else ():
+        part = discovery_text.probabilities(found, one)[discovery_text.cause_name(found, one.name, one.on)]
+        sure = percent(part) if part > LEAST_SURE else f"< {percent(LEAST_SURE)}"
+        made.append(Tile(discovery_text.cause_label(found, one.name, one.on), sure, "probability"))
+    has_finding = bool(found.effects or found.law)
+    if has_finding:
+        before, model = discovery_text.without_finding(found)
+        what = f"error in {name} {'as declared' if model == 'as declared' else 'without it'}"
+        made.append(Tile(what, percent(before[name]), "validation"))
+    *_, after, floor = (part[name] for part in discovery_figures.errors(found)[VALIDATION])
+    most = noise_threshold(len(found.validation_record), found.problem.rules)
+    what = f"error in {name}{' with it' * has_finding}"
+    return [*made, Tile(what, percent(after), f"noise {percent(floor)}", after > most * floor)]

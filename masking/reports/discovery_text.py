@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from masking.inference.discovery import compiled_laws, latent_force
@@ -36,10 +38,22 @@ NO_EXPERIMENT = "no experiment is proposed, since it is not known which measured
 
 
 def sentence(found: Discovery) -> str:
-    """Finding in a few sentences without a full stop at the end."""
+    """Finding, and what would decide it, in a few sentences without a full stop at the end."""
+    return finding(found, deciding(found))
+
+
+def finding(found: Discovery, further: Sequence[str] = ()) -> str:
+    """Finding in a few sentences without a full stop at the end, with further ones behind the verdict."""
     notes = [text for text, holds in ((EXCHANGED, found.exchanged), (EARLY, found.problem.work.is_cut)) if holds]
-    sentences = [*found.notes, unit_remark(found), *_verdict(found), withheld_causes(found), *notes, hold_remark(found)]
-    return ". ".join(filter(None, sentences))
+    said = [*found.notes, unit_remark(found), *_verdict(found), *further, withheld_causes(found), *notes]
+    return ". ".join(filter(None, [*said, hold_remark(found)]))
+
+
+def deciding(found: Discovery) -> list[str]:
+    """Experiments that would decide what the record leaves open, in sentences; empty where it leaves nothing open."""
+    if found.verdict == "unknown":
+        return next_experiment_text.further(found)
+    return [capital(deciding_experiment(found))] if is_open(found) else []
 
 
 def _verdict(found: Discovery) -> list[str]:
@@ -61,13 +75,12 @@ def _verdict(found: Discovery) -> list[str]:
         if found.is_hidden:
             first = "The record shows no missing effect, but the validation record does, and does not tell which"
             after = error_change
-        return [first, lost, near, after(found), unnamed_law(found), *next_experiment_text.further(found)]
+        return [first, lost, near, after(found), unnamed_law(found)]
     if is_open(found):
         before = [cause_with_values(found, one) for one in found.effects if one is not found.least_sure]
         known = [f"{listed(before, '; ')} {plural(len(before), 'is', 'are')} missing"] if before else []
         first = capital(", and ".join([*known, alternatives(possible_causes(found))]))
-        decides = capital(deciding_experiment(found))
-        return [f"{first} is missing, and this record cannot tell which", lost, change, moves, decides]
+        return [f"{first} is missing, and this record cannot tell which", lost, change, moves]
     what = listed([cause_with_values(found, one) for one in found.effects], "; ")
     comma = "," if ", " in what else ""
     first = f"{capital(what)}{comma} {plural(len(found.effects), 'is', 'are')} missing"

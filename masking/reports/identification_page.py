@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,12 @@ from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.simulation import Simulated
 from masking.inference.procedures.measurement import Measurement, Row
-from masking.model.declaration.quantities import number
+from masking.model.declaration.quantities import number, percent
 from masking.reports import figure_parts, html, procedure_figures
 from masking.reports.html import Tile
 from masking.reports.style import CaptionedFigure
 
+MOST_TILES = 3
 # Title of a page, and beginnings of the names of numbers on top of it; the first number of each is shown.
 _PAGES = {
     "springs": ("Spring curve", ("stiffness", "half_gap", "width")),
@@ -54,6 +55,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
         figures,
         names=found.names,
         title="Fit",
+        tiles=_fitted(found) or _errors(chi["train"]),
         sentence=sentence,
         parameters=content["parameters"],
         errors={"error chi": chi["train"], "validation error": chi["validation"], "noise floor": content["floor"]},
@@ -70,6 +72,7 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
         {"record": made.record.name, "chi": made.chi, "floor": made.floor, "notes": made.record.notes},
         names=made.sensors,
         title="Simulation",
+        tiles=_errors(made.chi),
         sentence=sentence,
         parameters={},
         errors={"error chi": made.chi, "noise floor": made.floor},
@@ -84,3 +87,17 @@ def _tile(row: Row) -> Tile:
         by, unit = 100.0, "%"
     deviation = "" if row.std is None else f" ± {number(by * row.std, 2)}"
     return Tile(row.label, number(by * row.value, 4), unit + deviation)
+
+
+def _fitted(found: Fit | KalmanFit) -> list[Tile]:
+    """First parameters, with their deviations and units."""
+    made = []
+    for name, one in list(found.parameters().items())[:MOST_TILES]:
+        deviation = "" if one["std"] is None else f"± {number(one['std'], 2)}"
+        made.append(Tile(name, number(one["value"], 7), f"{deviation} {one.get('unit', '')}".strip()))
+    return made
+
+
+def _errors(chi: Mapping[str, float]) -> list[Tile]:
+    """Errors of the first sensors."""
+    return [Tile(f"error of {name}", percent(part)) for name, part in list(chi.items())[:MOST_TILES]]

@@ -10,7 +10,9 @@ from typing import Final
 
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lazy_imports import run_figures
+from masking.model.declaration.quantities import number, percent
 from masking.reports import html, run_text
+from masking.reports.html import Tile
 from masking.reports.run_study import Parameter, Study, parameters
 
 PAGE: Final = "report.html"
@@ -50,6 +52,7 @@ def report(recording: Recording, folder: str | Path) -> Report:
         title=str(recording.manifest.get("name") or "Recording"),
         study=study,
         words=run_text,
+        tiles=_tiles(study),
         lead=_lead(study, [parameter for parameter in virtual if parameter.is_changed]),
         shown=shown,
         source=_SOURCE,
@@ -91,3 +94,18 @@ def _lead(study: Study, changed: Sequence[Parameter]) -> list[tuple[str, str]]:
         parts.append(("changed", f"Changed: {words}."))
     parts += [("card", text) for text in run_text.warnings(study) if text != limits]
     return [(kind, text.strip()) for kind, text in parts]
+
+
+def _tiles(study: Study) -> list[Tile]:
+    """Length, worst masking error, phase of the first two oscillators, and largest use of a limit."""
+    made, use = [Tile("recorded", *run_text.length(study))], study.most_used
+    if study.worst is not None:
+        made.append(Tile(f"masking error chi, worst ({study.worst})", number(study.chi[study.worst], 2)))
+    for pair in study.pairs[:1]:
+        what = f"phase of {pair.first} against {pair.second}"
+        made.append(Tile(what, run_text.pi(pair.end), run_text.locking(pair)))
+    if use is not None and use.used is not None:
+        what = f"largest {'demand against' if use.is_cut else 'use of'} a limit ({use.name})"
+        part = use.demanded_part if use.is_cut else use.used
+        made.append(Tile(what, percent(part), "", use.is_exceeded or use.is_cut))
+    return made

@@ -1,0 +1,64 @@
+"""Panel of relative errors: those of several models in each channel, beside the noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import NullLocator
+
+from masking.display.palette import PAPER
+from masking.model.declaration.quantities import percent
+from masking.reports import style
+from masking.reports.panels import Line, Panel, bars, plain_numbers
+from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE
+
+Errors = Mapping[str, Mapping[str, float]]  # of each channel, by model
+
+NOISE: Final = "noise floor"
+_ROOM = 1.6  # of a logarithmic axis beside its first and last point
+# How the errors of a model are marked; those of any other, the last in its channel, have the mark behind.
+_MARKS: Final[dict[str, dict[str, Any]]] = {
+    "as declared": {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED},
+    "as it is": {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED},
+    "adjusted parameters": {"colour": COLOURS[1], "marker": "o", "size": 7, "order": 3},
+    NOISE: {"colour": INK, "marker": "|", "size": 15, "order": 5},
+}
+_LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
+
+
+def panel(errors: Errors, label: str, title: str = "", *, ends: tuple[float, float], has_values: bool = False) -> Panel:
+    """Panel of errors with a label of their axis, which has ends in percent; those that are not positive are left out.
+
+    With `has_values`, the first and the last model's errors stand at the right of the axes.
+    """
+    models = [name for name in errors if name != NOISE]
+    channels = list(errors[models[0]])
+
+    def finish(axes: Axes) -> None:
+        bars(axes, [style.symbol(name) for name in channels])
+        plain_numbers(axes.xaxis, " %")
+        axes.xaxis.set_minor_locator(NullLocator())
+        for i, name in enumerate(channels if has_values else ()):
+            said = " → ".join(percent(errors[model][name]) for model in dict.fromkeys((models[0], models[-1])))
+            axes.annotate(said, (1.0, i), (6, 0), ("axes fraction", "data"), textcoords="offset points", va="center",
+                          fontsize=SIZE - 1.0, color=INK)  # fmt: skip
+
+    joined = []
+    for i, name in enumerate(channels):
+        *before, last = (100.0 * errors[model][name] for model in models)
+        joined += [Line([max(before), last], [i, i], GRID, 4.0, order=1)] if before else []
+    dots = [
+        Line([100.0 * part[name] for name in channels], range(len(channels)), width=0.0, key=model,
+             **_MARKS.get(model, _LAST))
+        for model, part in errors.items()
+    ]  # fmt: skip
+    return Panel([*joined, *dots], "", label, ends, log="x", title=title, finish=finish)
+
+
+def reach(*sides: Errors) -> tuple[float, float] | None:
+    """Ends in percent of an axis on which all errors are; None where none is positive and finite."""
+    every = [x for side in sides for part in side.values() for x in part.values() if 0.0 < x < math.inf]
+    return (100.0 * min(every) / _ROOM, 100.0 * max(every) * _ROOM) if every else None
