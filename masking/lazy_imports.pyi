@@ -31,5 +31,6 @@ from masking.lab.records import parquet as parquet
 from masking.lab.records import views as views
 from masking.model.modelling import typeset as typeset
 from masking.reports import animation_frames as animation_frames
+from masking.reports import one_page_drawing as one_page_drawing
 from masking.reports import run_figures as run_figures
 from masking.reports import style as style

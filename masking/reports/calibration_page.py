@@ -13,7 +13,10 @@ import numpy as np
 from masking.inference.procedures.calibration_findings import ALIKE, NAMES, PAGE, Calibration, Stage, reached
 from masking.model.declaration.quantities import number, percent
 from masking.model.declaration.units import pretty
-from masking.reports import calibration_figures, html
+from masking.reports import calibration_figures, html, one_page
+from masking.reports.error_panel import NOISE
+from masking.reports.html import Tile
+from masking.reports.one_page import Sheet
 from masking.reports.text import capital, listed
 
 _LACKS = 1.5  # times the noise: an error from here on is reported as something that the model lacks
@@ -62,6 +65,23 @@ def save(found: Calibration) -> None:
         remarks=[f"{one.title}. {one.caption}" for one in figures if one.figure is None],
         records=NAMES,
         written=[PAGE, *(f"{one.name}.png" for one in figures if one.figure is not None)],
+    )
+
+
+def sheet(found: Calibration) -> Sheet:
+    """What one page says of a calibration: the errors of the simplest model, and of the one that is written."""
+    best = found.best
+    models = {_spoken(stage): stage.fit.validation for stage in (found.stages[0], best)}
+    sections = {one_page.FOUND: [sentence(found)], one_page.NEXT: _cautions(found)}
+    return Sheet(
+        title=f"Calibration: {found.twin.declaration.name}",
+        subject=[", ".join(found.twin.declaration.files)],
+        tiles=[Tile(f"error in {name}, unseen", percent(chi)) for name, chi in best.fit.validation.items()],
+        sections={heading: said for heading, said in sections.items() if said},
+        errors=one_page.finite({**models, NOISE: found.unseen_floor}),
+        errors_title="Simulation error, unseen record",
+        errors_label="error relative to the reading",
+        page=PAGE,
     )
 
 

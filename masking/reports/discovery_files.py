@@ -25,12 +25,13 @@ from masking.model.declaration.schema import ModelDeclaration, Parameter
 from masking.model.declaration.units import combined, dimension_of, factor_of
 from masking.model.effects import LATE, Effect, attach
 from masking.model.modelling.model import Model
-from masking.reports import discovery_text, html, model_files
+from masking.reports import discovery_text, html, model_files, one_page
+from masking.reports.one_page import Sheet
 from masking.reports.style import CaptionedFigure
 from masking.reports.text import listed
 
 STD_DIGITS = 3  # of standard deviations
-PLANT, NUMBERS, PAGE = "plant.yaml", "discovery.json", "discovery.html"
+PLANT, NUMBERS, PAGE = "plant.yaml", one_page.DISCOVERY, "discovery.html"
 WHOLE = 0.05  # of a sample: a delay so near to whole samples is written as these
 
 
@@ -71,11 +72,12 @@ def save(
     figures: Sequence[CaptionedFigure],
     *,
     lies: Path | None = None,
+    sheet: Sheet | None = None,
 ) -> Files:
     """Write a discovery into a folder, made if need be; nothing is left half written.
 
     Those of an earlier discovery there that are not written again are deleted. `lies` is the folder to which all will
-    be moved, where that is another.
+    be moved, where that is another; `sheet` is what one page of it says.
 
     Raises:
         RecordError: the folder cannot be written.
@@ -88,7 +90,7 @@ def save(
         contents[files.model] = model_files.text(model(found, files.model.parent, origin))
         contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
     written = sorted(str(path.relative_to(out)) for path in (*contents, files.numbers))
-    contents[files.numbers] = json_text(as_dict(found, lies or out, origin) | {"files": written})
+    contents[files.numbers] = json_text(as_dict(found, lies or out, origin) | {"sheet": sheet, "files": written})
     earlier = _of_earlier(out)
     with html.staged(out) as made:
         html.write({made / path.relative_to(out): content for path, content in contents.items()})
@@ -98,6 +100,7 @@ def save(
             Twin.load(made / PLANT).validate()
     for path in earlier - {*contents}:
         path.unlink()
+    one_page.remove(lies or out)
     return files
 
 

@@ -11,12 +11,21 @@ from masking.inference.discovery.explanation import in_both
 from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
-from masking.reports import discovery_figures, discovery_files, discovery_text, discovery_trace, html, place_text
+from masking.reports import (
+    discovery_figures,
+    discovery_files,
+    discovery_text,
+    discovery_trace,
+    html,
+    one_page,
+    place_text,
+)
 from masking.reports.discovery_figures import VALIDATION
 from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
+from masking.reports.one_page import Sheet
 from masking.reports.style import CaptionedFigure
-from masking.reports.text import aligned, probability_text
+from masking.reports.text import aligned, capital, probability_text
 
 MOST_TRIED = 20
 MOST_TILES = 3  # of causes
@@ -34,18 +43,18 @@ TITLES = {
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
     """Draw a discovery and write all its files into a folder; see `discovery_files.save`."""
     figures = discovery_figures.figures(found)
-    text = page(found, figures, origin, lies or Path(folder))
-    return discovery_files.save(found, folder, origin, text, figures, lies=lies)
+    there = lies or Path(folder)
+    text, said = page(found, figures, origin, there), sheet(found, origin, there)
+    return discovery_files.save(found, folder, origin, text, figures, lies=lies, sheet=said)
 
 
 def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, folder: Path) -> str:
     """Page of a discovery whose files will lie in a folder; of figures without a picture it shows the caption."""
-    open_ended = found.verdict == "ambiguous" and not discovery_text.is_open(found)
     places = (place for place in discovery_text.model_error(found).places.values() if place.share > LEAST)
     return html.render(
         "discovery",
         names={*found.twin.sensors, *found.twin.actuators, *found.twin.model.coordinates, *found.rig.names},
-        title=TITLES["named" if open_ended else found.verdict],
+        title=_title(found),
         found=found,
         words=discovery_text,
         place_words=place_text,
@@ -108,6 +117,36 @@ def summary(found: Discovery, files: Files | None) -> str:
     if files is not None:
         lines += [files.written, f"page: {files.page}"]
     return "\n".join(lines)
+
+
+def sheet(found: Discovery, origin: Origin, folder: Path) -> Sheet:
+    """What one page says of a discovery whose files will lie in a folder."""
+    files = discovery_files.paths(found, folder)
+    sure = [*discovery_text.weights(found), discovery_text.probability_sentence(found)]
+    what = [discovery_text.finding(found), discovery_text.unexplained(found), discovery_text.intervals(found)]
+    every = {
+        one_page.FOUND: what,
+        one_page.WHERE: discovery_text.location(found),
+        one_page.SURE: sure,
+        one_page.NEXT: discovery_text.deciding(found),
+    }
+    sections = {heading: [f"{text}." for text in said if text] for heading, said in every.items()}
+    sections[one_page.NEXT] += [f"{capital(text)}." for text in advice(found)]
+    return Sheet(
+        title=_title(found),
+        subject=[found.twin.declaration.name, origin.source(found), files.written],
+        tiles=tiles(found),
+        sections={heading: said for heading, said in sections.items() if said},
+        errors=one_page.finite(discovery_figures.by_model(found, VALIDATION)),
+        errors_title=f"Simulation error, {VALIDATION}",
+        errors_label=discovery_figures.ERROR_LABEL,
+        page=files.page.name,
+    )
+
+
+def _title(found: Discovery) -> str:
+    is_named = found.verdict == "ambiguous" and not discovery_text.is_open(found)
+    return TITLES["named" if is_named else found.verdict]
 
 
 def advice(found: Discovery) -> list[str]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from masking.display.palette import PAPER
-from masking.model.declaration.quantities import percent
+from masking.model.declaration.quantities import number, percent
 from masking.reports import style
 from masking.reports.panels import Line, Panel, bars, plain_numbers
 from masking.reports.style import COLOURS, GRID, INK, MUTED, SIZE
@@ -29,36 +30,51 @@ _MARKS: Final[dict[str, dict[str, Any]]] = {
 _LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
 
 
-def panel(errors: Errors, label: str, title: str = "", *, ends: tuple[float, float], has_values: bool = False) -> Panel:
-    """Panel of errors with a label of their axis, which has ends in percent; those that are not positive are left out.
+@dataclass(frozen=True)
+class Look:
+    """How errors are shown."""
 
-    With `has_values`, the first and the last model's errors stand at the right of the axes.
-    """
+    label: str  # of their axis
+    title: str = ""
+    in_percent: bool = True
+    has_values: bool = False  # whether those of the first and of the last model stand at the right of the axes
+
+    def said(self, error: float) -> str:
+        """Error as a text."""
+        if not math.isfinite(error):
+            return "not finite"
+        return percent(error) if self.in_percent else number(error, 2)
+
+
+def panel(errors: Errors, look: Look, ends: tuple[float, float]) -> Panel:
+    """Panel of errors, whose axis has ends; those that are not positive are left out."""
     models = [name for name in errors if name != NOISE]
-    channels = list(errors[models[0]])
+    channels, by = list(errors[models[0]]), 100.0 if look.in_percent else 1.0
 
     def finish(axes: Axes) -> None:
         bars(axes, [style.symbol(name) for name in channels])
-        plain_numbers(axes.xaxis, " %")
+        plain_numbers(axes.xaxis, " %" * look.in_percent)
         axes.xaxis.set_minor_locator(NullLocator())
-        for i, name in enumerate(channels if has_values else ()):
-            said = " → ".join(percent(errors[model][name]) for model in dict.fromkeys((models[0], models[-1])))
+        for i, name in enumerate(channels if look.has_values else ()):
+            each = [errors[model][name] for model in dict.fromkeys((models[0], models[-1]))]
+            said = " → ".join(map(look.said, each))
             axes.annotate(said, (1.0, i), (6, 0), ("axes fraction", "data"), textcoords="offset points", va="center",
                           fontsize=SIZE - 1.0, color=INK)  # fmt: skip
 
     joined = []
     for i, name in enumerate(channels):
-        *before, last = (100.0 * errors[model][name] for model in models)
+        *before, last = (by * errors[model][name] for model in models)
         joined += [Line([max(before), last], [i, i], GRID, 4.0, order=1)] if before else []
     dots = [
-        Line([100.0 * part[name] for name in channels], range(len(channels)), width=0.0, key=model,
+        Line([by * part[name] for name in channels], range(len(channels)), width=0.0, key=model,
              **_MARKS.get(model, _LAST))
         for model, part in errors.items()
     ]  # fmt: skip
-    return Panel([*joined, *dots], "", label, ends, log="x", title=title, finish=finish)
+    first, last = ends
+    return Panel([*joined, *dots], "", look.label, (by * first, by * last), log="x", title=look.title, finish=finish)
 
 
 def reach(*sides: Errors) -> tuple[float, float] | None:
-    """Ends in percent of an axis on which all errors are; None where none is positive and finite."""
+    """Ends of an axis on which all errors are; None where none is positive and finite."""
     every = [x for side in sides for part in side.values() for x in part.values() if 0.0 < x < math.inf]
-    return (100.0 * min(every) / _ROOM, 100.0 * max(every) * _ROOM) if every else None
+    return (min(every) / _ROOM, max(every) * _ROOM) if every else None

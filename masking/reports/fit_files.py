@@ -9,11 +9,12 @@ from masking.display.json_text import json_text
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.innovations import KalmanFit
 from masking.model.declaration import registry
-from masking.reports import html, model_files
+from masking.reports import html, model_files, one_page
+from masking.reports.one_page import Sheet
 
 
-def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
-    """Write `model.yaml`, `plant.yaml` and `fit.json` into a folder; return their paths.
+def save(fit: Fit | KalmanFit, folder: str | Path, sheet: Sheet | None = None) -> dict[str, Path]:
+    """Write `model.yaml`, `plant.yaml` and `fit.json`, with what one page says, into a folder; return their paths.
 
     The model extends the one that was fitted; the plant has it, and the fitted values of effects. Raises a
     `RecordError` where the folder cannot be written.
@@ -22,9 +23,10 @@ def save(fit: Fit | KalmanFit, folder: str | Path) -> dict[str, Path]:
     texts = {
         out / "model.yaml": model_files.text(model(fit, out)),
         out / "plant.yaml": model_files.text(plant(fit, out)),
-        out / "fit.json": json_text(fit.as_dict()),
+        out / one_page.FIT: json_text(fit.as_dict() | {"sheet": sheet}),
     }
     html.write(texts)
+    one_page.remove(out)
     return {path.stem: path for path in texts}
 
 

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from masking.inference.estimation.fit import Fit
-from masking.inference.estimation.innovations import KalmanFit
-from masking.inference.estimation.simulation import Simulated
-from masking.inference.procedures.measurement import Measurement, Row
-from masking.model.declaration.quantities import number, percent
-from masking.reports import figure_parts, html, procedure_figures
-from masking.reports.html import Tile
-from masking.reports.style import CaptionedFigure
+import numpy as np
 
-MOST_TILES = 3
+from masking.control.rig.twin import Twin
+from masking.errors import IntegrationError
+from masking.inference.estimation.fit import Fit
+from masking.inference.estimation.identification_data import Data
+from masking.inference.estimation.innovations import KalmanFit
+from masking.inference.estimation.simulation import Simulated, noise_alone, relative, simulate
+from masking.inference.procedures.measurement import Measurement, Row
+from masking.model.declaration.quantities import number, percent, with_deviation
+from masking.model.declaration.units import pretty
+from masking.reports import figure_parts, html, one_page, procedure_figures
+from masking.reports.error_panel import NOISE
+from masking.reports.html import Tile
+from masking.reports.one_page import Sheet
+from masking.reports.style import CaptionedFigure
+from masking.reports.text import capital, listed, plural
+
+MOST_TILES, FIT_PAGE = 3, "fit.html"
 # Title of a page, and beginnings of the names of numbers on top of it; the first number of each is shown.
 _PAGES = {
     "springs": ("Spring curve", ("stiffness", "half_gap", "width")),
@@ -50,7 +60,7 @@ def save_fit(found: Fit | KalmanFit, figures: Sequence[CaptionedFigure], sentenc
     content = found.as_dict()
     chi = content["chi"]
     html.save(
-        Path(folder, "fit.html"),
+        Path(folder, FIT_PAGE),
         "fit",
         figures,
         names=found.names,
@@ -89,12 +99,56 @@ def _tile(row: Row) -> Tile:
     return Tile(row.label, number(by * row.value, 4), unit + deviation)
 
 
+def sheet(
+    found: Fit | KalmanFit, declared: Twin, train: Sequence[Data], unseen: Sequence[Data], sentence: str
+) -> Sheet:
+    """What one page says of a fit: also the errors of the plant as declared, by a simulation of the unseen records.
+
+    Where there are none of these, the errors are those in the fitted ones.
+    """
+    records, which = (unseen, "validation") if unseen else (train, "fitted")
+    errors = {
+        "as declared": _errors_of(declared, records, found.names),
+        "fitted": found.validation or found.chi,
+        NOISE: noise_alone(declared.sensors, records),
+    }
+    pairs = zip(found.names, found.values, found.std, strict=True)
+    values = [
+        f"{n} = {with_deviation(x, 0.0 if found.doubt else s, pretty(found.unit(n) or '1'))}" for n, x, s in pairs
+    ]
+    sections = {
+        one_page.FOUND: [f"{sentence}."],
+        "Parameters": [", ".join(values)] if len(values) > MOST_TILES else [],
+        one_page.NOTES: [f"{capital(text)}." for text in found.remarks],
+    }
+    used = {"fitted": train, "validation": unseen}
+    return Sheet(
+        title=f"Fit of {declared.declaration.name}",
+        subject=[f"{what}: {listed([one.name for one in each])}" for what, each in used.items() if each],
+        tiles=_fitted(found) or _errors(found.chi),
+        sections={heading: said for heading, said in sections.items() if said},
+        errors=one_page.finite(errors),
+        errors_title=f"Simulation error, {which} {plural(len(records), 'record', 'records')}",
+        errors_label="error relative to the reading",
+        page=FIT_PAGE,
+    )
+
+
+def _errors_of(twin: Twin, records: Sequence[Data], shared: Sequence[str]) -> dict[str, float]:
+    """Relative error of each sensor over records, by name; infinite where the simulated motion is not finite."""
+    try:
+        residuals = [simulate(twin, record.under(twin), shared).residual for record in records]
+    except IntegrationError:
+        return dict.fromkeys(twin.sensors, math.inf)
+    return relative(twin.sensors, records, np.sum([(one**2).sum(axis=0) for one in residuals], axis=0))
+
+
 def _fitted(found: Fit | KalmanFit) -> list[Tile]:
     """First parameters, with their deviations and units."""
     made = []
     for name, one in list(found.parameters().items())[:MOST_TILES]:
         deviation = "" if one["std"] is None else f"± {number(one['std'], 2)}"
-        made.append(Tile(name, number(one["value"], 7), f"{deviation} {one.get('unit', '')}".strip()))
+        made.append(Tile(name, number(one["value"], 7), f"{deviation} {pretty(one.get('unit', '1'))}".strip()))
     return made
 
 

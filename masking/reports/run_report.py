@@ -11,9 +11,11 @@ from typing import Final
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lazy_imports import run_figures
 from masking.model.declaration.quantities import number, percent
-from masking.reports import html, run_text
+from masking.reports import html, one_page, run_text
 from masking.reports.html import Tile
+from masking.reports.one_page import Sheet
 from masking.reports.run_study import Parameter, Study, parameters
+from masking.reports.text import capital
 
 PAGE: Final = "report.html"
 _SOURCE = "Rijlaarsdam (2008)"
@@ -53,7 +55,7 @@ def report(recording: Recording, folder: str | Path) -> Report:
         study=study,
         words=run_text,
         tiles=_tiles(study),
-        lead=_lead(study, [parameter for parameter in virtual if parameter.is_changed]),
+        lead=_lead(study, virtual),
         shown=shown,
         source=_SOURCE,
         parameters=virtual,
@@ -62,6 +64,39 @@ def report(recording: Recording, folder: str | Path) -> Report:
         declarations=json.dumps(declared, indent=2, ensure_ascii=False, default=str) if declared else "",
     )
     return Report(folder / PAGE, tuple(images), run_text.summary(study))
+
+
+def sheet(recording: Recording, what: str) -> Sheet:
+    """What one page says of a recording; `what` is its name where the manifest has none.
+
+    The errors are those of the run, and those of the run without all causes of the error budget, if there is one.
+    """
+    study, manifest = Study(recording), recording.manifest
+    changed = [text for kind, text in _lead(study, parameters(recording)) if kind == "changed"]
+    errors, budget = {"masking error": study.chi}, study.budget
+    helps = list[str]()
+    if budget is not None:
+        errors = {row.title: row.chi for row in (budget.whole, budget.without_all)}
+        better = [row for row in budget.by_worth[1:-1] if row.rms < budget.whole.rms]
+        helps = [f"{capital(row.title)}: {'; '.join(run_text.worth(row, budget.whole))}." for row in better]
+    sections = {
+        one_page.FOUND: [" ".join(run_text.headline(study)), *changed],
+        "What limits it": run_text.warnings(study),
+        one_page.NEXT: helps,
+        one_page.NOTES: list(recording.notes),
+    }
+    made = f"{run_text.record_words(study)}; {manifest.get('created') or 'its date is not recorded'}"
+    return Sheet(
+        title=str(manifest.get("name") or what),
+        subject=[made],
+        tiles=_tiles(study),
+        sections={heading: said for heading, said in sections.items() if said},
+        errors=one_page.finite(errors),
+        errors_title="Masking error",
+        errors_label="chi",
+        in_percent=False,
+        page=PAGE,
+    )
 
 
 def summary(recording: Recording) -> str:
@@ -84,14 +119,13 @@ def limits_used(recording: Recording) -> dict[str, float]:
     return {use.name: use.used for use in Study(recording).inputs if use.used is not None}
 
 
-def _lead(study: Study, changed: Sequence[Parameter]) -> list[tuple[str, str]]:
+def _lead(study: Study, virtual: Sequence[Parameter]) -> list[tuple[str, str]]:
     """Headline, with cards for the warnings: a limit exceeded comes right after the first sentence."""
     first, *more = run_text.headline(study)
     limits, rest = run_text.exceeded(study.inputs) or run_text.cut(study.inputs), " ".join(more)
     parts = [("lead", first), ("card wrong", limits), ("lead", rest)] if limits else [("lead", f"{first} {rest}")]
-    if changed:
-        words = ", ".join(f"{run_text.change(parameter)}{run_text.declared(parameter)}" for parameter in changed)
-        parts.append(("changed", f"Changed: {words}."))
+    changed = [f"{run_text.change(one)}{run_text.declared(one)}" for one in virtual if one.is_changed]
+    parts += [("changed", f"Changed: {', '.join(changed)}.")] if changed else []
     parts += [("card", text) for text in run_text.warnings(study) if text != limits]
     return [(kind, text.strip()) for kind, text in parts]
 

@@ -25,7 +25,7 @@ from masking.display.thinning import BINS, Series, envelope, thin
 __all__ = [
     "BAND", "BARE", "BELOW", "BINS", "BOTTOM", "COLOURS", "DASHED", "DPI", "GAP", "GRID", "INK", "LEFT", "LEGEND",
     "LIMIT", "MUTED", "NOTE", "RIGHT", "SIZE", "WIDTH", "CaptionedFigure", "Series", "absent", "dress", "envelope",
-    "grid", "sheet", "symbol", "thin", "with_unit",
+    "grid", "sheet", "symbol", "thin", "unparted", "with_unit",
 ]  # fmt: skip
 
 WIDTH = 9.0  # inches, all figures
@@ -53,6 +53,11 @@ class CaptionedFigure:
         stream = io.BytesIO()
         self.figure.savefig(stream, format="png", metadata={"Title": self.title})
         return stream.getvalue()
+
+
+def unparted(text: str) -> str:
+    """Text in which a number and its unit stay in one line, and so do odds."""
+    return re.sub(r"(?<=[\d±]) (?=[\w%°±:])|(?<= :) (?=\d)", "\N{NO-BREAK SPACE}", text)
 
 
 def absent(name: str, title: str, why: str) -> CaptionedFigure:
@@ -85,9 +90,7 @@ def grid(
     The axes of a row have widths and share out the rest of the figure's between them; `gaps` are between the rows,
     `top` above the first of them, `left` and `right` beside the axes.
     """
-    # A number and its unit stay together.
-    kept = re.sub(r"(?<=[\d±]) (?=[\w%°±])", "\N{NO-BREAK SPACE}", in_figure(heading))
-    lines = textwrap.wrap(kept, _LINE, max_lines=_LINES, placeholder=" …")
+    lines = textwrap.wrap(unparted(in_figure(heading)), _LINE, max_lines=_LINES, placeholder=" …")
     room = 0.2 + 0.2 * len(lines) + top if lines else top
     total = room + sum(heights) + sum(gaps) + BOTTOM
     figure, rows, y = Figure(figsize=(WIDTH, total), dpi=DPI, facecolor="white"), [], total - room

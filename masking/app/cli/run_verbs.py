@@ -54,7 +54,7 @@ def _run(call: Call) -> int:
 
 @verb("app.workflows.run:report")
 def _report(call: Call) -> int:
-    """Write the report of a recording."""
+    """Write the report of a recording, or one page of any result."""
     made = call.do()
     content = {"report": str(made.path), "figures": [str(figure) for figure in made.figures]}
     return call.answer(content, f"{made.summary}\nreport: {made.path}")

@@ -120,7 +120,7 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
             )
             stages.append(Stage(candidate.name, found, candidate.parameters))
         calibration = Calibration(twin, made, tuple(stages), folder)
-        fit_files.save(calibration.best.fit, folder)
+        fit_files.save(calibration.best.fit, folder, calibration_page.sheet(calibration))
         calibration_page.save(calibration)
         (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
         progress(1.0)

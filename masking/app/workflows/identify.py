@@ -19,7 +19,7 @@ from masking.inference.estimation import fit as fits
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.innovations import KalmanFit
 from masking.lab.records.input_hold import RecordForm
-from masking.reports import fit_figures, fit_files, identification_page
+from masking.reports import fit_figures, fit_files, identification_page, one_page
 
 Method = Literal["least-squares", "kalman"]
 METHODS = get_args(Method)
@@ -75,7 +75,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     """
     given = Identify(**settings)
     _check_method(given, len(records))
-    with own_folder(given.out, "fit.json", "model.yaml", "plant.yaml", overwrite=given.overwrite):
+    with own_folder(given.out, one_page.FIT, "model.yaml", "plant.yaml", overwrite=given.overwrite):
         twin = discovery_inputs.rig(given.model, given.plant)
         names = given.parameters or prior.uncertain(twin)
         train, held_out = (
@@ -100,7 +100,8 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         found = replace(found, notes=(*dict.fromkeys(notes), *found.notes))
         if given.out is not None:
             figures, sentence = fit_figures.figures(found, train, held_out)
-            fit_files.save(found, given.out)
+            sheet = identification_page.sheet(found, twin, train, held_out, sentence)
+            fit_files.save(found, given.out, sheet)
             identification_page.save_fit(found, figures, sentence, given.out)
         return found
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from masking.app.workflows.output_folders import RUN, beside, own_folder
-from masking.errors import ModelError
+from masking.errors import ModelError, RecordError
 from masking.lab.records import stream
 from masking.lab.records.recording import TABLE, Recording
 from masking.lab.runs import error_budget, long_run
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import Progress
 from masking.reports import animation, html, run_report
+from masking.reports import one_page as sheets
 
 
 def run(
@@ -66,7 +67,7 @@ def record(
 
 
 def save(recording: Recording, folder: Path) -> run_report.Report:
-    """Save a recording with its report; an animation of an earlier run in the folder, and a stream, are removed.
+    """Save a recording with its report; an animation and one page of an earlier run in the folder, and a stream, go.
 
     Raises a `RecordError` where the folder, made if need be, cannot be written.
     """
@@ -75,21 +76,47 @@ def save(recording: Recording, folder: Path) -> run_report.Report:
     with html.writing(folder):
         stream.remove(folder)
         (folder / animation.PAGE).unlink(missing_ok=True)
+    sheets.remove(folder)
     return run_report.report(recording, folder)
 
 
-def report(record: str | Path, out: str | Path | None = None, *, overwrite: bool = False) -> run_report.Report:
-    """Write the report of a recording: one HTML page and its figures.
+def report(
+    result: str | Path, out: str | Path | None = None, *, overwrite: bool = False, one_page: bool = False
+) -> run_report.Report:
+    """Write the report of a recording, one HTML page and its figures; or one page of any result, to print.
 
     Args:
-        record: the folder of a recording, or its parquet file.
-        out: folder of the report; by default the recording's own.
+        result: the folder of a recording, or its parquet file; with `one_page` that of a discovery, an identification
+            or a calibration, too, or its JSON.
+        out: folder of the report; by default the result's own.
         overwrite: whether an earlier report in another folder may be replaced.
+        one_page: whether to write `one_page.pdf`, a sheet of A4, and the same as `one_page.png`: what was found, where,
+            how sure it is, the error before and after, and what to do next.
 
     Raises:
-        RecordError: there is no recording, or the report cannot be written, or would replace another one.
+        RecordError: there is no such result, or the report cannot be written, or would replace another one.
     """
-    own = beside(record)
-    folder = own if out is None else Path(out)
-    with own_folder(folder, run_report.PAGE, overwrite=overwrite or folder.resolve() == own.resolve()):
-        return run_report.report(Recording.load(record), folder)
+    own = beside(result)
+    folder, page = own if out is None else Path(out), sheets.PAGE if one_page else run_report.PAGE
+    with own_folder(folder, page, overwrite=overwrite or folder.resolve() == own.resolve()):
+        if not one_page:
+            return run_report.report(Recording.load(result), folder)
+        sheet = _sheet(Path(result))
+        written, picture = sheets.save(sheet, folder)
+        return run_report.Report(written, (picture,), sheet.title)
+
+
+def _sheet(result: Path) -> sheets.Sheet:
+    """What one page says of a result, which is the only one in its folder or a file."""
+    kinds = (TABLE, *sheets.RESULTS)
+    held = [name for name in kinds if (result / name).is_file()] if result.is_dir() else [result.name]
+    if len(held) > 1:
+        raise RecordError(
+            f"{result} holds several results; name one of them: {', '.join(str(result / n) for n in held)}"
+        )
+    if not held or not result.exists():
+        raise RecordError(f"{result} is no result; name a folder that holds {', '.join(kinds[:-1])} or {kinds[-1]}")
+    file = result / held[0] if result.is_dir() else result
+    if file.suffix == ".json":
+        return sheets.read(file)
+    return run_report.sheet(Recording.load(file), file.resolve().parent.name)

@@ -206,6 +206,7 @@ def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder, 
     monkeypatch.setattr(discovery_figures, "figures", lambda one: drawn[id(one)])
     discovery_page.save(found, out, Origin({}))
     (out / "models" / "mine.yaml").write_text("name: mine")
+    masking.report(out, one_page=True)
     discovery_page.save(other, out, Origin({}))
     left = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert left == {*json.loads((out / "discovery.json").read_text())["files"], "models/mine.yaml"}
@@ -215,6 +216,20 @@ def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder, 
         discovery_page.save(other, out, Origin({}))
     assert (out / "models" / "mine.yaml").exists()
     assert (folder / "friction" / "train" / "manifest.json").exists()
+
+
+@pytest.mark.parametrize("name", ["friction", "none"])
+def test_one_page_says_what_the_terminal_says(discovered, folder, name):
+    found, told = discovered(name)
+    made = masking.report(folder / "found" / name, folder / "sheets" / name, one_page=True)
+    summary = discovery_page.summary(found, None)
+    assert made.summary == told["sheet"]["title"]
+    assert made.path.read_bytes().startswith(b"%PDF-")
+    for paragraph in (text for every in told["sheet"]["sections"].values() for text in every):
+        assert paragraph.removesuffix(".").lower() in summary.lower()
+    assert told["sheet"]["errors"]["as declared"] == told["simulation_error"]["validation"]["before"]
+    assert told["sheet"]["errors"]["noise floor"] == told["simulation_error"]["validation_noise_floor"]
+    assert ("How sure" in told["sheet"]["sections"]) is (name == "friction")
 
 
 def test_an_interrupt_leaves_nothing(folder):

@@ -372,6 +372,12 @@ def test_least_squares_draw_the_fit_too(tmp_path, mass):
     found = masking.identify(mass / "r0", plant=mass / "plant.yaml", parameters=["w", "z"], out=tmp_path)
     assert found.values == pytest.approx([9.0, 0.1], rel=2e-3)
     assert {path.name for path in tmp_path.iterdir()} == {"fit.html", "fit.json", "fit.png", "model.yaml", "plant.yaml"}
+    sheet = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))["sheet"]
+    assert [value for _, value, *_ in map(dict.values, sheet["tiles"])] == [f"{x:.7g}" for x in found.values]
+    assert sheet["errors"]["fitted"] == found.chi
+    assert sheet["errors"]["as declared"]["s"] > sheet["errors"]["fitted"]["s"]
+    assert sheet["sections"]["What was found"][0] in (tmp_path / "fit.html").read_text(encoding="utf-8")
+    assert masking.report(tmp_path, one_page=True).path.read_bytes().startswith(b"%PDF-")
 
 
 @pytest.mark.parametrize(
