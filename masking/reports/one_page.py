@@ -5,7 +5,6 @@ A result says this in its own words, and its JSON keeps it under `sheet`: the pa
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -13,7 +12,6 @@ from pathlib import Path
 
 from masking.errors import RecordError
 from masking.lab.records import foreign_json
-from masking.lazy_imports import one_page_drawing
 from masking.reports import html
 from masking.reports.html import Tile
 
@@ -59,21 +57,6 @@ def read(path: Path) -> Sheet:
         ) from error
     tiles = [Tile(**{name: tile[name] for name in Tile._fields if name in tile}) for tile in content["tiles"]]
     return Sheet(**{one.name: content[one.name] for one in fields(Sheet) if one.name in content} | {"tiles": tiles})
-
-
-def save(sheet: Sheet, folder: Path) -> tuple[Path, Path]:
-    """Write a page as `one_page.pdf` and `one_page.png` into a folder, both or none; return their paths.
-
-    Raises a `RecordError` where the folder cannot be written.
-    """
-    figure, contents = one_page_drawing.drawn(sheet), dict[str, bytes | str]()
-    for name in (PAGE, PICTURE):
-        stream = io.BytesIO()
-        one_page_drawing.write(figure, stream, Path(name).suffix.removeprefix("."), sheet.title)
-        contents[name] = stream.getvalue()
-    with html.staged(folder) as made:
-        html.write({made / name: content for name, content in contents.items()})
-    return folder / PAGE, folder / PICTURE
 
 
 def remove(folder: Path) -> None:

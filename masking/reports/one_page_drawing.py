@@ -1,4 +1,4 @@
-"""Drawing of one page: A4 portrait, with letters as large as its text allows, and the rest of a long text left out.
+"""Drawing of one page: A4 upright, with letters as large as its text allows, and the rest of a long text left out.
 
 Every line is measured before it is drawn, so that no text leaves the page or its column.
 """
@@ -6,11 +6,12 @@ Every line is measured before it is drawn, so that no text leaves the page or it
 from __future__ import annotations
 
 import bisect
+import io
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from typing import IO
+from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
@@ -21,9 +22,9 @@ from matplotlib.textpath import text_to_path
 
 from masking.display.palette import INK, LIGHT, LIMIT, MUTED
 from masking.display.symbols import in_figure
-from masking.reports import error_panel, style
+from masking.reports import error_panel, html, style
 from masking.reports.html import Tile
-from masking.reports.one_page import Sheet
+from masking.reports.one_page import PAGE, PICTURE, Sheet
 from masking.reports.panels import bars
 from masking.reports.text import capital, short
 
@@ -58,14 +59,24 @@ def drawn(sheet: Sheet) -> Figure:
     return page.figure
 
 
-def write(figure: Figure, file: IO[bytes], form: str, title: str) -> None:
-    """Write a figure as 'pdf', its letters as text with their outlines, or as 'png': the same bytes each time.
+def save(sheet: Sheet, folder: Path) -> tuple[Path, Path]:
+    """Write a page as `one_page.pdf` and `one_page.png` into a folder, both or none; return their paths.
 
-    Letters of a picture are as wide as measured, which those that are fitted to its points are not.
+    The same sheet makes the same bytes. The PDF has its letters as text, with their outlines. Raises a `RecordError`
+    where the folder cannot be written.
     """
-    about = {"Title": title} | ({"CreationDate": None} if form == "pdf" else {})
+    figure, contents = drawn(sheet), dict[str, bytes | str]()
+    # Letters that are fitted to the points of a picture are wider than measured.
     with mpl.rc_context({"pdf.fonttype": 42, "text.hinting": "none"}):
-        figure.savefig(file, format=form, dpi=style.DPI, metadata=about)
+        for name, about in ((PAGE, {"CreationDate": None}), (PICTURE, {})):
+            stream = io.BytesIO()
+            figure.savefig(
+                stream, format=name.rpartition(".")[2], dpi=style.DPI, metadata={"Title": sheet.title, **about}
+            )
+            contents[name] = stream.getvalue()
+    with html.staged(folder) as made:
+        html.write({made / name: content for name, content in contents.items()})
+    return folder / PAGE, folder / PICTURE
 
 
 @cache

@@ -12,6 +12,7 @@ from masking.lab.records.recording import TABLE, Recording
 from masking.lab.runs import error_budget, long_run
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import Progress
+from masking.lazy_imports import one_page_drawing
 from masking.reports import animation, html, run_report
 from masking.reports import one_page as sheets
 
@@ -102,7 +103,7 @@ def report(
         if not one_page:
             return run_report.report(Recording.load(result), folder)
         sheet = _sheet(Path(result))
-        written, picture = sheets.save(sheet, folder)
+        written, picture = one_page_drawing.save(sheet, folder)
         return run_report.Report(written, (picture,), sheet.title)
 
 
