@@ -72,7 +72,7 @@ def sheet(found: Calibration) -> Sheet:
     """What one page says of a calibration: the errors of the simplest model, and of the one that is written."""
     best = found.best
     models = {_spoken(stage): stage.fit.validation for stage in (found.stages[0], best)}
-    sections = {one_page.FOUND: [sentence(found)], one_page.NEXT: _cautions(found)}
+    sections = {one_page.FOUND: [sentence(found)], one_page.LIMITS: _cautions(found)}
     return Sheet(
         title=f"Calibration: {found.twin.declaration.name}",
         subject=[", ".join(found.twin.declaration.files)],

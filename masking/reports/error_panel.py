@@ -20,13 +20,12 @@ Errors = Mapping[str, Mapping[str, float]]  # of each channel, by model
 
 NOISE: Final = "noise floor"
 _ROOM = 1.6  # of a logarithmic axis beside its first and last point
-# How the errors of a model are marked; those of any other, the last in its channel, have the mark behind.
+# How the errors of models are marked: of these, of the first of several others, and of any other.
 _MARKS: Final[dict[str, dict[str, Any]]] = {
-    "as declared": {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED},
-    "as it is": {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED},
     "adjusted parameters": {"colour": COLOURS[1], "marker": "o", "size": 7, "order": 3},
     NOISE: {"colour": INK, "marker": "|", "size": 15, "order": 5},
 }
+_FIRST: Final[dict[str, Any]] = {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED}
 _LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
 
 
@@ -67,7 +66,7 @@ def panel(errors: Errors, look: Look, ends: tuple[float, float]) -> Panel:
         joined += [Line([max(before), last], [i, i], GRID, 4.0, order=1)] if before else []
     dots = [
         Line([by * part[name] for name in channels], range(len(channels)), width=0.0, key=model,
-             **_MARKS.get(model, _LAST))
+             **_MARKS.get(model, _FIRST if model != models[-1] and model == models[0] else _LAST))
         for model, part in errors.items()
     ]  # fmt: skip
     first, last = ends

@@ -17,7 +17,9 @@ from masking.reports.html import Tile
 
 DISCOVERY, FIT = RESULTS = "discovery.json", "fit.json"  # files with a sheet
 PAGE, PICTURE = "one_page.pdf", "one_page.png"
-FOUND, WHERE, SURE, NEXT, NOTES = "What was found", "Where", "How sure", "What to do next", "Notes"  # headings
+# Headings.
+FOUND, WHERE, SURE, LIMITS = "What was found", "Where", "How sure", "What limits it"
+NEXT, NOTES = "What to do next", "Notes"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -185,11 +185,12 @@ class _Page:
         across = _TEXT - beside - _VALUES
         label = _fitting(sheet.errors_label, across, style.SIZE)
         drawing = error_panel.panel(whole, error_panel.Look(label, "", sheet.in_percent, has_values=True), ends)
-        handles, room = list[Artist](), _TEXT / len(whole) - _KEY
+        handles, room = list[Artist](), _TEXT - _KEY * len(whole)
+        each = math.inf if sum(_length(model, _SMALL) for model in whole) <= room else room / len(whole)
         for part in drawing.parts if len(whole) > 1 else ():
             if part.key:
                 handles.append(part.handle())
-                handles[-1].set_label(in_figure(_fitting(part.key, room, _SMALL)))
+                handles[-1].set_label(in_figure(_fitting(part.key, each, _SMALL)))
         self.figure.legend(
             handles=handles, loc="upper left", ncols=max(1, len(handles)), frameon=False, borderaxespad=0, borderpad=0,
             bbox_to_anchor=(_MARGIN / _WIDTH, (self.y - 0.04) / _HEIGHT), fontsize=_SMALL, labelcolor=INK,

@@ -81,7 +81,7 @@ def sheet(recording: Recording, what: str) -> Sheet:
         helps = [f"{capital(row.title)}: {'; '.join(run_text.worth(row, budget.whole))}." for row in better]
     sections = {
         one_page.FOUND: [" ".join(run_text.headline(study)), *changed],
-        "What limits it": run_text.warnings(study),
+        one_page.LIMITS: run_text.warnings(study),
         one_page.NEXT: helps,
         one_page.NOTES: list(recording.notes),
     }

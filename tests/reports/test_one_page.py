@@ -145,10 +145,10 @@ def test_a_run_is_said_in_the_words_of_its_page(run):
     sheet = masking.app.workflows.run._sheet(run)
     first = sheet.sections[one_page.FOUND][0]
     assert first == " ".join(run_text.headline(study))
-    assert sheet.sections["What limits it"] == run_text.warnings(study)
-    assert "0.21 V, 2.1 times its limit of 0.1 V" in sheet.sections["What limits it"][0]
+    assert sheet.sections[one_page.LIMITS] == run_text.warnings(study)
+    assert "0.21 V, 2.1 times its limit of 0.1 V" in sheet.sections[one_page.LIMITS][0]
     said = page.replace("χ", "chi").replace("≤", "<=").replace("π", "pi")
-    for sentence in (*run_text.headline(study), *sheet.sections["What limits it"]):
+    for sentence in (*run_text.headline(study), *sheet.sections[one_page.LIMITS]):
         assert sentence in said
     assert sheet.errors == {"masking error": study.chi}
 

@@ -25,7 +25,7 @@ from masking.lab.runs.loop_rows import RowLayout, samples_after
 from masking.lab.runs.realtime import LOOP
 from masking.lab.runs.stopping import KILLED
 from masking.model.declaration import registry
-from masking.reports import run_report
+from masking.reports import one_page, run_report
 
 TICKS: Final = "ticks"
 _SLOWEST, _FASTEST = 1e-9, 1e9  # Hz
@@ -141,6 +141,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         if recording is not None:
             recording.save(target, overwrite=True)
             run_report.report(recording, target)
+            one_page.remove(target)
         if not found.damages:
             stream.remove(folder)
             reader = _ring(found)

@@ -29,7 +29,7 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs.error_budget import in_full
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
-from masking.reports import discovery_files, discovery_page, html, run_report
+from masking.reports import discovery_files, discovery_page, html, one_page, run_report
 from masking.reports.discovery_files import Files
 from masking.reports.text import aligned, capital, listed
 
@@ -262,6 +262,7 @@ def _write(result: Refinement, made: Path, folder: Path) -> None:
         if run.recording is not None:
             run.recording.save(made / name)
             run_report.report(run.recording, made / name)
+            one_page.remove(folder / name)
     content = yaml.safe_dump(_experiment(result, folder), sort_keys=False, width=118, allow_unicode=True)
     (made / EXPERIMENT).write_text(content, encoding="utf-8")
     (made / NUMBERS).write_text(json_text(result.as_dict()), encoding="utf-8")
