@@ -80,7 +80,6 @@ def sheet(found: Calibration) -> Sheet:
         sections={heading: said for heading, said in sections.items() if said},
         errors=one_page.finite({**models, NOISE: found.unseen_floor}),
         errors_title="Simulation error, unseen record",
-        errors_label="error relative to the reading",
         page=PAGE,
     )
 

@@ -17,7 +17,7 @@ from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.simulation import Simulated
 from masking.model.declaration.quantities import percent, quantity
 from masking.model.declaration.units import pretty
-from masking.reports import discovery_text, error_panel, fit_figures, force_map, place_text, style
+from masking.reports import discovery_text, error_panel, fit_figures, force_map, one_page, place_text, style
 from masking.reports import figure_parts as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
 from masking.reports.panels import Level, Line, Panel, Span, bars, drawn, either_side, plain_numbers, spectrum
@@ -30,7 +30,7 @@ LETTER = 0.082  # inches of a letter of a label, with some room
 NEAR = 0.9  # of the best candidate's gain: those that are named together
 WIDE = 200.0  # highest over lowest frequency from which powers of ten are enough of a scale
 MODELS = ("as declared", "adjusted parameters", "with the finding", error_panel.NOISE)
-VALIDATION, ERROR_LABEL = "validation record", "error relative to the reading"
+VALIDATION = "validation record"
 Tried = tuple[str, str, float, float]  # effect, place, part of the residual, part of what would count
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
 
@@ -80,7 +80,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     words = CaptionedFigure("gap", "Simulation error", caption)
     sides = {record: by_model(found, record) for record in errors(found)}
     ends = error_panel.reach(*sides.values()) or (1e-3, 1.0)
-    row = [error_panel.panel(side, error_panel.Look(ERROR_LABEL, title), ends) for title, side in sides.items()]
+    row = [error_panel.panel(side, error_panel.Look(one_page.RELATIVE, title), ends) for title, side in sides.items()]
     return drawn(words, [row], 0.34 * len(found.twin.sensors) + 0.35, heading=capital(said))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from masking.control.rig.twin import Twin
-from masking.display.json_text import json_text
+from masking.display.json_text import json_text, plain
 from masking.inference.discovery import compiled_laws, latent_force
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Estimate, Named
@@ -90,7 +90,7 @@ def save(
         contents[files.model] = model_files.text(model(found, files.model.parent, origin))
         contents[files.plant] = model_files.text(plant(found, files.model.relative_to(out), origin, out))
     written = sorted(str(path.relative_to(out)) for path in (*contents, files.numbers))
-    contents[files.numbers] = json_text(as_dict(found, lies or out, origin) | {"sheet": sheet, "files": written})
+    contents[files.numbers] = json_text(as_dict(found, lies or out, origin, sheet) | {"files": written})
     earlier = _of_earlier(out)
     with html.staged(out) as made:
         html.write({made / path.relative_to(out): content for path, content in contents.items()})
@@ -125,8 +125,8 @@ def paths(found: Discovery, out: Path) -> Files:
     return Files(out / NUMBERS, out / PAGE, out / "models" / f"{Path(stem).name}+{causes}.yaml", out / PLANT)
 
 
-def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
-    """Discovery, and where in the folder `out` its files lie, as JSON can hold it."""
+def as_dict(found: Discovery, out: Path, origin: Origin, sheet: Sheet | None) -> dict[str, Any]:
+    """Discovery, where in the folder `out` its files lie, and what one page of it says, as JSON can hold it."""
     files, facts = paths(found, out), found.as_dict()
     facts.setdefault("next_experiment", None)
     facts["model"] = None if files.model is None else str(files.model)
@@ -135,6 +135,7 @@ def as_dict(found: Discovery, out: Path, origin: Origin) -> dict[str, Any]:
     facts["adjusted"] = list(discovery_text.adjusted_parameters(found))
     facts["records"] = {what: {"file": path, "sha256": digest} for what, (path, digest) in origin.records.items()}
     facts["page"] = str(files.page)
+    facts["sheet"] = plain(sheet)
     facts["localisation"] = found.localisation.as_dict()
     return facts
 

@@ -139,7 +139,6 @@ def sheet(found: Discovery, origin: Origin, folder: Path) -> Sheet:
         sections={heading: said for heading, said in sections.items() if said},
         errors=one_page.finite(discovery_figures.by_model(found, VALIDATION)),
         errors_title=f"Simulation error, {VALIDATION}",
-        errors_label=discovery_figures.ERROR_LABEL,
         page=files.page.name,
     )
 

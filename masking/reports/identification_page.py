@@ -129,7 +129,6 @@ def sheet(
         sections={heading: said for heading, said in sections.items() if said},
         errors=one_page.finite(errors),
         errors_title=f"Simulation error, {which} {plural(len(records), 'record', 'records')}",
-        errors_label="error relative to the reading",
         page=FIT_PAGE,
     )
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Final
 
 from masking.errors import RecordError
 from masking.lab.records import foreign_json
@@ -17,6 +18,7 @@ from masking.reports.html import Tile
 
 DISCOVERY, FIT = RESULTS = "discovery.json", "fit.json"  # files with a sheet
 PAGE, PICTURE = "one_page.pdf", "one_page.png"
+RELATIVE: Final = "error relative to the reading"
 # Headings.
 FOUND, WHERE, SURE, LIMITS = "What was found", "Where", "How sure", "What limits it"
 NEXT, NOTES = "What to do next", "Notes"
@@ -34,7 +36,7 @@ class Sheet:
         default_factory=dict
     )  # relative, by model and channel; none where not finite
     errors_title: str = ""  # with the record that they are of
-    errors_label: str = ""
+    errors_label: str = RELATIVE
     in_percent: bool = True  # whether errors are shown so
     page: str  # file that says more
 

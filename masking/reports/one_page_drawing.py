@@ -34,15 +34,8 @@ _MARGIN, _FOOT = 0.7, 0.3  # inches
 _TEXT = _WIDTH - 2.0 * _MARGIN
 _PITCH = 1.36  # of lines, in sizes of their letters
 _FIRST, _LAST, _STEP = 10.5, 7.0, 0.5  # points: sizes of letters that are tried
-_CUTS = (
-    (60, 6000),
-    (14, 700),
-    (10, 450),
-    (6, 300),
-    (4, 200),
-    (2, 120),
-    (1, 50),
-)  # paragraphs of a section, and letters of each
+# Paragraphs of a section, and letters of each.
+_CUTS = (60, 6000), (14, 700), (10, 450), (6, 300), (4, 200), (2, 120), (1, 50)
 _NAME, _VALUES = 1.9, 1.5  # inches beside the errors at most: for names, and for values
 _FEWEST_TILES, _MOST_TILES, _MOST_CHANNELS, _MOST_MODELS, _MOST_SECTIONS = 3, 5, 8, 5, 8
 _ROW, _AXIS, _KEYS, _KEY = 0.27, 0.45, 0.3, 0.5  # inches: of a channel, below the errors, above them, of a mark above
@@ -68,11 +61,10 @@ def save(sheet: Sheet, folder: Path) -> tuple[Path, Path]:
     figure, contents = drawn(sheet), dict[str, bytes | str]()
     # Letters that are fitted to the points of a picture are wider than measured.
     with mpl.rc_context({"pdf.fonttype": 42, "text.hinting": "none"}):
-        for name, about in ((PAGE, {"CreationDate": None}), (PICTURE, {})):
+        for name, more in ((PAGE, {"CreationDate": None}), (PICTURE, {})):
             stream = io.BytesIO()
-            figure.savefig(
-                stream, format=name.rpartition(".")[2], dpi=style.DPI, metadata={"Title": sheet.title, **about}
-            )
+            form, about = name.rpartition(".")[2], {"Title": sheet.title, **more}
+            figure.savefig(stream, format=form, dpi=style.DPI, metadata=about)
             contents[name] = stream.getvalue()
     with html.staged(folder) as made:
         html.write({made / name: content for name, content in contents.items()})

@@ -112,8 +112,10 @@ class Refinement:
 
     def as_dict(self) -> dict[str, Any]:
         """Refinement and where its files lie, as JSON can hold it."""
-        out = self.folder
-        content = self.discovery.as_dict() if out is None else discovery_files.as_dict(self.discovery, out, self.origin)
+        out, found, origin = self.folder, self.discovery, self.origin
+        content = found.as_dict()
+        if out is not None:
+            content = discovery_files.as_dict(found, out, origin, discovery_page.sheet(found, origin, out))
         return {
             "sentence": self.sentence,
             "before": self.before.as_dict(None if out is None else out / BEFORE),
