@@ -62,6 +62,7 @@ class Controller:
         actuator_bandwidth: with which the rig is brought to the wanted accelerations, rad/s, where its inputs act
             through dynamics of their own.
         branches: of the curves of inputs that act nonlinearly.
+        stroke: what the lengths of the rig that the transform sees are multiplied by.
     """
 
     model: Model
@@ -73,6 +74,7 @@ class Controller:
     energy_balance: tuple[float, float] | None = None
     actuator_bandwidth: float = 0.0
     branches: tuple[Branch, ...] = ()
+    stroke: float = 1.0
 
     @property
     def per_unit(self) -> Array:
@@ -151,7 +153,7 @@ class Controller:
     def lengths(self) -> Array:
         """Size in SI units of one unit of each rig coordinate as the transform sees it (n,)."""
         has_scales = self.virtual.is_dimensionless or self.virtual.units.is_plain
-        return self.model.lengths if has_scales else np.ones(len(self.model.coordinates))
+        return self.stroke * (self.model.lengths if has_scales else np.ones(len(self.model.coordinates)))
 
     @property
     def driven(self) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from masking.display.symbols import is_symbol
 from masking.lab.records.recording import Recording
-from masking.model.declaration.quantities import number
+from masking.model.declaration.quantities import number, percent
 from masking.reports import run_text
 from masking.reports.run_study import PhasePair, Study, parameters
 from masking.reports.text import aligned, listed
@@ -49,7 +49,8 @@ class Measure:
     @property
     def row(self) -> tuple[str, str, str, str]:
         """Name, both values and the change in percent as text."""
-        change = f"{100 * self.change:+.2g} %".replace("-", "\N{MINUS SIGN}") if abs(self.change) > _SAME else ""
+        sign = "+" if self.change > 0.0 else "\N{MINUS SIGN}"
+        change = f"{sign}{percent(abs(self.change))}" if abs(self.change) > _SAME else ""
         return self.name, _text(self.first), _text(self.second), change
 
 

@@ -94,6 +94,7 @@ def test_other_settings_and_other_systems_are_named():
     ("first", "second", "row"),
     [
         (2.0, 1.0, ("m", "2", "1", "\N{MINUS SIGN}50 %")),
+        (0.001, 2.5, ("m", "0.001", "2.5", "+249900 %")),
         (None, 1.0, ("m", "\N{EN DASH}", "1", "")),
         ("beating", "death", ("m", "beating", "death", "")),
         (0.0, 1.0, ("m", "0", "1", "")),

@@ -14,6 +14,7 @@ from masking.control.law import Controller
 from masking.lab.runs import batch_plan, experiment_card
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry, schema
+from masking.model.declaration.expression import Expression
 from masking.model.effects import EFFECTS, Effect, EffectParameter, own
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.model import Model, load_model
@@ -138,20 +139,26 @@ def _range(parameter: EffectParameter) -> str:
 
 
 def plant(declaration: schema.PlantDeclaration) -> Description:
-    """Describe a plant: its model, sensors and limits."""
+    """Describe a plant: its model, sensors, limits and effects."""
     d = declaration
     lines = _head(d)
     lines += [f"kind: {d.kind}", f"model: {d.model}", ""]
-    lines += _table(
-        "sensors", [(n, s.measures.text, f"{s.gain.value:g} {s.gain.unit}", s.meaning) for n, s in d.sensors.items()]
-    )
+    gains = {n: f"x {s.gain.value:g} {s.gain.unit}" * ("gain" in s.model_fields_set) for n, s in d.sensors.items()}
+    lines += _table("sensors", [(n, s.measures.text, gains[n], s.unit, s.meaning) for n, s in d.sensors.items()])
     limits = [(n, f"{x.max:g}", x.unit) for n, x in d.limits.inputs.items()]
     limits += [(f"rate of {n}", f"{x.rate:g}", f"{x.unit}/s") for n, x in d.limits.inputs.items() if x.rate is not None]
     limits += [(x.text, f"{y.max:g}", y.unit) for x, y in d.limits.coordinates.items()]
     limits += [(f"rate of {x.text}", f"{y.max:g}", y.unit) for x, y in d.limits.velocities.items()]
     if d.limits.power is not None:
         limits.append(("power", f"{d.limits.power.value:g}", d.limits.power.unit))
-    return Description("\n".join([*lines, *_table("limits", limits)]).rstrip(), d.canonical())
+    lines += _table("limits", limits)
+    lines += _table("effects", [_effect_use(name, one) for name, one in d.effects.items()])
+    return Description("\n".join(lines).rstrip(), d.canonical())
+
+
+def _effect_use(name: str, use: schema.EffectUse) -> tuple[str, ...]:
+    values = ", ".join(f"{p} = {x.text if isinstance(x, Expression) else f'{x:g}'}" for p, x in use.parameters.items())
+    return name, use.effect.replace("_", " "), ", ".join(use.at), values, "" if use.enabled else "off"
 
 
 def experiment(subject: Experiment) -> Description:

@@ -198,7 +198,7 @@ class Prediction:
     def __str__(self) -> str:
         worst = max(self.chi, key=lambda name: self.chi[name])
         words = f"predicted masking error chi = {self.chi[worst]:.2g} ({worst}) over {self.seconds:.3g} s"
-        borne = f"; it stays below {BORNE:g} up to a delay of {self.most} samples, and has {self.delay}"
+        borne = f"; it stays below {BORNE:g} up to a delay of {self.most} samples, and the plant has {self.delay}"
         return f"{words}{borne if self.most is not None else ''}. {self.sentence}"
 
 

@@ -51,6 +51,7 @@ FEWEST_ROWS, MOST_ROWS = 1_000, 400_000
 MOST_HALVINGS = 10  # of a motion that cannot be followed to its end
 TOLERANCE = 1e-4  # relative error of a peak, and by how much a limit may be passed
 BISECTED = 1e-4  # of a factor, to which it is found
+BEYOND = 1e3  # of a limit: a need that is greater is not stated in digits
 # Tried in turn: slower motion up to 64 times, faster up to 16 times, and less stroke or amplitude down to 1/256.
 SLOWER = tuple(2.0 ** (i / 4) for i in range(1, 25))
 FASTER = tuple(2.0 ** (-i / 4) for i in range(1, 17))
@@ -88,8 +89,20 @@ class Use:
         """Limited quantity, in words."""
         return {"power": "mean power of ", "rate": "rate of "}.get(self.kind, "") + self.name
 
+    @property
+    def used(self) -> str:
+        """Part of the limit in words."""
+        return percent(self.part, 3) if self.part <= BEYOND else f"over {100.0 * BEYOND:.0f} %"
+
+    @property
+    def row(self) -> tuple[str, str, str, str]:
+        """Limited quantity, need, limit and part, in words."""
+        least = f"over {_digits(BEYOND * self.limit)}"
+        needed = _digits(self.needed) if self.part <= BEYOND else least
+        return self.label, f"{needed} {self.unit}", f"{_digits(self.limit)} {self.unit}", self.used
+
     def __str__(self) -> str:
-        return f"{self.label} needs {percent(self.part, 3)} of {_digits(self.limit)} {self.unit}".rstrip()
+        return f"{self.label} needs {self.used} of {_digits(self.limit)} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -149,15 +162,17 @@ class Feasibility:
         needs = "; ".join(str(use) for use in sorted(self.uses, key=lambda use: -use.part) if not use.fits)
         ways = ", or ".join(str(remedy) for remedy in self.remedies if remedy.factor is not None)
         vain = [str(remedy) for remedy in self.remedies if remedy.factor is None]
+        growing = [", ".join(one.names) for one in self.zero_dynamics[-1:] if one.verdict == "unstable"]
+        if growing and vain:  # what grows passes any limit, whatever it began with
+            vain = [
+                f"while the virtual coordinates follow, what is passive ({growing[0]}) grows: in these coordinates the "
+                "rig is non-minimum phase. Mask others, whose zero dynamics are stable"
+            ]
         parts = [f"does not fit: {needs}", f"To fit: {ways}" if ways else "", *(f"{v[0].upper()}{v[1:]}" for v in vain)]
         return ". ".join(part for part in parts if part)
 
     def __str__(self) -> str:
-        rows = [("", "needed", "limit", "used")]
-        rows += [
-            (u.label, f"{_digits(u.needed)} {u.unit}", f"{_digits(u.limit)} {u.unit}", percent(u.part, 3))
-            for u in self.uses
-        ]
+        rows = [("", "needed", "limit", "used"), *(use.row for use in self.uses)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             f"  {name:{widths[0]}}  " + "  ".join(f"{x:>{w}}" for x, w in zip(rest, widths[1:], strict=True))
@@ -326,22 +341,13 @@ class Motion:
         values; `part` of the duration is followed. A SingularityError or IntegrationError where it cannot be.
         """
         time, stroke, amplitude = (factor if what == one else 1.0 for one in LADDERS)
-        experiment, loop = self.experiment, self.loop
-        controller, n = loop.controller, len(loop.plant.coordinates)
-        passive = experiment.assumed_passive
+        experiment = self.experiment
+        controller = experiment.law
+        changed = replace(controller, time_scale=controller.time_scale * time, stroke=stroke)
+        loop, passive = ClosedLoop(changed, changed.model), experiment.assumed_passive
         start = amplitude * experiment.virtual_start
-        state = rig_state(loop, start, passive=passive.initial() if passive else None) * stroke
-        state[n:] /= time
-        for i in controller.transform.passive:
-            if controller.transform.jacobian[:, i].is_zero_matrix:  # what is beside the transform stays as it is
-                state[i], state[n + i] = state[i] / stroke, state[n + i] / stroke * time
-        state = loop_state(loop, start, state)
-        changed = replace(controller, time_scale=controller.time_scale * time)
-        p = replace(loop, controller=changed).values()
-        # The transform sees rig coordinates by these lengths, which follow three other parts of the parameter array.
-        before = (controller.model.values(), controller.virtual.values(), controller.transform.parameters)
-        first = sum(len(part) for part in before)
-        p[first : first + n] *= stroke
+        beside = passive.scaled(amplitude, stroke).initial() if passive else None
+        state, p = loop_state(loop, start, rig_state(loop, start, passive=beside)), loop.values()
         times = np.linspace(0.0, part * experiment.declaration.duration * changed.time_scale, rows)
         schedule = experiment.inputs.of_rig(changed.time_scale)
         u, tolerance = np.zeros(len(loop.plant.inputs)), experiment.declaration.tolerance

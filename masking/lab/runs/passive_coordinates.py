@@ -33,6 +33,11 @@ class Passive:
         is_same = self.plant.state_names == law.model.state_names  # else it is not known what the plant has beside
         return replace(self, held=replace(self.held, degrees=law.degrees, places=law.remainder if is_same else ()))
 
+    def scaled(self, amplitude: float, stroke: float) -> Passive:
+        """Those of a run with all initial values, and the lengths that the transform sees, times a factor each."""
+        held = replace(self.held, eta=amplitude * self.held.eta, lengths=stroke * self.held.lengths)
+        return replace(self, held=held, given={name: amplitude * value for name, value in self.given.items()})
+
     def if_any(self) -> Passive | None:
         """Itself; None where the virtual coordinates determine the whole state."""
         return self if self.held.places else None

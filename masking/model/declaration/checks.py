@@ -155,7 +155,9 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
         for symbol in rates:
             name = symbol.rstrip("'")
             message = f"'{symbol}' is a rate of the internal state '{name}', which stands only in its own equation"
-            yield expression.problem(expression.first(symbol), message, f"write {name}': ... under equations, alone")
+            remedy = f"write {name}': ... under equations, alone"
+            remedy += ", and divide the right side by its factor" * any(expression is left for left in model.equations)
+            yield expression.problem(expression.first(symbol), message, remedy)
         stretched = [*static, *coordinates, *model.states, *model.inputs]
         if path.endswith(".rate") and section == "elements":
             stretched += velocities(coordinates)
@@ -215,7 +217,8 @@ def check_symbols(
 
 def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     """Check that the parts of a model fit together: as many equations as coordinates, or one Lagrangian."""
-    count, wanted = len(model.motion), len(model.coordinates)
+    motion = _motion(model)
+    count, wanted = len(motion), len(model.coordinates)
     if model.terms:
         remedy = "add to the equations themselves, or extend another model"
         yield problem_at(model, "terms", "terms are only for a model that extends another", remedy, at_key=True)
@@ -239,7 +242,17 @@ def _structure(model: ModelDeclaration) -> Iterator[Problem]:
     if not count:
         yield problem_at(model, "coordinates", "coordinates need equations or a lagrangian", at_key=True)
         return
-    yield from _counted(model)
+    yield from _counted(model, motion)
+
+
+def _states_in(model: ModelDeclaration, left: Expression) -> set[str]:
+    """Internal states whose rates a left-hand side holds."""
+    return {name for name in model.states if f"{name}'" in left.symbols}
+
+
+def _motion(model: ModelDeclaration) -> dict[Expression, Expression]:
+    """Equations of motion, but for those that hold rates of internal states, where that is said."""
+    return {left: right for left, right in model.motion.items() if not _states_in(model, left)}
 
 
 def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
@@ -251,6 +264,7 @@ def _counted_states(model: ModelDeclaration) -> Iterator[Problem]:
             message = f"the internal state '{name}' has two equations"
             yield problem_at(model, f"equations.{left.text}", message, "remove one of them", at_key=True)
         found |= {name} if name else set()
+    found = found.union(*(_states_in(model, left) for left in model.equations))
     for name in model.states:
         if name not in found:
             message = f"the internal state '{name}' has no equation"
@@ -303,10 +317,10 @@ def no_equation(model: ModelDeclaration, coordinate: str, path: str) -> Problem:
     return problem_at(model, path, message, remedy, at_key=True)
 
 
-def _counted(model: ModelDeclaration) -> Iterator[Problem]:
+def _counted(model: ModelDeclaration, motion: Mapping[Expression, Expression]) -> Iterator[Problem]:
     """Check that the equations determine every acceleration."""
-    count, wanted = len(model.motion), len(model.coordinates)
-    present = [_accelerations_in(model, sides) for sides in model.motion.items()]
+    count, wanted = len(motion), len(model.coordinates)
+    present = [_accelerations_in(model, sides) for sides in motion.items()]
     missing = [name for name in model.coordinates if not any(name in found for found in present)]
     if count == wanted:
         yield from _determined(model, present)

@@ -114,10 +114,12 @@ def test_show_has_inputs_that_are_series_by_their_names(capsys):
 
 
 def test_show_of_a_plant(capsys):
-    status, out, _ = run(capsys, "show", "ideal")
+    status, out, _ = run(capsys, "show", "linear_rig", "--kind", "plant")
     assert status == 0
-    assert "200 V/m" in out
+    assert "s3  x3       x 200 V/m  V  position sensor" in out
     assert "power" in out
+    assert [line.split() for line in out.splitlines() if "delay " in line] == [["delay", "delay", "samples", "=", "1"]]
+    assert "e = 0.05" in out
 
 
 @pytest.mark.parametrize(

@@ -234,4 +234,4 @@ def test_the_predicted_delay_is_the_largest_that_a_run_bears():
 
     assert found.chi == pytest.approx(chi(2), rel=1e-9)
     assert max(chi(found.most).values()) <= 0.1 < max(chi(found.most + 1).values())
-    assert f"it stays below 0.1 up to a delay of {found.most} samples, and has 2" in str(found)
+    assert f"it stays below 0.1 up to a delay of {found.most} samples, and the plant has 2" in str(found)

@@ -9,7 +9,7 @@ import pytest
 from masking.app import cli
 from masking.errors import DeclarationError, ModelError
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.feasibility import FASTER, SLOWER, evaluate, feasibility, mean_power
+from masking.lab.runs.feasibility import FASTER, SLOWER, Motion, evaluate, feasibility, mean_power
 from masking.model.declaration.expression import Expression
 
 M, K, GAIN, LENGTH = 2.0, 50.0, 4.0, 0.25  # kg, N/m, N/V, m
@@ -50,6 +50,51 @@ initial: {y: %(initial)r}
 time_scale: %(scale)r
 duration: %(duration)r
 """
+
+LINK = """\
+name: link with one bending mode, clamped at its hub
+coordinates: {hub: {unit: deg}, d: {unit: mm}}
+inputs: {T: {unit: N*m}}
+parameters:
+  J: {value: 2e-3, unit: kg*m**2}
+  m: {value: 65, unit: g}
+  L: {value: 420, unit: mm}
+  k: {value: 20, unit: N/m}
+  c: {value: 0.02, unit: N*s/m}
+equations:
+  (J + m*L**2/3)*hub'' + 0.2845*m*L*d'': T
+  0.25*m*d'' + 0.2845*m*L*hub'': -k*d - c*d'
+"""
+LINK_PLANT = """\
+name: link
+model: link.yaml
+limits:
+  inputs: {T: {max: 0.5, unit: N*m}}
+  coordinates: {hub: {max: 90, unit: deg}, d: {max: 50, unit: mm}}
+"""
+SWING = """\
+name: swing
+coordinates: {y: {unit: deg, initial: 40}}
+parameters: {w: {value: 4, unit: rad/s}}
+equations: {y'': -w**2*y}
+"""
+
+
+@pytest.fixture
+def link(tmp_path):
+    """Return a function that writes an experiment in which a flexible link swings, and gives its path."""
+
+    def make(output, duration=1.0):
+        experiment = (
+            f"name: swing\nplant: plant.yaml\nvirtual: virtual.yaml\nduration: {duration}\ncontroller: "
+            f"{{rate: continuous}}\ntransform: {{expressions: {{y: {output}}}}}\n"
+        )
+        texts = {"link": LINK, "plant": LINK_PLANT, "virtual": SWING, "experiment": experiment}
+        for name, text in texts.items():
+            (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
+        return tmp_path / "experiment.yaml"
+
+    return make
 
 
 @pytest.fixture
@@ -104,6 +149,30 @@ def test_inertia_alone_asks_for_the_inverse_square_of_the_time_scale(write):
     needed = [find(write(k=0.0, scale=scale))["u"].needed for scale in (1.0, 2.0, 3.0)]
     assert needed[0] / needed[1] == pytest.approx(4.0, rel=1e-3)
     assert needed[0] / needed[2] == pytest.approx(9.0, rel=1e-3)
+
+
+def test_a_tip_that_is_non_minimum_phase_is_refused_as_such(link):
+    """With T eliminated, d moves by (1/4 - 0.2845) m d'' + c d' + k d = 0 while hub + d/L rests."""
+    mass, stiffness, damping = 0.065, 20.0, 0.02
+    growth = max(np.roots([(0.25 - 0.2845) * mass, damping, stiffness]).real)
+    found = find(link("hub + d/0.42", duration=5.0))
+    assert found.zero_dynamics[0].eigenvalues.real.max() == pytest.approx(growth, rel=1e-6)
+    assert not found.fits
+    assert found.verdict.endswith(
+        "While the virtual coordinates follow, what is passive (d) grows: in these coordinates the rig is non-minimum "
+        "phase. Mask others, whose zero dynamics are stable"
+    )
+    assert found["T"].used == "over 100000 %"
+    assert "e+" not in str(found)
+    assert find(link("hub", duration=5.0)).fits
+
+
+@pytest.mark.parametrize("what", ["transform", "initial"])
+def test_what_is_passive_begins_where_it_rests_beside_a_smaller_motion(link, what):
+    """Half of a linear motion asks for half of everything."""
+    motion = Motion(Experiment.load(link("hub")))
+    whole, half = motion.uses(1001), motion.uses(1001, what, 0.5)
+    assert [use.part for use in half] == pytest.approx([0.5 * use.part for use in whole], rel=1e-6)
 
 
 def test_the_remedies_have_their_closed_form(write):

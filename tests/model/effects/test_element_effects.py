@@ -642,6 +642,11 @@ class TestStates:
                 "equations, alone\n    -x - z'\n         ^^",
             ),
             (
+                {"equations": {"x''": "-x", "2*z'": "x"}},
+                "'z'' is a rate of the internal state 'z', which stands only in its own equation; write z': ... under "
+                "equations, alone, and divide the right side by its factor\n    2*z'\n      ^^",
+            ),
+            (
                 {"equations": {"x''": "-x", "z'": "x''"}},
                 "'x''' is an acceleration, which the equation of an internal state may not contain\n    x''\n    ^^^",
             ),
