@@ -1,8 +1,8 @@
 """The tutorial as a newcomer types it: files saved and commands run in their order, each part in an empty folder.
 
 A block of YAML or Python is saved under the name in its first line; `# NAME, added at the end` adds it to that file.
-What a block of `text` shows was printed by the commands above it, in this order; `...` stands for anything, and a number
-may differ by one unit in its last digit.
+What a block of `text` shows was printed by the commands above it, in this order; `...` stands for anything, and a
+number may differ by one unit in its last digit.
 """
 
 import re
