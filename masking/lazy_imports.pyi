@@ -26,6 +26,7 @@ from masking.compile.numerics import single_step as single_step
 from masking.compile.numerics import taylor_integrator as taylor_integrator
 from masking.compile.numerics import virtual_input_kernels as virtual_input_kernels
 from masking.display import axes as axes
+from masking.display import fragments as fragments
 from masking.lab.records import hdf5 as hdf5
 from masking.lab.records import parquet as parquet
 from masking.lab.records import views as views

@@ -70,6 +70,9 @@ class ClosedLoop:
                 "estimate them with an observer, or take another controller.model"
             )
 
+    def __repr__(self) -> str:
+        return f"<ClosedLoop {self.plant.name} as {self.controller.virtual.name}: {self.controller!r}>"
+
     @cached_property
     def match(self) -> CoordinateMatch:
         """Coordinates of the controller's model among the plant's."""

@@ -76,6 +76,9 @@ class Controller:
     branches: tuple[Branch, ...] = ()
     stroke: float = 1.0
 
+    def __repr__(self) -> str:
+        return f"<Controller {self.model.name} as {self.virtual.name}: inputs {', '.join(self.model.inputs)}>"
+
     @property
     def per_unit(self) -> Array:
         """Input per unit of what it does (m,): 1, and over the branch of one that acts nonlinearly its mean."""

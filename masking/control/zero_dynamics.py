@@ -29,6 +29,7 @@ from masking.compile.numerics.newton import STEP, equilibrium, jacobian, root
 from masking.control.blocks import Transform
 from masking.control.relative_degree import Derivatives, remainder
 from masking.display.json_text import plain
+from masking.display.printed_result import Printed
 from masking.errors import ModelError, RootError
 from masking.model.modelling.model import Model
 
@@ -37,8 +38,8 @@ _DIFFERENCES: Final = 1e-8  # of the size of Phi: what slopes by differences of 
 _CONVERGED: Final = 1e-12
 
 
-@dataclass(frozen=True)
-class ZeroDynamics:
+@dataclass(frozen=True, repr=False)
+class ZeroDynamics(Printed):
     """Small motions of the passive coordinates about their rest, or along a wanted motion."""
 
     names: tuple[str, ...]  # of the passive coordinates

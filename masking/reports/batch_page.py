@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from masking.display.printed_result import aligned
 from masking.reports import html
-from masking.reports.text import aligned
 
 PAGE: Final = "batch.html"
 TABLE: Final = "batch.csv"

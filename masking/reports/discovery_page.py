@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from masking.display.printed_result import aligned
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.explanation import in_both

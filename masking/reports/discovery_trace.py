@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from masking.display.printed_result import aligned
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.trace import Line
 from masking.model.declaration.quantities import number
 from masking.reports import discovery_text
-from masking.reports.text import aligned, listed
+from masking.reports.text import listed
 
 HEAD = ("explanation", "suggested by", "behind", "error over noise", "why not")
 MOST = 20  # hypotheses of each reading that are shown

@@ -13,20 +13,18 @@ from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.simulation import Simulated, simulate
-from masking.model.declaration.quantities import percent, quantity
+from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty
 from masking.reports import figure_parts as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, drawn, either_side, spectrum
 from masking.reports.style import COLOURS, INK, CaptionedFigure
-from masking.reports.text import aligned
 
 _WIDTHS: Final = (3.1, 1.75, 1.75)  # of readings, what is left of them, its spectrum
 _HALVES: Final = (4.1, 3.2)  # of the whole record, and a part of it
 _BEYOND = 2.5  # times half the range of what is measured: from there on, what is simulated is cut off
 _PERIODS = 8  # of the strongest line that are shown
 _LEAST_SHOWN = 50  # samples
-_MORE = 1.2  # times the noise: from here on a residual is more than that
 _MOST_SENSORS = 6
 _MOST_PARAMETERS = 24
 _SETTLED = 0.15  # of the record: after that, a band sets the range of its axis
@@ -49,7 +47,7 @@ def figures(found: Fit | KalmanFit, train: Sequence[Data], unseen: Sequence[Data
         except IntegrationError:
             continue
         made_figures.append(fit(made, which))
-        sentence = verdict(made, which)
+        sentence = made.verdict(which)
     if isinstance(found, KalmanFit) and found.names:
         made_figures.append(estimates(found))
     return made_figures, sentence
@@ -68,7 +66,7 @@ def overview(made: Simulated) -> CaptionedFigure:
         f"{parts.first_of(_MOST_SENSORS, len(made.sensors), 'sensors')}"
     )
     words = CaptionedFigure("overview", "The whole record", caption)
-    return _over_time(words, made, lines, [(0.0, float(made.times[-1]))], verdict(made, ""))
+    return _over_time(words, made, lines, [(0.0, float(made.times[-1]))], made.verdict())
 
 
 def comparison(before: Simulated, after: Simulated, labels: tuple[str, str], heading: str) -> CaptionedFigure:
@@ -152,7 +150,7 @@ def fit(made: Simulated, which: Which) -> CaptionedFigure:
     )
     name, title = _FIGURES[which]
     words = CaptionedFigure(name, title, caption)
-    return drawn(words, rows, widths=_WIDTHS, heading=verdict(made, which))
+    return drawn(words, rows, widths=_WIDTHS, heading=made.verdict(which))
 
 
 def estimates(found: KalmanFit) -> CaptionedFigure:
@@ -198,23 +196,3 @@ def _span(made: Simulated) -> float:
         spectrum = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values))))[1:]
         strongest = max(strongest, (1 + int(np.argmax(spectrum))) / (len(values) / made.record.rate))
     return float(min(whole, max(_LEAST_SHOWN / made.record.rate, _PERIODS / max(strongest, 1e-300))))
-
-
-def verdict(made: Simulated, which: Which) -> str:
-    """Comparison of the residual of a record with the noise floor, as a sentence."""
-    chi, floor, record = made.chi, made.floor, f"{which} record".lstrip()
-    if made.shooting_interval:
-        record += f", simulated in intervals of {quantity(made.shooting_interval, 's')},"
-    more = [name for name in chi if chi[name] > _MORE * floor[name]]
-    if not more:
-        sensors = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
-        return f"In the {record} the residual is hardly above the noise floor: {sensors} of the readings"
-    sensors = ", ".join(f"{name} {percent(chi[name])} ({percent(floor[name])})" for name in more)
-    return f"In the {record} the residual is above the noise floor (in brackets), as part of the readings: {sensors}"
-
-
-def summary(made: Simulated) -> str:
-    """Verdict of a simulation, and a table of its errors, for the terminal."""
-    errors = (("error chi", made.chi), ("noise floor", made.floor))
-    rows = [("", *made.sensors), *((what, *(percent(part[name]) for name in made.sensors)) for what, part in errors)]
-    return "\n".join([*made.record.notes, f"{verdict(made, '')}.", *aligned(rows)])

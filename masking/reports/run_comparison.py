@@ -10,12 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from masking.display.printed_result import Printed, aligned
 from masking.display.symbols import is_symbol
 from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
 from masking.reports import run_text
 from masking.reports.run_study import PhasePair, Study, parameters
-from masking.reports.text import aligned, listed
+from masking.reports.text import listed
 
 _SECTIONS: Final = ("experiment", "plant", "plant_model", "virtual", "controller_model")
 _WORDS: Final = frozenset({"name", "source", "description", "meaning", "label", "drawing"})  # which move nothing
@@ -54,8 +55,8 @@ class Measure:
         return self.name, _text(self.first), _text(self.second), change
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Printed):
     """Two runs side by side."""
 
     # first, second: the recordings

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from masking.display.printed_result import Printed
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lazy_imports import run_figures
 from masking.model.declaration.quantities import number, percent
@@ -21,13 +22,16 @@ PAGE: Final = "report.html"
 _SOURCE = "Rijlaarsdam (2008)"
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+@dataclass(frozen=True, repr=False, slots=True)
+class Report(Printed):
     """Path of the page, its figures as PNG files, and the summary for the terminal."""
 
     path: Path
     figures: tuple[Path, ...]
     summary: str
+
+    def __str__(self) -> str:
+        return f"{self.summary}\nreport: {self.path}"
 
 
 def report(recording: Recording, folder: str | Path) -> Report:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from masking.analysis.stability.study import Stability, phase
+from masking.analysis.stability.modes import phase
+from masking.analysis.stability.study import Stability
 from masking.reports import html, stability_figures
 
 

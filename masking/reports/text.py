@@ -27,12 +27,6 @@ def capital(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table for the terminal, its columns as wide as their widest cell."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-
-
 def much(part: float) -> str:
     """Part of something: all, nothing, or a percentage."""
     return "all" if part >= 0.995 else percent(part) if part >= 0.005 else "nothing"

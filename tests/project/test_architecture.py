@@ -55,7 +55,7 @@ FLOORS: dict[str, set[str]] = {
     "discovery": {
         *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
     },
-    "procedures": {"numerics", "declaration", "modelling", "records", "rig", "estimation"},
+    "procedures": {"numerics", "declaration", "display", "modelling", "records", "rig", "estimation"},
     "reports": {
         *("numerics", "declaration", "display", "effects", "modelling", "records", "analysis", "rig", "estimation"),
         *("discovery", "procedures"),
@@ -75,7 +75,7 @@ FLOORS: dict[str, set[str]] = {
         ),
         *("plants", "exports", "runs", "estimation", "discovery", "procedures", "reports"),
     },
-    "cli": {"declaration", "display", "records", "rig", "plants", "runs", "reports", "workflows"},
+    "cli": {"display", "records", "rig", "plants", "runs", "reports", "workflows"},
 }
 
 # Packages from outside, and the folders that may import them; all others are free.

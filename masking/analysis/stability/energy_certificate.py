@@ -23,6 +23,7 @@ from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import Family, InvariantSet, invariant_set
 from masking.analysis.stability.sublevel import Basin, basins
 from masking.display.json_text import plain
+from masking.display.printed_result import Printed
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 from masking.model.modelling.scales import Shown
@@ -40,8 +41,8 @@ class NotIsolatedError(ModelError):
     """Equilibria are whole curves or surfaces, so that no list holds them."""
 
 
-@dataclass(frozen=True)
-class RestPoint:
+@dataclass(frozen=True, repr=False)
+class RestPoint(Printed):
     """An equilibrium outside of the families: where it is, as texts and numbers, and what is known of its stability."""
 
     position: dict[str, str]
@@ -58,8 +59,8 @@ class RestPoint:
         return f"{self.place}: {self.stability}"
 
 
-@dataclass(frozen=True)
-class Certificate:
+@dataclass(frozen=True, repr=False)
+class Certificate(Printed):
     """What an energy proves."""
 
     name: str  # of the model

@@ -25,6 +25,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
+from masking.display.printed_result import Printed
 from masking.errors import ModelError, nearest
 from masking.model.modelling.model import Model
 from masking.model.modelling.scales import Shown
@@ -79,8 +80,8 @@ def stability_of(model: Model, position: Mapping[str, float]) -> tuple[Complex, 
     return values, STABLE if np.all(values.real < -errors) else UNDECIDED
 
 
-@dataclass(frozen=True)
-class Equilibria:
+@dataclass(frozen=True, repr=False)
+class Equilibria(Printed):
     """The equilibria in a box."""
 
     points: tuple[Equilibrium, ...]  # those that are proved to exist, each alone in a box around it

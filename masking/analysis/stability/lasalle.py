@@ -26,13 +26,14 @@ from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.observability import unobserved
 from masking.analysis.stability.poles import Cancellation, oscillators
+from masking.display.printed_result import Printed
 from masking.errors import ModelError
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
 
 
-@dataclass(frozen=True)
-class Family:
+@dataclass(frozen=True, repr=False)
+class Family(Printed):
     """A set of motions, by relations of coordinates and velocities: expressions that are 0 on it."""
 
     relations: tuple[sp.Expr, ...]

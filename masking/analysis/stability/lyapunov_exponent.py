@@ -18,6 +18,7 @@ import numpy as np
 
 from masking.analysis.stability.variational_equations import Variational
 from masking.compile.numerics.arrays import Array
+from masking.display.printed_result import Printed
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
@@ -28,8 +29,8 @@ _SURE = 3.0  # standard errors
 _OFF = 0.3  # of the e-folds by which neighbours part, those by which an unbounded motion grows
 
 
-@dataclass(frozen=True)
-class Exponent:
+@dataclass(frozen=True, repr=False)
+class Exponent(Printed):
     """The largest Lyapunov exponent of one motion."""
 
     value: float  # mean of log |w| per unit of time, after the transient

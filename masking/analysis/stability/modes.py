@@ -14,6 +14,7 @@ from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.json_text import Result
+from masking.display.printed_result import Printed
 from masking.errors import ModelError, nearest
 from masking.lazy_imports import control
 from masking.model.modelling.lowering import LoweredEquations
@@ -36,8 +37,8 @@ class Driven(Protocol):
         """Parameter array."""
 
 
-@dataclass(frozen=True)
-class Mode(Result):
+@dataclass(frozen=True, repr=False)
+class Mode(Printed, Result):
     """A motion e^(lambda t) of a linear system."""
 
     json_names = ("eigenvalue", "frequency", "damping", "shape")
@@ -55,9 +56,19 @@ class Mode(Result):
         size = abs(self.eigenvalue)
         return -self.eigenvalue.real / size if size > 0.0 else 0.0
 
+    def __str__(self) -> str:
+        z = self.eigenvalue
+        value = f"{_plain(z.real, 6):+.6f}" + (f" ± {self.frequency:.6f}i" if self.frequency else "")
+        damping = f"damping {_plain(self.damping, 4):.4f}" if self.frequency else ""
+        shape = ", ".join(
+            f"{name} {abs(x):.3f}" + (f" at {phase(x):.2f} pi" if abs(x) > 1e-6 else "")
+            for name, x in self.shape.items()
+        )
+        return f"{value:24} {damping:16} {shape}"
 
-@dataclass(frozen=True)
-class Modes:
+
+@dataclass(frozen=True, repr=False)
+class Modes(Printed):
     """All modes, the slowest to decay first; of a pair of conjugates the one with positive frequency."""
 
     modes: tuple[Mode, ...]
@@ -69,6 +80,26 @@ class Modes:
         largest = float(np.max(self.eigenvalues.real, initial=-np.inf))
         slack = _NEUTRAL * float(np.max(np.abs(self.eigenvalues), initial=0.0))
         return None if abs(largest) <= slack else largest < 0.0
+
+    @property
+    def headline(self) -> str:
+        """Number of modes, and whether they decay."""
+        how = {True: "all decay", False: "some grow", None: "none grows, some do not decay"}[self.is_stable]
+        return f"{len(self.modes)} modes: {how}"
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.modes))
+
+
+def phase(amplitude: complex) -> float:
+    """Phase of a complex amplitude over pi, in (-1, 1], to two digits."""
+    found = _plain(float(np.angle(amplitude)) / np.pi, 2)
+    return 1.0 if found == -1.0 else found
+
+
+def _plain(x: float, digits: int) -> float:
+    """Round; what is 0 then has no sign."""
+    return round(x, digits) + 0.0
 
 
 def state_matrix(model: Model, at: Mapping[str, float] | None = None) -> Array:

@@ -11,9 +11,10 @@ import numpy as np
 from masking.analysis.stability.energy_certificate import Certificate, certificate
 from masking.analysis.stability.equilibria import Box, Equilibria, Equilibrium, check_box, equilibria
 from masking.analysis.stability.lyapunov_exponent import Exponent
-from masking.analysis.stability.modes import Driven, Mode, Modes, loop_matrix, modes, state_matrix, upsilon
+from masking.analysis.stability.modes import Driven, Modes, loop_matrix, modes, state_matrix, upsilon
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.json_text import plain
+from masking.display.printed_result import Printed
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
@@ -26,8 +27,8 @@ class LoopModes:
     distance: float  # from the virtual system's eigenvalues to the nearest of these, at most
 
 
-@dataclass(frozen=True)
-class Stability:
+@dataclass(frozen=True, repr=False)
+class Stability(Printed):
     """What is known of the stability of a model."""
 
     name: str  # of the model
@@ -47,12 +48,17 @@ class Stability:
         """Each equilibrium with its modes."""
         return tuple(zip(self.rest.points if self.rest else (), self.modes, strict=True))
 
+    @property
+    def headline(self) -> str:
+        """Name of the model, and what its energy proves."""
+        return f"{self.name}: {self.certificate.headline}"
+
     def __str__(self) -> str:
         lines = [self.name, ""]
         lines += [f"equilibria: {self.rest}" if self.rest else f"equilibria: {self.reason}"]
         for point, found in self.points:
             lines.append(f"  {point.words}: {point.verdict}" + " (proved)" * point.is_unstable)
-            lines += [f"    {mode_words(mode)}" for mode in found.modes]
+            lines += [f"    {mode}" for mode in found.modes]
         if self.upsilon is not None:
             lines.append(f"upsilon = {self.upsilon:.4g}, 1/|Re| of the slowest eigenvalue of the sum (8.13)")
         if self.exponent is not None:
@@ -125,28 +131,6 @@ def loop_modes(loop: Driven, state: Array, lengths: Array, time_scale: float, vi
     values = values[np.lexsort((-values.imag, np.round(-values.real, 9)))]
     distance = max((float(np.min(np.abs(values - x))) for x in virtual), default=0.0)
     return LoopModes(values, distance)
-
-
-def mode_words(mode: Mode) -> str:
-    """Mode in one line: eigenvalue, damping, and the shape by amplitudes and phases over pi."""
-    z = mode.eigenvalue
-    value = f"{_plain(z.real, 6):+.6f}" + (f" ± {mode.frequency:.6f}i" if mode.frequency else "")
-    damping = f"damping {_plain(mode.damping, 4):.4f}" if mode.frequency else ""
-    shape = ", ".join(
-        f"{name} {abs(x):.3f}" + (f" at {phase(x):.2f} pi" if abs(x) > 1e-6 else "") for name, x in mode.shape.items()
-    )
-    return f"{value:24} {damping:16} {shape}"
-
-
-def phase(amplitude: complex) -> float:
-    """Phase of a complex amplitude over pi, in (-1, 1], to two digits."""
-    found = _plain(float(np.angle(amplitude)) / np.pi, 2)
-    return 1.0 if found == -1.0 else found
-
-
-def _plain(x: float, digits: int) -> float:
-    """Round; what is 0 then has no sign."""
-    return round(x, digits) + 0.0
 
 
 def _upsilon(model: Model, rest: Equilibria | None) -> float | None:

@@ -29,6 +29,7 @@ from masking.analysis.stability.lasalle import invariant_set
 from masking.analysis.stability.sums_of_squares import squares
 from masking.compile.codegen.intervals import Interval
 from masking.compile.numerics.arrays import Array
+from masking.display.printed_result import Printed
 from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
@@ -41,8 +42,8 @@ _MOST_COORDINATES = 4
 _KINKS = (sp.Abs, sp.sign, sp.Heaviside, sp.Max, sp.Min, sp.Piecewise, sp.floor, sp.ceiling)
 
 
-@dataclass(frozen=True)
-class Basin:
+@dataclass(frozen=True, repr=False)
+class Basin(Printed):
     """An inner estimate of the basin of attraction of an equilibrium, at the declared values."""
 
     position: dict[str, float]  # of the equilibrium, by coordinate

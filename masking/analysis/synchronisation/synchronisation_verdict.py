@@ -19,6 +19,7 @@ from masking.analysis.synchronisation.measures import (
     proportion,
     synchronisation_time,
 )
+from masking.display.printed_result import Printed
 from masking.errors import RecordError
 
 Kind = Literal["in-phase", "anti-phase", "locked", "beating", "death", "not synchronised"]
@@ -40,8 +41,8 @@ _DEPTH: Final = 0.3  # rms of the exchange of power, relative, in a beat
 _SINGLE: Final = 0.5  # of the power of that exchange, in its largest line
 
 
-@dataclass(frozen=True, slots=True)
-class Synchronisation:
+@dataclass(frozen=True, repr=False, slots=True)
+class Synchronisation(Printed):
     """What the end of a record shows of two oscillators a and b."""
 
     # 'in-phase', 'anti-phase', 'locked' (n:m, or 1:1 at another phase), 'beating', 'death' or 'not synchronised'

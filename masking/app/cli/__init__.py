@@ -2,7 +2,7 @@
 
 In: a command line.
 Out: an exit status, and text or JSON.
-Imports: declaration, display, records, rig, plants, runs, reports, workflows.
+Imports: display, records, rig, plants, runs, reports, workflows.
 """
 
 from __future__ import annotations

@@ -9,25 +9,13 @@ from masking.app.cli.progress import say_compiling
 from masking.app.cli.verb import Call, verb
 
 _STATUS = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
-_PLURALS = {"dictionary": "dictionaries", "batch": "batches"}
 
 
 @verb("model.declaration.catalogue:catalogue")
 def _list(call: Call) -> int:
     """List the packaged models, plants, experiments and dictionaries of effects."""
-    from masking.model.declaration import catalogue
-
     entries = call.do()
-    if call.written.get("json"):
-        print(json.dumps([asdict(entry) for entry in entries], indent=2))
-        return 0
-    width = max(len(entry.name) for entry in entries)
-    for kind in catalogue.KINDS:
-        print(_PLURALS.get(kind, f"{kind}s"))
-        for entry in entries:
-            if entry.kind == kind:
-                print(f"  {entry.name:{width}}  {entry.title}")
-    return 0
+    return call.answer([asdict(entry) for entry in entries], entries)
 
 
 @verb(metavars={"name_or_path": "NAME"})

@@ -25,11 +25,9 @@ def _identify(call: Call) -> int:
 @verb(out="results/simulated", doing="simulating", has_json_file=True)
 def _simulate(call: Call) -> int:
     """Simulate a record with a model: measured against simulated."""
-    from masking.reports import fit_figures
-
     made, page = call.do(), call.out / "simulation.html"
     numbers = page.with_suffix(".json").read_text(encoding="utf-8")
-    return call.answer(numbers, f"{fit_figures.summary(made)}\npage: {page}")
+    return call.answer(numbers, f"{made}\npage: {page}")
 
 
 def _measure(call: Call) -> int:
@@ -37,8 +35,7 @@ def _measure(call: Call) -> int:
     found, page = call.do(procedure), call.out / f"{procedure}.html"
     content = {**found.as_dict(), "page": str(page), "numbers": str(page.with_suffix(".json"))}
     del content["series"]  # which the file has
-    notes = [f"note: {note}" for note in found.notes]
-    return call.answer(content, "\n".join([found.sentence, *notes, f"page: {page}"]))
+    return call.answer(content, f"{found}\npage: {page}")
 
 
 @verb(out="results/discovered", doing="reading the record", has_json_file=True, flags=_EXPLAIN)

@@ -49,7 +49,7 @@ def _run(call: Call) -> int:
         "report": str(page.path),
     }
     replaced = f" (replaces the run of {before})" if before else ""
-    return call.answer(content, f"{page.summary}\nreport: {page.path}{replaced}")
+    return call.answer(content, f"{page}{replaced}")
 
 
 @verb("app.workflows.run:report")
@@ -57,7 +57,7 @@ def _report(call: Call) -> int:
     """Write the report of a recording, or one page of any result."""
     made = call.do()
     content = {"report": str(made.path), "figures": [str(figure) for figure in made.figures]}
-    return call.answer(content, f"{made.summary}\nreport: {made.path}")
+    return call.answer(content, made)
 
 
 @verb()

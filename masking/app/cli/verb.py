@@ -151,14 +151,14 @@ class Call:
 
     def answer(self, content: object, text: object) -> int:
         """Print the result of a verb, as JSON for programs or as text for people, and return the exit status 0."""
-        from masking.display.json_text import json_text
-
         wanted = self.written.get("json", False)
-        numbers = content if isinstance(content, str) else json_text(content)
-        if wanted is True:
-            print(numbers, end="")
-            return 0
         if wanted:
+            from masking.display.json_text import json_text
+
+            numbers = content if isinstance(content, str) else json_text(content)
+            if wanted is True:
+                print(numbers, end="")
+                return 0
             Path(wanted).write_text(numbers, encoding="utf-8")
         print(text)
         return 0

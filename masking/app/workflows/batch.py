@@ -19,6 +19,7 @@ from typing import Any, Final, final
 
 from masking.app.workflows.batch_run import Try, facts
 from masking.app.workflows.recover import TICKS, recover
+from masking.display.printed_result import Printed
 from masking.errors import MaskingError, RecordError
 from masking.lab.plants.authentication import Key
 from masking.lab.records import stream
@@ -42,8 +43,8 @@ _AGAIN: Final = 1.0  # s between tries to reach a plant
 _ENDS: Final = 20.0  # s at most until a run that is asked to stop has
 
 
-@dataclass(frozen=True)
-class Batch:
+@dataclass(frozen=True, repr=False)
+class Batch(Printed):
     """Outcome of a batch."""
 
     folder: Path  # of its results

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
+from masking.display.printed_result import Printed
 from masking.errors import DeclarationError, MaskingError, ModelError, Place, Problem
 from masking.lab.runs import batch_plan
 from masking.lab.runs.error_budget import Prediction, predict
@@ -18,8 +19,8 @@ from masking.model.declaration import catalogue, registry
 from masking.model.modelling.model import load_model
 
 
-@dataclass(frozen=True)
-class Checked(Result):
+@dataclass(frozen=True, repr=False)
+class Checked(Printed, Result):
     """A file that was looked at, and all that is wrong with it."""
 
     file: str  # as it was named
@@ -28,6 +29,13 @@ class Checked(Result):
     feasibility: Feasibility | None = None  # what a sound experiment asks of its rig; None for all else, or unknown
     unknown: str = ""  # why it is not known whether the experiment fits
     prediction: Prediction | None = None  # of a controller that reads sensors
+
+    @property
+    def headline(self) -> str:
+        """First problem and the number of others, or what a sound file is, and whether an experiment fits its rig."""
+        first, *others = map(str, self.problems or [f"{self.file}: a sound {self.kind}"])
+        fit = "" if self.feasibility is None else f"; {self.feasibility.verdict}"
+        return f"{first}{f' (and {len(others)} more)' if others else ''}{fit}"
 
     def __str__(self) -> str:
         lines = [*map(str, self.problems)] or [f"{self.file}: a sound {self.kind}"]

@@ -15,6 +15,7 @@ from masking.control.exports.plants import model_unit, twin_unit
 from masking.control.exports.unit import Unit
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
+from masking.display.printed_result import Printed
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue
@@ -27,8 +28,8 @@ WATCHDOG = 0.02
 RATE = 1000.0
 
 
-@dataclass(frozen=True)
-class Exported(Result):
+@dataclass(frozen=True, repr=False)
+class Exported(Printed, Result):
     """Title and files of an export, and what to know of its use."""
 
     title: str

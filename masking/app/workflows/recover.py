@@ -11,6 +11,7 @@ import numpy as np
 
 from masking.app.workflows.output_folders import RUN, own_folder
 from masking.compile.numerics.arrays import Array
+from masking.display.printed_result import Printed
 from masking.errors import MaskingError, RecordError
 from masking.lab.plants import session
 from masking.lab.records import foreign_json, stream, stream_reader, tick_record
@@ -76,8 +77,8 @@ class _End:
     rows: int
 
 
-@dataclass(frozen=True)
-class Recovered:
+@dataclass(frozen=True, repr=False)
+class Recovered(Printed):
     """Recording of a run that was killed."""
 
     folder: Path  # of the recordings

@@ -18,6 +18,7 @@ from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
+from masking.display.printed_result import Printed, aligned
 from masking.errors import DeclarationError, IntegrationError, ModelError, Problem, SingularityError
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
@@ -31,7 +32,7 @@ from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
 from masking.reports import discovery_files, discovery_page, html, one_page, run_report
 from masking.reports.discovery_files import Files
-from masking.reports.text import aligned, capital, listed
+from masking.reports.text import capital, listed
 
 EXPERIMENT, NUMBERS, BEFORE, AFTER = "experiment.yaml", "refine.json", "before", "after"
 WORTH = 0.9  # of the masking error before: above it, the run is called no better
@@ -66,8 +67,8 @@ class Run:
         }
 
 
-@dataclass(frozen=True)
-class Refinement:
+@dataclass(frozen=True, repr=False)
+class Refinement(Printed):
     """An experiment before and after its controller's model got what it lacked."""
 
     before: Run  # with the model as it was
@@ -124,6 +125,11 @@ class Refinement:
             "experiment": None if out is None else str(out / EXPERIMENT),
             "discovery": content,
         }
+
+    @property
+    def headline(self) -> str:
+        """Its sentence."""
+        return self.sentence
 
     def __str__(self) -> str:
         names = [*(self.after.chi or self.before.chi or {})]

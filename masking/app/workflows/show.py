@@ -11,6 +11,7 @@ from typing import Any
 import sympy as sp
 
 from masking.control.law import Controller
+from masking.display.printed_result import Printed, aligned
 from masking.lab.runs import batch_plan, experiment_card
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry, schema
@@ -18,22 +19,23 @@ from masking.model.declaration.expression import Expression
 from masking.model.effects import EFFECTS, Effect, EffectParameter, own
 from masking.model.modelling.equations import Equations
 from masking.model.modelling.model import Model, load_model
-from masking.reports.text import aligned
 
 # Operations in the longest expression that is simplified; simplifying takes a second for some hundreds.
 LONGEST_SIMPLIFIED = 120
 _ARTICLES = {"element": "an element", "sensor": "a sensor", "actuator": "an actuator", "loop": "the loop"}
 
 
-@dataclass(frozen=True)
-class Description:
-    """A text for the terminal, and the same content for programs."""
+@dataclass(frozen=True, repr=False)
+class Description(Printed):
+    """A text for the terminal and the Python prompt, and the same content for programs."""
 
     text: str
     content: dict[str, Any]
 
     def __str__(self) -> str:
         return self.text
+
+    __repr__ = __str__  # whoever asks to see a declaration wants all of it
 
 
 def show(name_or_path: str | Path, kind: catalogue.Kind | None = None) -> Description:

@@ -91,5 +91,5 @@ def simulate(model: str | Path, settings: Simulate) -> Simulated:
             ) from error
         if settings.out is not None:
             figures = [fit_figures.fit(made, ""), fit_figures.overview(made)]
-            identification_page.save_simulation(made, figures, fit_figures.verdict(made, ""), settings.out)
+            identification_page.save_simulation(made, figures, made.verdict(), settings.out)
         return made

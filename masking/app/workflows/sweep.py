@@ -18,7 +18,9 @@ from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
 from masking.app.workflows.sweep_work import work
+from masking.display import fragments
 from masking.display.json_text import json_text
+from masking.display.printed_result import Printed
 from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import foreign_json, table_chunks
 from masking.lab.records.file_replacement import replacing
@@ -32,6 +34,7 @@ from masking.reports import html, run_measures, sweep_page
 PLAN: Final = "sweep.json"
 ROWS: Final = "rows"
 CHECK: Final = "sha256"  # of all else in the plan
+_SHOWN: Final = 12  # rows in a notebook
 Tell = Callable[[str, float], None]
 
 
@@ -58,8 +61,8 @@ class _Facts:
     sha256: str
 
 
-@dataclass(frozen=True)
-class Sweep:
+@dataclass(frozen=True, repr=False)
+class Sweep(Printed):
     """The rows of a sweep."""
 
     folder: Path  # of the results; `rows` in it is one parquet data set
@@ -89,6 +92,14 @@ class Sweep:
 
     def __str__(self) -> str:
         return self.sentence
+
+    def _repr_html_(self) -> str:
+        shown = {name: values for name, values in self.columns.items() if np.ndim(values[0]) == 0}
+        rows = [
+            [str(x) if isinstance(x, str) else f"{x:.5g}" for x in row] for row in zip(*shown.values(), strict=True)
+        ]
+        size = f"{len(self)} of {self.rows} runs" + f", the first {_SHOWN} here" * (len(rows) > _SHOWN)
+        return fragments.card(self.name, f"{size}. {self.sentence}", fragments.table([*shown], rows[:_SHOWN]))
 
 
 @dataclass(frozen=True, kw_only=True)

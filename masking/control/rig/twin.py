@@ -63,6 +63,10 @@ class Twin:
     def __post_init__(self, built: Mapping[str, object] | None) -> None:
         vars(self).update(built or {})
 
+    def __repr__(self) -> str:
+        channels = f"sensors {', '.join(self.sensors)}; actuators {', '.join(self.actuators)}"
+        return f"<Twin {self.declaration.name}: {channels}; {len(self.declaration.effects)} effects>"
+
     @classmethod
     def load(cls, name_or_path: str | Path) -> Twin:
         """Load a plant and the model that it names; a packaged name or a file."""

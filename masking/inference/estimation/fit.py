@@ -22,6 +22,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, Damping, Linearised, System, minimise
 from masking.control.rig.twin import Twin
 from masking.display import fragments, symbols
+from masking.display.printed_result import Printed
 from masking.errors import IntegrationError, RecordError
 from masking.inference.estimation import growing_intervals, initial_states
 from masking.inference.estimation.identification_data import Data
@@ -52,7 +53,7 @@ ALIKE = 1.01  # times what the best fit leaves: so much leaves one that ends in 
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Estimate:
+class Estimate(Printed):
     """Parameters of a twin that were found from records, by any method."""
 
     twin: Twin  # the plant with these parameters
@@ -67,9 +68,11 @@ class Estimate:
     notes: tuple[str, ...] = ()  # what must be known to trust the values
     doubt: str = ""  # why no interval is stated; empty where the residual is as white as the noise that is assumed
 
-    def __repr__(self) -> str:
+    @property
+    def headline(self) -> str:
+        """Values, and the relative errors that they leave."""
         values = ", ".join(f"{name} = {value:.6g}" for name, value in zip(self.names, self.values, strict=True))
-        return f"<{type(self).__name__} {values}; chi {_each(self.chi)}>"
+        return f"{values}; chi {_each(self.chi)}"
 
     def _repr_html_(self) -> str:
         rows = [

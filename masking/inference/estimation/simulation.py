@@ -14,11 +14,13 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import NO_BOUNDS, Damping, Linearised, System, minimise
 from masking.control.rig.initial_internal_states import reaches
 from masking.control.rig.twin import Twin
+from masking.display.printed_result import Printed, aligned
 from masking.errors import IntegrationError
 from masking.inference.estimation import initial_states
 from masking.inference.estimation.identification_data import NOT_LATE, Data
 from masking.inference.estimation.initial_states import FIRST_READINGS, InitialPrior
 from masking.inference.estimation.sensitivity import NormalEquations, Sensitivity
+from masking.model.declaration.quantities import percent, quantity
 
 # Parts of a record from which its initial state is estimated before the whole: friction has many minima.
 PARTS = (1 / 64, 1 / 8)
@@ -35,9 +37,11 @@ SETTLED = 1e-9  # fraction of the cost that a step must take off
 STEP_ERROR = 0.05
 MOST_REFINEMENT = 16
 
+_MORE = 1.2  # times the noise: from here on a residual is more than that
 
-@dataclass(frozen=True)
-class Simulated:
+
+@dataclass(frozen=True, repr=False)
+class Simulated(Printed):
     """What sensors read, and what they would read."""
 
     record: Data  # commands and readings
@@ -65,6 +69,27 @@ class Simulated:
     def floor(self) -> dict[str, float]:
         """Relative error that the noise of the record alone makes, by name."""
         return noise_alone(self.sensors, [self.record])
+
+    def verdict(self, which: str = "") -> str:
+        """Comparison of the residual with the noise floor, as a sentence; `which` is a word for the record."""
+        chi, floor, record = self.chi, self.floor, f"{which} record".lstrip()
+        if self.shooting_interval:
+            record += f", simulated in intervals of {quantity(self.shooting_interval, 's')},"
+        if more := [f"{n} {percent(chi[n])} ({percent(floor[n])})" for n in chi if chi[n] > _MORE * floor[n]]:
+            above = f"In the {record} the residual is above the noise floor (in brackets), as part of the readings"
+            return f"{above}: {', '.join(more)}"
+        sensors = ", ".join(f"{name} {percent(chi[name])}" for name in chi)
+        return f"In the {record} the residual is hardly above the noise floor: {sensors} of the readings"
+
+    @property
+    def headline(self) -> str:
+        """Its verdict."""
+        return self.verdict()
+
+    def __str__(self) -> str:
+        errors = (("error chi", self.chi), ("noise floor", self.floor))
+        rows = [("", *self.sensors), *((what, *(percent(part[n]) for n in self.sensors)) for what, part in errors)]
+        return "\n".join([*self.record.notes, f"{self.verdict()}.", *aligned(rows)])
 
 
 def relative(sensors: Sequence[str], records: Sequence[Data], squares: Array) -> dict[str, float]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
+from masking.display.printed_result import Printed
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import noise_alone, simulate
@@ -100,8 +101,8 @@ class Excited:
         return np.asarray(self.frequencies[self.amplitudes > 1e-3 * self.amplitudes.max()])
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Printed):
     """What a calibration found: stages from the simplest model to the plant file's own, and where it was written."""
 
     twin: Twin
@@ -159,6 +160,11 @@ class Calibration:
             "plant": str(self.folder / "plant.yaml"),
             "report": str(self.folder / PAGE),
         }
+
+    @property
+    def headline(self) -> str:
+        """Model that an unseen record speaks for, and its values."""
+        return f"of {self.twin.declaration.name}, {self.best.name}: {self.best.fit.headline}"
 
     def __str__(self) -> str:
         sensors = self.stages[0].fit.chi

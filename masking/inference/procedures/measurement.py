@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from masking.compile.numerics.arrays import Array
+from masking.display.printed_result import Printed
 from masking.errors import RecordError
 from masking.inference.procedures import friction as friction_procedure
 from masking.inference.procedures.actuators import ActuatorRatio, actuator_ratio
@@ -47,8 +48,8 @@ class Row:
         return {"value": _plain(self.value), "std": _plain(self.std), "unit": self.unit, "meaning": self.label}
 
 
-@dataclass(frozen=True)
-class Measurement(Generic[FoundT]):
+@dataclass(frozen=True, repr=False)
+class Measurement(Printed, Generic[FoundT]):
     """What a procedure found."""
 
     procedure: str  # its name, such as springs
@@ -72,6 +73,9 @@ class Measurement(Generic[FoundT]):
             "series": {name: [_plain(float(x)) for x in values] for name, values in self.series.items()},
             "notes": list(self.notes),
         }
+
+    def __str__(self) -> str:
+        return "\n".join([self.sentence, *(f"note: {note}" for note in self.notes)])
 
 
 @dataclass(frozen=True)

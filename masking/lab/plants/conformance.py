@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
+from masking.display.printed_result import Printed
 from masking.errors import PlantError, PlantMismatchError
 from masking.lab.plants.interface import APPLIED, Plant, Sample, Settings, Telling
 
@@ -22,8 +23,8 @@ WATCHDOG: Final = 1.0  # s: time for the check itself
 STANDARD: Final = Settings(RATE, WATCHDOG)
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+@dataclass(frozen=True, repr=False, slots=True)
+class Verdict(Printed):
     """Whether a plant keeps a rule."""
 
     rule: str  # what it says

@@ -23,6 +23,7 @@ from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST, TIME
 from masking.compile.numerics.kernel_arguments import Guarded, Watched
+from masking.display.printed_result import Printed
 from masking.errors import PlantMismatchError
 from masking.lazy_imports import fault_detection
 
@@ -126,8 +127,8 @@ _SAID: Final = {
 }
 
 
-@dataclass(frozen=True)
-class Trip:
+@dataclass(frozen=True, repr=False)
+class Trip(Printed):
     """Why a chain tripped."""
 
     cause: Cause  # why

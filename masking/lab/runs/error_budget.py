@@ -17,6 +17,7 @@ from masking.compile.numerics.arrays import Array
 from masking.control.observer import Differences, Observer
 from masking.control.rig.twin import Twin
 from masking.control.twin_loop import SampledLoop
+from masking.display.printed_result import Printed
 from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
@@ -185,8 +186,8 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
     return Budget(whole, tuple(rows), row(ALL, [*off, SAMPLING], effects, note)[0], bench.rate)
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Printed):
     """Masking error that a simulated run shows before anything moves, and the delay that its controller bears."""
 
     chi: Mapping[str, float]  # masking error of each virtual coordinate; infinite where the run could not go on

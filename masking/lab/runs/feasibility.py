@@ -22,6 +22,7 @@ from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, T
 from masking.control.blocks import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.zero_dynamics import ZeroDynamics
+from masking.display.printed_result import Printed
 from masking.errors import (
     DeclarationError,
     IntegrationError,
@@ -63,8 +64,8 @@ LADDERS: Mapping[What, Sequence[Sequence[float]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Use:
+@dataclass(frozen=True, repr=False)
+class Use(Printed):
     """How much of one limit a motion uses."""
 
     name: str  # of the actuator, or the expression that is limited
@@ -105,8 +106,8 @@ class Use:
         return f"{self.label} needs {self.used} of {_digits(self.limit)} {self.unit}".rstrip()
 
 
-@dataclass(frozen=True)
-class Remedy:
+@dataclass(frozen=True, repr=False)
+class Remedy(Printed):
     """One change that makes a motion fit, or that was tried in vain."""
 
     what: What  # the seconds per unit of virtual time, the stroke that the transform uses, or all initial values
@@ -135,8 +136,8 @@ _NOTHING = {
 }
 
 
-@dataclass(frozen=True)
-class Feasibility:
+@dataclass(frozen=True, repr=False)
+class Feasibility(Printed):
     """What the ideal motion of an experiment asks of its rig, and what to change where that is too much."""
 
     name: str  # of the experiment
@@ -170,6 +171,11 @@ class Feasibility:
             ]
         parts = [f"does not fit: {needs}", f"To fit: {ways}" if ways else "", *(f"{v[0].upper()}{v[1:]}" for v in vain)]
         return ". ".join(part for part in parts if part)
+
+    @property
+    def headline(self) -> str:
+        """Name of the experiment, and its verdict."""
+        return f"{self.name}: {self.verdict}"
 
     def __str__(self) -> str:
         rows = [("", "needed", "limit", "used"), *(use.row for use in self.uses)]

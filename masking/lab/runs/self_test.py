@@ -19,6 +19,7 @@ from masking.compile.numerics.controller_sizes import LARGEST
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
+from masking.display.printed_result import Printed
 from masking.errors import MaskingError, PlantError, PlantMismatchError
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules, Trip
@@ -40,8 +41,8 @@ _GAIN: Final = (0.5, 2.0)  # of the predicted answer
 _NOISY: Final = 5.0  # times the declared noise
 
 
-@dataclass(frozen=True)
-class Answer:
+@dataclass(frozen=True, repr=False)
+class Answer(Printed):
     """How one sensor answered the pulse of one actuator."""
 
     actuator: str  # which was moved
@@ -62,12 +63,17 @@ class Answer:
         return f"{self.actuator} -> {self.sensor}: {self.gain:.2f} of {self.predicted:.3g}, noise {self.noise:.2g}"
 
 
-@dataclass(frozen=True)
-class SelfTest(Result):
+@dataclass(frozen=True, repr=False)
+class SelfTest(Printed, Result):
     """Outcome of a self-test."""
 
     answers: tuple[Answer, ...]  # of each sensor to each actuator
     findings: tuple[str, ...]  # why the rig must not be armed, a sentence each; none where it may
+
+    @property
+    def headline(self) -> str:
+        """Whether the rig may be armed, and why not."""
+        return "; ".join(["fails", *self.findings] if self.findings else ["passes"])
 
     def __str__(self) -> str:
         return "\n".join([*map(str, self.answers), *self.findings, "fails" if self.findings else "passes"])

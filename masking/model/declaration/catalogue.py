@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
+from masking.display.printed_result import Printed
 from masking.errors import DeclarationError, Place, Problem, nearest
 from masking.model.declaration import strict_yaml
 from masking.model.declaration.strict_yaml import Node
@@ -34,6 +35,7 @@ _ARTICLE = {
     "batch": "a batch of runs",
     None: "a declaration",
 }
+_PLURAL = {kind: f"{kind}s" for kind in KINDS} | {"dictionary": "dictionaries", "batch": "batches"}
 OWN_KEYS: dict[str, frozenset[str]] = {  # what no other kind has
     kind: frozenset(keys.split())
     for kind, keys in {
@@ -73,9 +75,27 @@ class Entry:
     title: str
 
 
-def catalogue() -> tuple[Entry, ...]:
+class Catalogue(Printed, tuple[Entry, ...]):
+    """Entries, ordered by kind."""
+
+    __slots__ = ()
+
+    @property
+    def headline(self) -> str:
+        """Number of entries of each kind."""
+        return ", ".join(f"{_PLURAL[kind]} {sum(one.kind == kind for one in self)}" for kind in KINDS)
+
+    def __str__(self) -> str:
+        width, lines = max((len(one.name) for one in self), default=0), list[str]()
+        for kind in KINDS:
+            lines.append(_PLURAL[kind])
+            lines += [f"  {one.name:{width}}  {one.title}" for one in self if one.kind == kind]
+        return "\n".join(lines)
+
+
+def catalogue() -> Catalogue:
     """Packaged declarations of each kind."""
-    return tuple(Entry(kind, name, _title(path) or name) for kind in KINDS for name, path in files(kind).items())
+    return Catalogue(Entry(kind, name, _title(path) or name) for kind in KINDS for name, path in files(kind).items())
 
 
 def _title(path: Path) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from masking.compile.codegen.linear_systems import solve
 from masking.errors import ModelError
 from masking.lazy_imports import sympy as sp
+from masking.lazy_imports import typeset
 from masking.model.declaration import schema
 from masking.model.declaration.checks import equation_of
 from masking.model.declaration.couplings import driven_outputs, motion_rate
@@ -69,12 +70,30 @@ class Events:
     targets: tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Equations:
     """The equations of a declared model in sympy; each part is derived when first asked for."""
 
     declaration: schema.ModelDeclaration
-    _lags: dict[sp.Expr, Lag] = field(default_factory=dict, repr=False, compare=False)
+    _lags: dict[sp.Expr, Lag] = field(default_factory=dict, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<Equations of {self.name} in {', '.join(self.coordinates or self.declaration.states)}>"
+
+    def __str__(self) -> str:
+        return "\n".join(f"{left} = {right}" for left, right in self.pairs)
+
+    def _repr_latex_(self) -> str:
+        return typeset.latex(self.pairs)
+
+    @property
+    def pairs(self) -> list[tuple[sp.Expr, sp.Expr]]:
+        """Both sides of each equation: of motion, of internal states, of outputs, and of the energy E, if any."""
+        d = self.declaration
+        left = [*(self.mass * sp.Matrix(self.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
+        found = [*zip(left, map(self.written, [*self.force, *self.rates]), strict=True)]
+        found += [(sp.Symbol(name), self.output(name)) for name in d.outputs]
+        return found if self.energy is None else [*found, (sp.Symbol("E"), self.energy)]
 
     @property
     def name(self) -> str:

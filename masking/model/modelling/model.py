@@ -72,12 +72,7 @@ class Model:
         return f"<Model {self.name}: {self._size_in_words}>"
 
     def _repr_html_(self) -> str:
-        e, d = self.equations, self.declaration
-        left = [*(e.mass * sp.Matrix(e.symbols.a)), *(sp.Symbol(f"{name}'") for name in d.states)]
-        pairs = [*zip(left, map(e.written, [*e.force, *e.rates]), strict=True)]
-        pairs += [(sp.Symbol(name), e.output(name)) for name in d.outputs]
-        pairs += [(sp.Symbol("E"), e.energy)] if e.energy is not None else []
-        parts = [typeset.equations(pairs)]
+        d, parts = self.declaration, [typeset.equations(self.equations.pairs)]
         units = Units.of(d)  # without compiling the model
         values = units.parameter_values(self.overrides, dimensionless=False)
         shown = {name: f"{values[name] / units.conversions[p.unit].factor:.6g}" for name, p in d.parameters.items()}

@@ -12,6 +12,7 @@ from sympy.printing.mathml import MathMLPresentationPrinter
 
 from masking.display.symbols import GREEK, split
 
+_ACCENTS: Final = {1: r"\dot{%s}", 2: r"\ddot{%s}"}
 _DOTS: Final = {1: "\N{DOT ABOVE}", 2: "\N{DIAERESIS}"}
 LONGEST: Final = 400  # operations of an expression that is typeset
 _CELL: Final = Markup('<mtd style="text-align:{};padding:.25em .2em">{}</mtd>')
@@ -33,6 +34,26 @@ def side(expression: sp.Expr) -> Markup:
     if sp.count_ops(expression) > LONGEST:
         return Markup("<mo>\N{HORIZONTAL ELLIPSIS}</mo>")
     return Markup(_Printer()._print(expression).toxml())  # noqa: S704  # made of a checked expression
+
+
+def latex(pairs: Iterable[tuple[sp.Expr, sp.Expr]]) -> str:
+    """Equations, as `equations` has them, in LaTeX, which notebooks show and papers take."""
+    rows = [" & = ".join(map(_side_in_latex, pair)) for pair in pairs]
+    return "\n".join([r"$\displaystyle \begin{aligned}", " \\\\\n".join(rows), r"\end{aligned}$"])
+
+
+def _side_in_latex(expression: sp.Expr) -> str:
+    names = {symbol: _in_latex(symbol.name) for symbol in expression.free_symbols}
+    return r"\ldots" if sp.count_ops(expression) > LONGEST else str(sp.latex(expression, symbol_names=names))
+
+
+def _in_latex(name: str) -> str:
+    """Name of a symbol in LaTeX, its primes as dots."""
+    plain = name.rstrip("'")
+    letters, index = split(plain)
+    word = letters.replace("_", r"\_")
+    base = rf"\{letters}" if letters in GREEK else letters if len(letters) == 1 else rf"\mathit{{{word}}}"
+    return _ACCENTS.get(len(name) - len(plain), "%s") % base + (f"_{{{index}}}" if index else "")
 
 
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy has no types
