@@ -27,9 +27,9 @@ from masking.compile.numerics import taylor_integrator as taylor_integrator
 from masking.compile.numerics import virtual_input_kernels as virtual_input_kernels
 from masking.display import axes as axes
 from masking.display import fragments as fragments
+from masking.display import series_views as series_views
 from masking.lab.records import hdf5 as hdf5
 from masking.lab.records import parquet as parquet
-from masking.lab.records import views as views
 from masking.model.modelling import typeset as typeset
 from masking.reports import animation_frames as animation_frames
 from masking.reports import one_page_drawing as one_page_drawing

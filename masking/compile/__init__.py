@@ -2,5 +2,5 @@
 
 In: symbolic expressions and sizes.
 Out: compiled functions: integrators, the sampled loop, rules of safety, filters.
-Imports: nothing.
+Imports: display.
 """

@@ -26,7 +26,7 @@ from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
 from masking.reports.one_page import Sheet
 from masking.reports.style import CaptionedFigure
-from masking.reports.text import aligned, capital, probability_text
+from masking.reports.text import capital, probability_text
 
 MOST_TRIED = 20
 MOST_TILES = 3  # of causes

@@ -38,7 +38,7 @@ FLOORS: dict[str, set[str]] = {
     "display": set(),
     "declaration": {"display"},
     "effects": {"declaration"},
-    "codegen": {"numerics"},
+    "codegen": {"numerics", "display"},
     "modelling": {"numerics", "declaration", "display", "effects", "codegen"},
     "records": {"numerics", "display"},
     "signals": {"numerics", "display", "records"},

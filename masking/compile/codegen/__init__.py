@@ -2,7 +2,7 @@
 
 In: symbolic expressions.
 Out: compiled functions, kept on disk.
-Imports: numerics.
+Imports: numerics, display.
 
 `graph` holds expressions as shared elementary operations, `linear_systems` solves linear systems of them, `printers`
 and `llvm_text` write them as statements, `source` as functions and modules, `structs` describes what kernels take

@@ -16,6 +16,7 @@ from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
 from masking.compile.codegen.source import LOOSE, LOOSE_FROM, Module
 from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
+from masking.compile.codegen.trajectory import Trajectory
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.stop_codes import (
     EVENT,
@@ -33,47 +34,6 @@ from masking.errors import IntegrationError, SingularityError, UnreachableError,
 STEPS_PER_RADIAN = 50.0
 # What decays by exp(-5) between samples, to less than a hundredth, is not followed: a step of a radian is stable.
 GONE, STABLE = 5.0, 1.0
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """States over time.
-
-    Args:
-        times: (m,).
-        states: (m, 2 n + k), coordinates, velocities, internal states; of an ensemble (runs, m, 2 n + k).
-        coordinates: names of the n coordinates.
-        steps: integration steps taken.
-        internal: names of the k internal states.
-        events: the time and the name of each event.
-        errors: why a run of an ensemble could not go on, by its number; its states are not a number.
-    """
-
-    times: Array
-    states: Array
-    coordinates: tuple[str, ...]
-    steps: int
-    internal: tuple[str, ...] = ()
-    events: tuple[tuple[float, str], ...] = ()
-    errors: Mapping[int, str] = field(default_factory=dict)
-
-    @property
-    def positions(self) -> Array:
-        """Coordinates (m, n), or (runs, m, n)."""
-        return self.states[..., : len(self.coordinates)]
-
-    @property
-    def velocities(self) -> Array:
-        """Velocities (m, n), or (runs, m, n)."""
-        n = len(self.coordinates)
-        return self.states[..., n : 2 * n]
-
-    def __getitem__(self, name: str) -> Array:
-        """One coordinate (`x1`), velocity (`x1'`) or internal state over time (m,), or (runs, m)."""
-        if name in self.internal:
-            return self.states[..., 2 * len(self.coordinates) + self.internal.index(name)]
-        index = self.coordinates.index(name.rstrip("'"))
-        return self.states[..., index + (len(self.coordinates) if name.endswith("'") else 0)]
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from masking.lab.records import named_files
 from masking.lab.records.columns_on_disk import StoredColumns, read
 from masking.lab.records.file_replacement import replacing
 from masking.lab.records.time_slice import Part
-from masking.lazy_imports import axes, parquet, views
+from masking.lazy_imports import axes, parquet, series_views
 
 FORMAT: Final = "masking recording 1"
 TABLE: Final = "recording.parquet"
@@ -84,7 +84,7 @@ class Recording:
         first, last = self.span
         size = f"{len(self)} samples, t = {first:g} to {last:g} {self.units.get('t', '')}".rstrip()
         subtitle = f"{size}; masking error chi: {errors}" if errors else size
-        return views.card(self.name or "Recording", subtitle, self._drawn.columns, self.units, self.meanings)
+        return series_views.card(self.name or "Recording", subtitle, self._drawn.columns, self.units, self.meanings)
 
     @property
     def _drawn(self) -> Recording:
@@ -220,11 +220,11 @@ class Recording:
 
     def to_pandas(self) -> Any:  # noqa: ANN401  # pandas is optional
         """Pandas DataFrame over the time, with `units` and `meanings` in its `attrs`; a RecordError without pandas."""
-        return views.frame(self.columns, self.units, self.meanings)
+        return series_views.frame(self.columns, self.units, self.meanings)
 
     def to_xarray(self) -> Any:  # noqa: ANN401  # xarray is optional
         """Xarray Dataset over the time `t`; variables have `units` and `long_name`. A RecordError without xarray."""
-        return views.dataset(self.columns, self.units, self.meanings, self.name)
+        return series_views.dataset(self.columns, self.units, self.meanings, self.name)
 
     def plot(self, *columns: str) -> axes.NotebookFigure:
         """Draw columns over the time, one row of axes for each argument; a notebook shows the figure.
@@ -245,7 +245,7 @@ class Recording:
                 allowed = [*prefixes, *self.columns]
                 raise RecordError(f"the recording has no column or prefix '{name}'; {nearest(name, allowed)}")
             rows.append([name] if name in self.columns else [f"{name}.{short}" for short in self.names(name)])
-        return views.figure(self._drawn.columns, self.units, rows, self.name)
+        return series_views.figure(self._drawn.columns, self.units, rows, self.name)
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write both files into `folder`, made if need be, and return it; after an error the folder is as it was.

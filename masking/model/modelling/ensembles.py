@@ -8,7 +8,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from masking.compile.codegen.compiled_functions import Trajectory, in_order
+from masking.compile.codegen.compiled_functions import in_order
+from masking.compile.codegen.trajectory import Trajectory
 from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError, IntegrationError, ModelError, SingularityError, nearest
 from masking.model.declaration.expression import Expression

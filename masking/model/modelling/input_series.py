@@ -10,7 +10,8 @@ from typing import Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, Trajectory, every
+from masking.compile.codegen.compiled_functions import WHOLE, InPieces, Kernels, every
+from masking.compile.codegen.trajectory import Trajectory
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
 from masking.lazy_imports import interpolate

@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels, Trajectory
+from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.source import Module
+from masking.compile.codegen.trajectory import Trajectory
 from masking.display import fragments, symbols
 from masking.errors import DeclarationError, ModelError
 from masking.lazy_imports import control, typeset
@@ -299,13 +300,15 @@ class Model:
             IntegrationError: the integrator could not go on.
         """
         if ensemble is not None:
-            return ensembles.simulate(self, times, ensemble, initial=initial or {}, inputs=inputs, tolerance=tolerance)
-        if isinstance(inputs, Mapping):
-            return input_series.driven(self, times, initial or {}, inputs, tolerance)
-        times = input_series.row_of_times(times)
-        _ = self.delays()
-        u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
-        return self.kernels.integrate(times, self.initial_state(initial or {}), u, self.values(), tolerance=tolerance)
+            found = ensembles.simulate(self, times, ensemble, initial=initial or {}, inputs=inputs, tolerance=tolerance)
+        elif isinstance(inputs, Mapping):
+            found = input_series.driven(self, times, initial or {}, inputs, tolerance)
+        else:
+            times, _ = input_series.row_of_times(times), self.delays()
+            u = np.zeros(len(self.inputs)) if inputs is None else np.asarray(inputs, dtype=float)
+            state = self.initial_state(initial or {})
+            found = self.kernels.integrate(times, state, u, self.values(), tolerance=tolerance)
+        return replace(found, units=self.units.computed[self.is_dimensionless])
 
     def initial_state(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
         """State (2 n + k,) of given and declared initial values, in SI units or in the declared scales.

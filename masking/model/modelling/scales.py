@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from masking.errors import DeclarationError, ModelError, Problem, nearest
@@ -133,6 +134,21 @@ class Units:
             return Shown(PLAIN, 1.0)
         is_timed = is_rate and not dimensionless and not self.is_plain
         return Shown(combined("U/s", {"U": unit}) if is_timed else unit, found.factor)
+
+    @cached_property
+    def computed(self) -> Mapping[bool, Mapping[str, str]]:
+        """Units of the states and of the time `t` as they are computed: SI (False), or what the scales leave (True)."""
+        return {dimensionless: dict(self._computed(dimensionless)) for dimensionless in (False, True)}
+
+    def _computed(self, dimensionless: bool) -> Iterator[tuple[str, str]]:
+        d, is_timed = self.declaration, not dimensionless and not self.is_plain
+        yield "t", SECOND if is_timed else ""
+        units = {name: entry.unit for entries in (d.coordinates, d.states) for name, entry in entries.items()}
+        for name, declared in units.items():
+            known = self.conversions[declared]
+            unit = PLAIN if dimensionless and any(known.exponents.values()) else known.si
+            yield name, "" if unit == PLAIN else unit
+            yield f"{name}'", combined("U/s", {"U": unit}) if is_timed else "" if unit == PLAIN else unit
 
     def _si_values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Every parameter in SI units, each after those that its expression holds."""

@@ -1,4 +1,4 @@
-"""Views of a recording for other programs and for notebooks: pandas, xarray, a figure, a table in HTML."""
+"""Views of series over the time for other programs and for notebooks: pandas, xarray, a figure, a table in HTML."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def figure(
                 each.plot(*thin(columns["t"], ideal), color=INK, lw=0.8, ls=axes.DASHED)
         prefixes = {name.rpartition(".")[0] for name in names}
         words = axes.with_unit(*(found.pop() if len(found) == 1 else "" for found in (prefixes, common)))
-        each.set_ylabel(symbols.in_figure(words))
+        each.set_ylabel(symbols.in_figure(words.strip()))
         each.legend(frameon=False, fontsize=axes.SIZE - 0.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
         each.set_xlim(columns["t"][0], columns["t"][-1])
     each.set_xlabel(symbols.in_figure(axes.with_unit("time", units.get("t", ""))))
