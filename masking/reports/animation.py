@@ -51,6 +51,9 @@ class Animation:
 
     recording: Recording
 
+    def __repr__(self) -> str:
+        return f"<Animation of {self.recording!r}>"
+
     @cached_property
     def scenes(self) -> tuple[Scene, ...]:
         """Rig and the virtual system, as far as they were recorded.
@@ -109,6 +112,21 @@ class Animation:
             "traces": list(self._traces()),
         }
 
+    def page(self) -> str:
+        """Page that needs no other file, as HTML; errors as `scenes`."""
+        return html.render(
+            "animation",
+            title=self.recording.name or "Recording",
+            tiles=(),
+            names=self.main.drawing.coordinates,
+            scenes=self.scenes,
+            data=self.data(),
+            code=Markup(f"[{','.join(scene.drawing.code() for scene in self.scenes)}]"),  # noqa: S704  # numbers, names
+        )
+
+    def _repr_html_(self) -> str:
+        return html.framed(self.page())
+
     def _scene_data(self, scene: Scene) -> dict[str, Any]:
         names = scene.drawing.coordinates
         ideal = [f"ideal.{name}" for name in names] if scene.prefix == "virtual" else []
@@ -148,16 +166,7 @@ class Animation:
 
 def save(made: Animation, page: Path) -> None:
     """Write an animation as one HTML file and its folder; a `RecordError` says that nothing moves, or why it cannot."""
-    text = html.render(
-        "animation",
-        title=made.recording.name or "Recording",
-        tiles=(),
-        names=made.main.drawing.coordinates,
-        scenes=made.scenes,
-        data=made.data(),
-        code=Markup(f"[{','.join(scene.drawing.code() for scene in made.scenes)}]"),  # noqa: S704  # numbers and names
-    )
-    html.write({page: text})
+    html.write({page: made.page()})
 
 
 def _drawing(recording: Recording, prefix: str, reach: Array) -> Drawing:

@@ -7,6 +7,7 @@ import math
 import re
 import struct
 import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import matplotlib
@@ -263,3 +264,18 @@ def test_what_cannot_be_animated_is_told(capsys, run, tmp_path, monkeypatch):
 def test_the_command_prints_the_file(capsys, run):
     assert main(["animate", str(run), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"animation": str(run / "animation.html")}
+
+
+def test_a_recording_in_memory_is_shown_by_a_notebook(run, tmp_path, monkeypatch):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    monkeypatch.chdir(empty)
+    tags = []
+    reader = HTMLParser()
+    reader.handle_starttag = lambda tag, attributes: tags.append((tag, dict(attributes)))
+    reader.feed(masking.animate(Recording.load(run))._repr_html_())
+    ((tag, attributes),) = tags
+    assert tag == "iframe"
+    assert attributes["srcdoc"] == masking.animate(run).read_text(encoding="utf-8")
+    assert list(empty.iterdir()) == []
+    assert masking.animate(Recording.load(run), out="a.png").read_bytes().startswith(b"\x89PNG")

@@ -128,3 +128,9 @@ def test_the_command_writes_a_page_and_numbers(pair, capsys, tmp_path):
     assert json.loads(capsys.readouterr().out)["runs"] == ["one", "two"]
     with pytest.raises(RecordError, match="no such recording"):
         masking.compare(pair[0], tmp_path / "three")
+
+
+def test_recordings_in_memory_are_compared(pair):
+    first, second = map(Recording.load, pair)
+    assert masking.compare(first, second).measures == masking.compare(*pair).measures
+    assert masking.compare(first, second).names == ("first", "second")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, overload
 
 from masking.app.workflows.output_folders import beside, own_folder
 from masking.errors import RecordError
@@ -17,6 +17,9 @@ FORMATS: Final = (".html", ".png", ".svg", ".gif", ".mp4")
 _MOST: Final = 2**20  # samples of a whole recording that is shown
 
 
+@overload
+def animate(record: Recording) -> animation.Animation: ...
+@overload
 def animate(
     record: str | Path,
     *,
@@ -24,13 +27,31 @@ def animate(
     overwrite: bool = False,
     at: float | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Path:
+) -> Path: ...
+@overload
+def animate(
+    record: Recording,
+    *,
+    out: str | Path,
+    overwrite: bool = False,
+    at: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Path: ...
+def animate(
+    record: str | Path | Recording,
+    *,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    at: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Path | animation.Animation:
     """Write an animation of a recording: the rig, the virtual system beside it, and the motion over time.
 
     Models say under `drawing` what they look like; of a model that does not, each coordinate moves a body on a line.
 
     Args:
-        record: the folder of a recording, or its parquet file; `FOLDER@10:20` is its part from 10 s to 20 s.
+        record: the folder of a recording, or its parquet file; `FOLDER@10:20` is its part from 10 s to 20 s. In Python,
+            a `Recording`, too.
         out: file, whose ending says what it is: `.html`, a page that needs no other file; `.png` or `.svg`, a picture
             of one instant; `.gif`, or `.mp4` if ffmpeg is installed, a film of 12 s at most. By default
             `animation.html` beside the recording.
@@ -39,18 +60,35 @@ def animate(
         progress: called with the fraction done.
 
     Returns:
-        the file.
+        the file; of a `Recording` without `out` an `Animation`, which a notebook shows, and nothing is written.
 
     Raises:
         RecordError: there is no recording, it holds no motion, or the file cannot be written.
     """
+    if isinstance(record, Recording):
+        if out is None:
+            return animation.Animation(_thinned(record))
+        return _write(record, Path(out), at=at, overwrite=overwrite, progress=progress)
     part = Part.of(record)
     page = beside(part.file) / animation.PAGE
     file = page if out is None else Path(out)
+    is_own = file.resolve() == page.resolve()
+    return _write(part, file, at=at, overwrite=overwrite or is_own, progress=progress)
+
+
+def _write(
+    source: Recording | Part,
+    file: Path,
+    *,
+    at: float | None,
+    overwrite: bool,
+    progress: Callable[[float], None] | None,
+) -> Path:
     if file.suffix not in FORMATS:
         raise RecordError(f"{file}: an animation ends in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}")
-    with own_folder(file.parent, file.name, overwrite=overwrite or file.resolve() == page.resolve()):
-        shown = animation.Animation(_cut(Recording.load(part.file), part))
+    with own_folder(file.parent, file.name, overwrite=overwrite):
+        cut = _cut(Recording.load(source.file), source) if isinstance(source, Part) else _thinned(source)
+        shown = animation.Animation(cut)
         first, last = shown.recording.t[[0, -1]]
         if at is not None and not first <= at <= last:
             raise RecordError(f"at {at:g} s there is nothing: the recording goes from {first:g} s to {last:g} s")
@@ -66,8 +104,12 @@ def animate(
 
 def _cut(recording: Recording, part: Part) -> Recording:
     if part.start is None and part.end is None:
-        return recording.thinned(_MOST, recording.names())
+        return _thinned(recording)
     found = recording.between(part.start, part.end)
     if len(found) < 2:
         raise RecordError(f"{part.name} holds one sample, which does not move; name a longer part")
     return found
+
+
+def _thinned(recording: Recording) -> Recording:
+    return recording.thinned(_MOST, recording.names())
