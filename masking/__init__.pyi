@@ -6,6 +6,7 @@ from .app.workflows.discover import discover as discover
 from .app.workflows.export import export as export
 from .app.workflows.identify import identify as identify
 from .app.workflows.measure import measure as measure
+from .app.workflows.play import play as play
 from .app.workflows.recover import recover as recover
 from .app.workflows.refine import refine as refine
 from .app.workflows.run import report as report

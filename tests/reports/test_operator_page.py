@@ -20,7 +20,7 @@ from masking.errors import MaskingError, OperatorError, RecordError
 from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import Ring, RingReader
 from masking.lab.records.stop_switch import Presser, Switch, switches
-from masking.reports import operator_page
+from masking.reports import local_page
 from masking.reports.live_monitor import BINS, Monitor, phase_between
 from masking.reports.operator_page import OperatorPage
 from tests.support import chromium, stub_loop
@@ -253,7 +253,7 @@ def test_a_request_that_does_not_become_whole_is_given_up(page, begun):
 
 
 def test_whoever_shows_the_token_keeps_its_place(page, monkeypatch):
-    monkeypatch.setattr(operator_page, "_CONNECTIONS", 8)
+    monkeypatch.setattr(local_page, "_CONNECTIONS", 8)
     known = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
     with contextlib.ExitStack() as way_out:
         way_out.callback(known.close)

@@ -1,11 +1,13 @@
-"""Verbs that look at declarations: list, show, check, schema."""
+"""Verbs that look at declarations: list, show, check, play, schema."""
 
 from __future__ import annotations
 
 import json
+import sys
+import time
 from dataclasses import asdict
 
-from masking.app.cli.progress import say_compiling
+from masking.app.cli.progress import raise_interrupts, say_compiling
 from masking.app.cli.verb import Call, verb
 
 _STATUS = "Exit status: 0 sound, 1 sound but an experiment does not fit the limits of its rig, 2 problems."
@@ -34,6 +36,17 @@ def _check(call: Call) -> int:
     return 2 if any(result.problems for result in results) else 0 if fits else 1
 
 
+@verb(doing="compiling", metavars={"model": "MODEL"}, interrupted="masking: the page has ended")
+def _play(call: Call) -> int:
+    """Show a model on a local page: sliders of its parameters and initial values, and its motion. Ctrl+C ends it."""
+    raise_interrupts()
+    with call.do() as page:
+        call.answer(page.as_dict(), page)
+        sys.stdout.flush()
+        while True:
+            time.sleep(1.0)
+
+
 @verb("model.declaration.json_schema:json_schema")
 def _schema(call: Call) -> int:
     """Print the JSON Schema of a kind of declaration, for editors."""
@@ -41,4 +54,4 @@ def _schema(call: Call) -> int:
     return 0
 
 
-VERBS = (_list, _show, _check, _schema)
+VERBS = (_list, _show, _check, _play, _schema)
