@@ -67,7 +67,7 @@ def parameters(types: Mapping[str, str]) -> list[str]:
 
 def function(symbol: str, made: Expressions, free: str = "", lanes: int = 1) -> str:
     """Definition of a function that computes nodes: it reads all that it needs, and then writes results."""
-    body, returns = _Body(made.types, free, lanes), made.returns
+    body, returns = Body(made.types, free, lanes), made.returns
     body.compute(made.graph, made.results, made.loads, [] if returns is None else [returns])
     body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
     return body.definition(symbol, "void" if returns is None else "double")
@@ -84,7 +84,7 @@ def choice(
     `zeros` are elements of arrays that are 0 where the graph has no result for them, or where there is no such graph;
     `cases` has of each graph what `function` takes of it.
     """
-    body = _Body(types, "", 1)
+    body = Body(types, "", 1)
     body.store((target, body.number(0.0)) for target in zeros)
     labels = " ".join(f"i64 {i}, label %case.{i}" for i in range(len(cases)))
     body.lines.append(f"switch i64 %{next(iter(types))}, label %none [{labels}]")
@@ -116,9 +116,9 @@ def constant(symbol: str, value: int) -> str:
 
 
 def definition(text: str, symbol: str) -> str:
-    """Definition of one function in a text."""
-    found = re.search(rf"^define [a-z]+ @{re.escape(symbol)}\(.*?^}}$", text, re.MULTILINE | re.DOTALL)
-    return found[0] if found else ""
+    """Definition of one function in a text, behind those of its parts, which are named after it: `symbol.0`."""
+    found = rf"^define [a-z]+ @{re.escape(symbol)}(?:\.\d+)?\(.*?^}}$"
+    return "\n\n".join(re.findall(found, text, re.MULTILINE | re.DOTALL))
 
 
 def declarations(text: str) -> str:
@@ -133,8 +133,8 @@ def number(value: float) -> str:
     return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
 
 
-class _Body:
-    """The lines of a function on their way."""
+class Body:
+    """The lines of a function on their way, and the values that they compute."""
 
     def __init__(self, types: Mapping[str, str], free: str, lanes: int) -> None:
         self.types, self.free, self.lanes = types, f"{free} " if free else "", lanes
@@ -158,10 +158,12 @@ class _Body:
         self.store((target, self.values[node]) for target, node in results)
 
     def store(self, values: Iterable[tuple[str, str]]) -> None:
+        """Write values into elements of arrays."""
         for target, value in values:
             self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
 
     def definition(self, symbol: str, kind: str) -> str:
+        """Definition of the function, which returns a type."""
         # What does not fit into registers lies where a vector does. measured: across two lines of the cache, by the
         # chance of the caller's stack, a run takes a third more. Inlined, the attribute is lost.
         aligned = f" noinline alignstack({8 * self.lanes})" if self.lanes > 1 else ""
@@ -193,6 +195,7 @@ class _Body:
         return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
 
     def apply(self, name: str, given: Sequence[str]) -> str:
+        """Value of an operation on values."""
         x, zero, one = given[0], self.number(0.0), self.number(1.0)
         match name:
             case "add" | "sub" | "mul" | "div":

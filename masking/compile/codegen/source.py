@@ -21,11 +21,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
-from masking.compile.codegen import llvm_text, machine_code, structs
+from masking.compile.codegen import llvm_text, machine_code, structs, taylor_loops
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Expressions, Results
 from masking.compile.codegen.printers import Language, needed
 from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
+from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.numerics.rig_sizes import LANES
 
 LOOSE, LOOSE_FROM = "_loose", 1e-9
@@ -34,8 +35,12 @@ LOOSE, LOOSE_FROM = "_loose", 1e-9
 # pendula (15) at 10 for errors from 1e-9 on, and at 12 for smaller ones.
 TAYLOR_ORDERS = ({"": 18}, {"": 12, LOOSE: 10})
 MOST_PRODUCTS_OF_HIGH_ORDER = 8
-# measured: beyond this number of products of series, straight-line code costs seconds to compile.
+# measured: beyond this number of products of series, straight-line code costs seconds to compile, and code in loops is
+# nearly as fast or faster: 40 Duffing oscillators, or 8 pendula on a beam.
 LARGEST_TAYLOR_COST = 40
+# measured: below this number of like operations at once, loops take longer than the Runge-Kutta method: a pendulum of 4
+# links has 1.3 and takes 1.5 times as long, 5 pendula on a beam have 2 and take 0.7 of the time.
+LEAST_SIDE_BY_SIDE = 1.6
 
 HEADER = """# Generated from {title!a}; do not edit.
 
@@ -176,6 +181,16 @@ class Module:
             found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
             results, signature = [(f"y[{i}]", node) for i, node in enumerate(found)], f"lane_states{ending}"
             self.add(in_lanes(signature, "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
+
+    def add_coefficients_in_loops(self, loops: Loops, *, loads: Mapping[str, str], orders: Mapping[str, int]) -> None:
+        """Add `coefficients` as `add_coefficients` does, but in loops; `c` has `loops.width` columns."""
+        for ending, order in orders.items():
+            name, types = _read(f"coefficients{ending}(t: float, y, u, p, c: Matrix)")
+            results = [(f"y[{loops.size - 1}]", loops.time), (f"c[{order}, {loops.width - 1}]", loops.time)]
+            results += [(f"c[0, {loops.places[node]}]", node) for node in loops.given]
+            self.parts[name] = Expressions(types, loops.graph, results, loads, loops.time)
+            self._export(name, types, "float")
+            self.definitions[name] = taylor_loops.function(machine_code.symbol(name), loops, types, loads, order)
 
     def add_factory(
         self,

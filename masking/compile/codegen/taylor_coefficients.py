@@ -9,14 +9,15 @@ Taylor methods, Experimental Mathematics 14(1), section 2 (recurrences) and 3.2 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import reduce
 
 from masking.compile.codegen.graph import NOT_ANALYTIC, Graph, Node
 from masking.compile.codegen.printers import arguments, needed
 
-# Operations whose recurrence needs a companion series: sin with cos, sinh with cosh, tanh and tan with 1 -+ y^2.
-COMPANION = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
+# Operations whose recurrence needs the series of another.
+PAIRS = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
 SMALLEST_STATE = 1e-14  # that steps are measured by
 LINEAR = {"neg", "add", "sub"}
 
@@ -68,7 +69,7 @@ def coefficients(
 
     `states` and `time` are symbols, `derivatives` nodes of the graph.
     """
-    return _Series(graph, states, factored(graph, derivatives), time).rows(order)
+    return _Unrolled(graph, states, factored(graph, derivatives), time).rows(order)
 
 
 def factored(graph: Graph, nodes: Sequence[Node]) -> list[Node]:
@@ -143,128 +144,158 @@ def _is_scaling(graph: Graph, node: Node) -> bool:
     return name == "div" and not graph.varying[int(rest[1])]
 
 
-class _Series:
-    """The series of each varying node, `a[node]`, and of what goes with it in its recurrence, `b[node]`."""
+class Recurrences(ABC):
+    """Coefficient k > 0 of an operation, from coefficients of what it is made from and lower ones of itself.
 
-    def __init__(self, graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], time: Node) -> None:
+    Nodes are those of `graph`. `part` is 1/k.
+    """
+
+    def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        self.derivatives = list(derivatives)
-        self.rates = dict(zip(states, derivatives, strict=True))
-        self.varying = [n for n in needed(graph, self.derivatives) if graph.varying[n]]
-        self.zero = graph.number(0.0)
-        self.a: dict[Node, list[Node]] = {node: [node] for node in states}
-        self.a[time] = [time, graph.number(1.0)]
-        self.b: dict[Node, list[Node]] = {}
+        self.part = graph.number(1.0)
         self.rules: dict[str, Callable[..., Node]] = {
-            "neg": lambda n, k, x: graph.apply("neg", self.at(x, k)),
-            "add": lambda n, k, x, y: graph.add(self.at(x, k), self.at(y, k)),
-            "sub": lambda n, k, x, y: graph.sub(self.at(x, k), self.at(y, k)),
+            "neg": lambda n, x: graph.apply("neg", self.at(x)),
+            "add": lambda n, x, y: graph.add(self.at(x), self.at(y)),
+            "sub": lambda n, x, y: graph.sub(self.at(x), self.at(y)),
             "mul": self._mul,
             "div": self._div,
             "pow": self._pow,
-            "sqrt": lambda n, k, x: self._root(self.a[n], self.at(x, k), k),
-            "exp": lambda n, k, x: self._integral(k, x, self.a[n]),
-            "log": self._log,
-            **dict.fromkeys(("sin", "sinh", "cosh", "tan", "tanh"), lambda n, k, x: self._integral(k, x, self.b[n])),
-            "cos": lambda n, k, x: graph.apply("neg", self._integral(k, x, self.b[n])),
-            "atan": lambda n, k, x: self._inverse(n, k, self.at(x, k)),
-            "asin": lambda n, k, x: self._inverse(n, k, self.at(x, k)),
-            "acos": lambda n, k, x: self._inverse(n, k, graph.apply("neg", self.at(x, k))),
+            "sqrt": self._sqrt,
+            "exp": lambda n, x: self._integral(x, n),
+            "log": lambda n, x: self._inverse(n, self.at(x), x),
+            **dict.fromkeys(("sin", "sinh", "cosh", "tan", "tanh"), lambda n, x: self._integral(x, self.beside(n))),
+            "cos": lambda n, x: graph.apply("neg", self._integral(x, self.beside(n))),
+            **dict.fromkeys(("atan", "asin"), lambda n, x: self._inverse(n, self.at(x), self.beside(n))),
+            "acos": lambda n, x: self._inverse(n, graph.apply("neg", self.at(x)), self.beside(n)),
         }
+
+    @abstractmethod
+    def at(self, x: Node) -> Node:
+        """Coefficient k."""
+
+    @abstractmethod
+    def first(self, x: Node) -> Node:
+        """Coefficient 0."""
+
+    @abstractmethod
+    def beside(self, n: Node) -> Node:
+        """Companion of an operation."""
+
+    @abstractmethod
+    def total(self, x: Node, y: Node, ends: int, *, last: int = 0, weighted: bool = False) -> Node:
+        """Sum over i from `ends` to k - `last` of x_i y_(k-i), each times i if weighted."""
+
+    def _mul(self, n: Node, x: Node, y: Node) -> Node:
+        if self.graph.varying[x] and self.graph.varying[y]:
+            return self.total(x, y, 0)
+        x, y = (y, x) if self.graph.varying[x] else (x, y)
+        return self.graph.mul(self.first(x), self.at(y))
+
+    def _div(self, n: Node, x: Node, y: Node) -> Node:
+        if not self.graph.varying[y]:
+            return self.graph.div(self.at(x), self.first(y))
+        return self.graph.div(self.graph.sub(self.at(x), self.total(y, n, 1)), self.first(y))
+
+    def _sqrt(self, n: Node, x: Node) -> Node:
+        rest = self.graph.sub(self.at(x), self.total(n, n, 1, last=1))
+        return self.graph.div(rest, self.graph.mul(self.graph.number(2.0), self.first(n)))
+
+    def _pow(self, n: Node, x: Node, power: Node) -> Node:
+        # c = x^b with constant b: k c_k x_0 = b sum_(0<i<=k) i x_i c_(k-i) - sum_(0<i<k) i c_i x_(k-i)
+        graph = self.graph
+        rest = self.total(n, x, 1, last=1, weighted=True)
+        found = graph.sub(graph.mul(self.first(power), self.total(x, n, 1, weighted=True)), rest)
+        return graph.div(graph.mul(found, self.part), self.first(x))
+
+    def _integral(self, x: Node, y: Node) -> Node:
+        """(1/k) sum_(0<i<=k) i x_i y_(k-i), of the integral of x' y."""
+        return self.graph.mul(self.total(x, y, 1, weighted=True), self.part)
+
+    def _inverse(self, n: Node, numerator: Node, y: Node) -> Node:
+        """Of c' = x'/y: k c_k y_0 = k x_k - sum_(0<i<k) i c_i y_(k-i)."""
+        rest = self.graph.mul(self.total(n, y, 1, last=1, weighted=True), self.part)
+        return self.graph.div(self.graph.sub(numerator, rest), self.first(y))
+
+
+def companion(graph: Graph, node: Node) -> Node | None:
+    """What an operation's recurrence needs the series of: of sin, cos; of tan, 1 + y^2; of asin, sqrt(1 - x^2)."""
+    name, *rest = graph.operations[node]
+    one = graph.number(1.0)
+    match name:
+        case "sin" | "cos" | "sinh" | "cosh":
+            return graph.apply(PAIRS[name], int(rest[0]))
+        case "tan":
+            return graph.add(one, graph.mul(node, node))
+        case "tanh":
+            return graph.sub(one, graph.mul(node, node))
+        case "atan":
+            return graph.add(one, graph.mul(int(rest[0]), int(rest[0])))
+        case "asin" | "acos":
+            return graph.apply("sqrt", graph.sub(one, graph.mul(int(rest[0]), int(rest[0]))))
+    return None
+
+
+def companions(graph: Graph, nodes: Sequence[Node]) -> dict[Node, Node]:
+    """Companion of each varying operation that `nodes`, or these companions, are made from."""
+    found = dict[Node, Node]()
+    while True:
+        open_nodes = [n for n in needed(graph, [*nodes, *found.values()]) if graph.varying[n] and n not in found]
+        more = {n: beside for n in open_nodes if (beside := companion(graph, n)) is not None}
+        if not more:
+            return found
+        found |= more
+
+
+class _Unrolled(Recurrences):
+    """Each coefficient as nodes of its own: `series[node][k]`."""
+
+    def __init__(self, graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], time: Node) -> None:
+        super().__init__(graph)
+        self.states, self.derivatives = list(states), list(derivatives)
+        self.rates = dict(zip(states, derivatives, strict=True))
+        self.companions = companions(graph, derivatives)
+        every = needed(graph, [*derivatives, *self.companions.values()])
+        self.varying = [n for n in every if graph.varying[n] and graph.operations[n][0] != "symbol"]
+        self.series: dict[Node, list[Node]] = {node: [node] for node in (*states, *self.varying)}
+        self.series[time] = [time, graph.number(1.0)]
+        self.k = 0
 
     def rows(self, order: int) -> list[list[Node]]:
         graph = self.graph
-        states = list(self.a)[:-1]
-        for k in range(order):
-            for node in self.varying:
+        for self.k in range(order):
+            self.part = graph.number(1.0 / self.k) if self.k else self.part
+            for node in self.varying if self.k else ():
                 name, *rest = graph.operations[node]
-                if name != "symbol":
-                    inner = [int(r) for r in rest]
-                    self.a.setdefault(node, []).append(self.rules[str(name)](node, k, *inner) if k else node)
-                    self._follow(node, str(name), inner[0], k)
-            for state, derivative in zip(states, self.derivatives, strict=True):
-                self.a[state].append(graph.mul(self.at(derivative, k), graph.number(1.0 / (k + 1))))
-        return [[self.a[state][k] for state in states] for k in range(order + 1)]
+                self.series[node].append(self.rules[str(name)](node, *map(int, rest)))
+            for state, derivative in self.rates.items():
+                self.series[state].append(graph.mul(self.at(derivative), graph.number(1.0 / (self.k + 1))))
+        return [[self.series[state][k] for state in self.states] for k in range(order + 1)]
 
-    def at(self, node: Node, k: int) -> Node:
-        """Coefficient k of a node."""
-        if not self.graph.varying[node]:
-            return node if k == 0 else self.zero
-        series = self.a[node]
-        return series[k] if k < len(series) else self.zero
+    def at(self, x: Node) -> Node:
+        return self._of(x, self.k)
 
-    def _follow(self, node: Node, name: str, x: Node, k: int) -> None:
-        """Add coefficient k of what goes with a node: of sin, cos; of tan, 1 + y^2; of asin, sqrt(1 - x^2)."""
-        graph, series = self.graph, self.b.setdefault(node, [])
-        one = graph.number(1.0)
-        if name in COMPANION and k == 0:
-            series.append(graph.apply(COMPANION[name], x))
-        elif name in COMPANION:
-            found = self._integral(k, x, self.a[node])
-            series.append(graph.apply("neg", found) if name == "sin" else found)
-        elif name in {"tan", "atan", "tanh"}:
-            square = self._square([self.at(x if name == "atan" else node, i) for i in range(k + 1)], k)
-            signed = graph.apply("neg", square) if name == "tanh" else square
-            series.append(signed if k else graph.add(one, signed))
-        elif name in {"asin", "acos"}:
-            inner = graph.apply("neg", self._square([self.at(x, i) for i in range(k + 1)], k))
-            series.append(self._root(series, inner, k) if k else graph.apply("sqrt", graph.add(one, inner)))
+    def first(self, x: Node) -> Node:
+        return x
 
-    def _mul(self, node: Node, k: int, x: Node, y: Node) -> Node:
-        if not self.graph.varying[x] or not self.graph.varying[y]:
-            x, y = (y, x) if self.graph.varying[x] else (x, y)
-            return self.graph.mul(x, self.at(y, k))
-        one, two = ([self.at(z, i) for i in range(k + 1)] for z in (x, y))
-        return self._square(one, k) if x == y else self._product(one, two, range(k + 1), k)
+    def beside(self, n: Node) -> Node:
+        return self.companions[n]
 
-    def _div(self, node: Node, k: int, x: Node, y: Node) -> Node:
-        if not self.graph.varying[y]:
-            return self.graph.div(self.at(x, k), y)
-        below = [self.at(y, i) for i in range(k + 1)]
-        rest = self._product(below, self.a[node], range(1, k + 1), k)
-        return self.graph.div(self.graph.sub(self.at(x, k), rest), below[0])
+    def _of(self, x: Node, k: int) -> Node:
+        if not self.graph.varying[x]:
+            return x if k == 0 else self.graph.number(0.0)
+        series = self.series[x]
+        return series[k] if k < len(series) else self.graph.number(0.0)
 
-    def _root(self, series: list[Node], inner: Node, k: int) -> Node:
-        """C_k of c = sqrt(x): (x_k - sum_(0<i<k) c_i c_(k-i)) / (2 c_0)."""
-        rest = self._product(series, series, range(1, k), k)
-        twice = self.graph.mul(self.graph.number(2.0), series[0])
-        return self.graph.div(self.graph.sub(inner, rest), twice)
+    def total(self, x: Node, y: Node, ends: int, *, last: int = 0, weighted: bool = False) -> Node:
+        graph, k = self.graph, self.k
 
-    def _pow(self, node: Node, k: int, x: Node, power: Node) -> Node:
-        # c = x^b with constant b: c_k = sum_(0<=i<k) (k b - i (b + 1)) x_(k-i) c_i / (k x_0)
-        graph, terms = self.graph, []
-        for i in range(k):
-            more = graph.mul(graph.number(i), graph.add(power, graph.number(1.0)))
-            weight = graph.sub(graph.mul(graph.number(k), power), more)
-            terms.append(graph.mul(graph.mul(weight, self.at(x, k - i)), self.a[node][i]))
-        return graph.div(graph.total(terms), graph.mul(graph.number(k), self.at(x, 0)))
+        def term(i: int) -> Node:
+            if weighted and x in self.rates:  # of a state, i x_i is the coefficient before of its derivative
+                return graph.mul(self._of(self.rates[x], i - 1), self._of(y, k - i))
+            value = graph.mul(graph.number(i), self._of(x, i)) if weighted else self._of(x, i)
+            return graph.mul(value, self._of(y, k - i))
 
-    def _inverse(self, node: Node, k: int, numerator: Node) -> Node:
-        # c' = +-x' / b: k c_k b_0 = +-k x_k - sum_(0<i<k) i c_i b_(k-i)
-        terms = [self._weighted(i, self.a[node][i], self.b[node][k - i]) for i in range(1, k)]
-        rest = self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
-        return self.graph.div(self.graph.sub(numerator, rest), self.b[node][0])
-
-    def _log(self, node: Node, k: int, x: Node) -> Node:
-        terms = [self._weighted(i, self.a[node][i], self.at(x, k - i)) for i in range(1, k)]
-        rest = self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
-        return self.graph.div(self.graph.sub(self.at(x, k), rest), self.at(x, 0))
-
-    def _integral(self, k: int, x: Node, series: list[Node]) -> Node:
-        """(1/k) sum_(0<i<=k) i x_i b_(k-i), the k-th coefficient of the integral of x' b."""
-        if x in self.rates:  # of a state, i x_i is the coefficient before of its derivative
-            terms = [self.graph.mul(self.at(self.rates[x], i - 1), series[k - i]) for i in range(1, k + 1)]
-        else:
-            terms = [self._weighted(i, self.at(x, i), series[k - i]) for i in range(1, k + 1)]
-        return self.graph.mul(self.graph.total(terms), self.graph.number(1.0 / k))
-
-    def _weighted(self, i: int, x: Node, y: Node) -> Node:
-        return self.graph.mul(self.graph.mul(self.graph.number(i), x), y)
-
-    def _product(self, x: list[Node], y: list[Node], indices: range, k: int) -> Node:
-        return self.graph.total([self.graph.mul(x[i], y[k - i]) for i in indices])
-
-    def _square(self, x: list[Node], k: int) -> Node:
-        graph = self.graph
-        twice = graph.mul(graph.number(2.0), graph.total([graph.mul(x[i], x[k - i]) for i in range((k + 1) // 2)]))
-        return twice if k % 2 else graph.add(twice, graph.mul(x[k // 2], x[k // 2]))
+        if x != y or ends != last:
+            return graph.total([term(i) for i in range(ends, k - last + 1)])
+        twice = graph.mul(graph.number(2.0), graph.total([term(i) for i in range(ends, (k + 1) // 2)]))
+        return twice if k % 2 else graph.add(twice, term(k // 2))

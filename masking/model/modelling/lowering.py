@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
-from masking.compile.codegen.source import LARGEST_TAYLOR_COST, Module, taylor_orders
+from masking.compile.codegen.source import LARGEST_TAYLOR_COST, LEAST_SIDE_BY_SIDE, Module, taylor_orders
 from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
+from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
 from masking.compile.numerics.rig_sizes import LANES
@@ -117,10 +118,12 @@ def module(equations: Equations) -> Module:
         and not lowered.conditions
         and is_smooth
         and not hides_a_switch(graph, derivatives)
-        and products <= LARGEST_TAYLOR_COST
         and degree(graph, derivatives) < min(orders.values())
     )
-    joined = lowered.joined()
+    joined, loops = lowered.joined(), None
+    if use_taylor and products > LARGEST_TAYLOR_COST:
+        loops = Loops.of(graph, states, derivatives, time=time, health=lowered.health)
+        use_taylor = loops.side_by_side >= LEAST_SIDE_BY_SIDE
     energy = equations.energy
     outputs = {name: equations.output(name) for name in equations.declaration.outputs}
     meta = {
@@ -150,15 +153,20 @@ def module(equations: Equations) -> Module:
     if energy is not None:
         module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
-        module.add_coefficients(
-            graph, states, derivatives, time=time, health=lowered.health, loads=joined, orders=orders
-        )
+        if loops is not None:
+            module.add_coefficients_in_loops(loops, loads=joined, orders=orders)
+        else:
+            module.add_coefficients(
+                graph, states, derivatives, time=time, health=lowered.health, loads=joined, orders=orders
+            )
         for ending, order in orders.items():
             made = (taylor_integrator.taylor, f"coefficients{ending}", order, size)
-            module.add_factory(f"solve_taylor{ending}", *made, work=(order + 1, size))
-            counts = (order, size, inputs, len(s.p), LANES)
-            linked = (f"lane_{name}{ending}" for name in ("coefficients", "terms", "states"))
-            module.add_factory(f"solve_in_lanes{ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))
+            width = size if loops is None else loops.width
+            module.add_factory(f"solve_taylor{ending}", *made, work=(order + 1, width))
+            if loops is None:
+                counts = (order, size, inputs, len(s.p), LANES)
+                linked = (f"lane_{name}{ending}" for name in ("coefficients", "terms", "states"))
+                module.add_factory(f"solve_in_lanes{ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))
     added = Added(time, derivatives, lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module

@@ -18,7 +18,9 @@ import pytest
 import sympy as sp
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
+from masking import load_model
 from masking.compile.codegen import content_hashes, llvm_text, machine_code, module_store
 from masking.compile.codegen.c_functions import EXTREMES
 from masking.compile.codegen.graph import Graph
@@ -26,6 +28,7 @@ from masking.compile.codegen.graph_values import values_of
 from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.taylor_coefficients import degree, factored, is_analytic
+from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.trusted_files import write_whole
 from masking.compile.numerics import runge_kutta
 from masking.compile.numerics.rig_sizes import LANES
@@ -37,6 +40,7 @@ from masking.model.declaration.operations import FUNCTIONS
 from masking.model.effects import EFFECTS
 from masking.model.modelling.lowering import module
 from masking.model.modelling.model import Model
+from tests.benchmarks import many
 from tests.support.python_language import PYTHON
 
 NAMES = ("x", "y", "z")
@@ -307,23 +311,41 @@ SERIES = {
 }  # fmt: skip
 
 
-def series_of(equations, start, order=14, time=0.0):
-    """Return the Taylor coefficients (order + 1, n) of y' = f(t, y) from the printed recurrences."""
-    graph = Graph()
+def series_of(equations, start, order=14, time=0.0, copies=0):
+    """Return the Taylor coefficients (order + 1, n) of y' = f(t, y) from the printed recurrences.
+
+    With copies, they are those of each of so many equal systems side by side, in loops.
+    """
+    graph, count = Graph(), max(copies, 1)
     symbols = {name: sp.Symbol(name, real=True) for name in ("t", *equations)}
-    known = {symbol: graph.symbol(name, varying=True) for name, symbol in symbols.items()}
-    derivatives = [graph.lower(Expression(text).to_sympy(symbols), known) for text in equations.values()]
-    states = [known[symbols[name]] for name in equations]
+    t = graph.symbol("t", varying=True)
+    states = {name: [graph.symbol(f"{name}{i}", varying=True) for i in range(count)] for name in equations}
+    derivatives = [
+        graph.lower(
+            Expression(text).to_sympy(symbols),
+            {symbols["t"]: t} | {symbols[name]: nodes[i] for name, nodes in states.items()},
+        )
+        for text in equations.values()
+        for i in range(count)
+    ]
     assert is_analytic(graph, derivatives)
+    given, health = [node for nodes in states.values() for node in nodes], graph.number(1.0)
+    loads = {str(graph.operations[node][1]): f"y[{i}]" for i, node in enumerate(given)}
     printed = Module("test", {})
-    loads = {name: f"y[{i}]" for i, name in enumerate(equations)}
-    printed.add_coefficients(
-        graph, states, derivatives, time=known[symbols["t"]], health=graph.number(1.0), loads=loads, orders={"": order}
-    )
-    c, none = np.zeros((order + 1, len(equations))), np.zeros(0)
+    if copies:
+        loops = Loops.of(graph, given, derivatives, time=t, health=health)
+        printed.add_coefficients_in_loops(loops, loads=loads, orders={"": order})
+    else:
+        printed.add_coefficients(graph, given, derivatives, time=t, health=health, loads=loads, orders={"": order})
+    c = np.full((order + 1, loops.width if copies else len(given)), np.nan)
     generated = module_store.load(module_store.key({"test": printed.text()}), lambda: printed)
-    assert generated.function("coefficients")(time, np.array(start, dtype=float), none, none, c) == 1.0
-    return c
+    none = np.zeros(0)
+    assert (
+        generated.function("coefficients")(time, np.repeat(np.array(start, dtype=float), count), none, none, c) == 1.0
+    )
+    found = c[:, : len(given)].reshape(order + 1, len(equations), count)
+    np.testing.assert_allclose(found, found[:, :, :1] + np.zeros_like(found), rtol=1e-12, atol=1e-15)
+    return found[:, :, -1]
 
 
 # What is written, and what becomes of it, of fixed a, b, c and varying x, y.
@@ -374,20 +396,23 @@ def test_factors_that_do_not_vary_leave_products(written, expected):
     )
 
 
+@pytest.mark.parametrize("copies", [0, 11])
 @pytest.mark.parametrize("name", SERIES)
-def test_a_series_is_that_of_mpmath(name):
+def test_a_series_is_that_of_mpmath(name, copies):
     text, function = SERIES[name]
     at = mpmath.mpf("0.25")
     with mpmath.workdps(60):
         series = mpmath.taylor(lambda t: function(mpmath.mpf("0.3") + t / 2 + t**2 / 5, t), at, 13)
     expected = [0.0, *(float(c) / (k + 1) for k, c in enumerate(series))]
     # of the time itself, and of a state that follows it: s = 3/10 + t/2 + t^2/5
-    by_time = series_of({"y": text}, [0.0], time=0.25)[:, 0]
-    by_state = series_of({"y": text.replace(G, "s"), "s": "1/2 + 2*t/5"}, [0.0, 0.3 + 0.125 + 0.0125], time=0.25)[:, 0]
+    by_time = series_of({"y": text}, [0.0], time=0.25, copies=copies)[:, 0]
+    following = {"y": text.replace(G, "s"), "s": "1/2 + 2*t/5"}
+    by_state = series_of(following, [0.0, 0.3 + 0.125 + 0.0125], time=0.25, copies=copies)[:, 0]
     for found in (by_time, by_state):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-14)
 
 
+@pytest.mark.parametrize("copies", [0, 1, 7])
 @pytest.mark.parametrize(
     ("equation", "start", "solution"),
     [
@@ -402,10 +427,12 @@ def test_a_series_is_that_of_mpmath(name):
         ("3", 1.0, lambda t: 1 + 3 * t),
     ],
 )
-def test_the_series_of_a_solution_is_that_of_its_closed_form(equation, start, solution):
+def test_the_series_of_a_solution_is_that_of_its_closed_form(equation, start, solution, copies):
     with mpmath.workdps(60):
         expected = [float(c) for c in mpmath.taylor(solution, 0, 14)]
-    np.testing.assert_allclose(series_of({"y": equation}, [start])[:, 0], expected, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(
+        series_of({"y": equation}, [start], copies=copies)[:, 0], expected, rtol=1e-9, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize(
@@ -429,6 +456,37 @@ def test_only_smooth_models_are_integrated_by_series(declared, equation, is_smoo
     method = "taylor" if is_smooth else "runge_kutta"
     assert model.kernels.meta["method"] == method
     assert ("solve_taylor" in model.kernels.meta["functions"]) == is_smooth
+
+
+@pytest.mark.parametrize(("system", "n"), [("beam", 9), ("chain", 30)])
+def test_many_like_products_are_integrated_in_loops(system, n):
+    model = load_model(many.MANY / many.MODELS[system], {"N": n})
+    size, values, times = len(model.coordinates), model.parameter_values(), np.linspace(0.0, 3.0, 4)
+    assert model.kernels.meta["method"] == "taylor"
+    assert "solve_in_lanes" not in model.kernels.meta["functions"]
+    found = model.simulate(times, tolerance=1e-13)
+
+    def rates(_, y):
+        return [*y[size:], *many.accelerations(np, system, y[:size], y[size:], values)]
+
+    start = np.array(model.initial_state({}))
+    expected = solve_ivp(rates, (0.0, 3.0), start, "DOP853", times, rtol=1e-13, atol=1e-14).y.T
+    np.testing.assert_allclose(found.states, expected, atol=1e-10)
+    name = model.coordinates[0]
+    each = model.simulate(times, tolerance=1e-13, ensemble={name: [start[0], 0.1]})
+    np.testing.assert_array_equal(each.states[0], found.states)
+
+
+def test_unlike_products_are_not(declared):
+    # three links whose products are all different
+    shapes = [(i, j) for i in range(1, 4) for j in range(1, 4) if i != j]
+    kinetic = " + ".join(f"a{i}'**2" for i in range(1, 4))
+    coupled = " + ".join(f"{0.1 * i * j:.2f}*a{i}'*a{j}'*cos(a{i} - a{j})/2" for i, j in shapes)
+    model = declared(
+        coordinates={f"a{i}": {"initial": 0.3 * i} for i in range(1, 4)},
+        lagrangian=f"{kinetic} + {coupled} + cos(a1) + 2*cos(a2) + 3*cos(a3)",
+    )
+    assert model.kernels.meta["method"] == "runge_kutta"
 
 
 def test_a_model_that_is_not_smooth_falls_back(declared):
