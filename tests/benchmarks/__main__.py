@@ -10,7 +10,18 @@ from pathlib import Path
 
 from tests.benchmarks import table
 
-PARTS = ("trajectory", "ensembles", "sampled", "twin", "step", "loop", "authentication", "identification", "start")
+PARTS = (
+    "trajectory",
+    "ensembles",
+    "many",
+    "sampled",
+    "twin",
+    "step",
+    "loop",
+    "authentication",
+    "identification",
+    "start",
+)
 
 
 def main() -> None:

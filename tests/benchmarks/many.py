@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,16 @@ import numpy as np
 from masking import load_model
 from masking.lab.runs.experiment import Experiment
 from masking.model.modelling.model import Model
+from tests.benchmarks.table import Row, few, interleaved, limited, milliseconds, missing, ratio
 
 MANY = Path(__file__).resolve().parents[2] / "examples" / "many"
 MODELS = {"chain": "duffing_chain.yaml", "beam": "pendula_beam.yaml"}
 COUNTS = (2, 5, 10, 20, 50, 100, 200)
 TIME, TOLERANCE = 100.0, 1e-10
 REPEATS = 5
+# Of the rows of `make bench`: heyoka's default mode takes minutes to compile larger systems.
+BESIDE, ROUNDS = (10, 20, 50), 21
+HEYOKA = ("default mode", "compact mode")
 BOUNDS = [float(f"{digit}e{power}") for power in range(-4, 4) for digit in (1, 2, 5)]
 KEYS = ("load", "lower", "compile", "run", "first", "mask", "chi")
 
@@ -52,15 +57,17 @@ def settled(work: Callable[[], Any]) -> tuple[float, Any]:
     return statistics.median(seconds for seconds, _ in found), found[-1][1]
 
 
+def loaded(system: str, n: int) -> Model:
+    """Load a model, in its scales."""
+    model = load_model(MANY / MODELS[system], {"N": n})
+    return model.dimensionless() if model.declaration.scales else model
+
+
 def simulated(system: str, n: int) -> tuple[dict[str, float], Model]:
     """Measure a model by itself, in its scales."""
 
-    def load() -> Model:
-        model = load_model(MANY / MODELS[system], {"N": n})
-        return model.dimensionless() if model.declaration.scales else model
-
     found = dict[str, float]()
-    found["load"], model = spent(load)
+    found["load"], model = spent(lambda: loaded(system, n))
     found["lower"], _ = spent(lambda: model.kernels)
     times = np.linspace(0.0, TIME, 201)
     first, _ = spent(lambda: model.simulate(times, tolerance=TOLERANCE))
@@ -101,15 +108,56 @@ def accelerations(library: Any, system: str, q: Vector, v: Vector, p: dict[str, 
 
 def heyoka(system: str, model: Model, compact: bool) -> dict[str, float]:
     """Measure heyoka's Taylor integrator."""
+    built, integrator = spent(lambda: taylor_adaptive(system, model, compact))
+    run, _ = spent(lambda: integrator.propagate_grid(np.linspace(0.0, TIME, 201)))
+    return {"compile": built, "run": run}
+
+
+def taylor_adaptive(system: str, model: Model, compact: bool) -> Any:
+    """Make heyoka's integrator."""
     hy = importlib.import_module("heyoka")
     names = model.coordinates
     q, v = hy.make_vars(*names), hy.make_vars(*(f"v_{name}" for name in names))
     made = accelerations(hy, system, q, v, model.parameter_values())
     states = [*zip(q, v, strict=True), *zip(v, made, strict=True)]
     options = {"tol": TOLERANCE, "compact_mode": compact}
-    built, integrator = spent(lambda: hy.taylor_adaptive(states, model.initial_state({}), **options))
-    run, _ = spent(lambda: integrator.propagate_grid(np.linspace(0.0, TIME, 201)))
-    return {"compile": built, "run": run}
+    return hy.taylor_adaptive(states, model.initial_state({}), **options)
+
+
+def rows() -> Iterator[Row]:
+    """Measure runs of each system beside the faster of heyoka's two modes, taken in turn."""
+    for system, n in product(MODELS, BESIDE[: few(len(BESIDE))]):
+        what = f"{system}, {n} coordinates: Model.simulate / heyoka's faster mode"
+        try:
+            importlib.import_module("heyoka")
+        except ImportError:
+            yield missing(what, "heyoka is not installed")
+            continue
+        model, times = loaded(system, n), np.linspace(0.0, TIME, 201)
+        runs = {"ours": partial(model.simulate, times, tolerance=TOLERANCE)}
+        runs |= {name: propagation(system, model, compact=name == "compact mode") for name in HEYOKA}
+        for run in runs.values():
+            run()
+        seconds = interleaved(runs, few(ROUNDS, 2))
+        theirs = min(HEYOKA, key=lambda name: statistics.median(seconds[name]))
+        found = ratio(seconds, "ours", theirs)
+        cells = milliseconds(seconds["ours"]), milliseconds(seconds[theirs])
+        yield limited(what, *cells, found, at_most=1.5, note=f"heyoka's {theirs}, tolerance {TOLERANCE:g}")
+
+
+def propagation(system: str, model: Model, *, compact: bool) -> Callable[[], object]:
+    """Make heyoka's integrator, and a run of it from the start."""
+    integrator, start, times = (
+        taylor_adaptive(system, model, compact),
+        model.initial_state({}),
+        np.linspace(0, TIME, 201),
+    )
+
+    def run() -> object:
+        integrator.time, integrator.state[:] = 0.0, start
+        return integrator.propagate_grid(times)
+
+    return run
 
 
 def casadi(system: str, model: Model) -> dict[str, float]:

@@ -7,7 +7,7 @@ import pytest
 from tests.benchmarks import __main__ as bench
 from tests.benchmarks import table
 
-SHORT = ("trajectory", "ensembles", "sampled", "twin", "step", "authentication")
+SHORT = ("trajectory", "ensembles", "many", "sampled", "twin", "step", "authentication")
 
 
 def test_parts_print_and_write_their_rows(tmp_path, monkeypatch, capsys):
