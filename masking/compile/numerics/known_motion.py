@@ -1,7 +1,8 @@
 """Kernels along a known motion: places and readings, a law with its derivatives, and first-order responses of sensors.
 
 Forces of latent sources on degrees of freedom stand beside the states (count, n + forces); `ports` are the indices of
-these forces in the parameter array. Functions of a rig are those of `motion_sensitivities` and `augmented_motion`.
+these forces in the parameter array. Functions of a rig are those of `motion_sensitivities`, and
+`placed(t, y, u, p, d, by_state)`, which writes displacements and then rates of places, with derivatives.
 """
 # ruff: noqa: ANN001, ANN201, PLR0912, PLR0917
 # The types are numba's to infer.

@@ -1,8 +1,7 @@
-"""Augmented model: a twin with force ports, so that any effect can act at any place without compiling again.
+"""Augmented model: a twin with force ports, at which effects are tried.
 
-A force port at each place and an offset before each actuator are compiled in; effects are laws of their own, which
-drive these ports in the simulation, together with the derivatives by all parameters.
-Source: as `masking.compile.numerics.augmented_motion`.
+A force port at each place and an offset before each actuator are compiled in: along a known motion, responses of the
+sensors are to forces at these ports. What is fitted has the effects in the place of the ports, see `trial_equations`.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
 an inertia, or the value of a sensor or actuator), its internal states and its parameters, and gives a row for the force
 or value, and one for the rate of each state: the value itself, then its derivatives by displacement, rate, states and
-parameters. They do not know any model, so that an effect is put anywhere in one without compiling.
+parameters. They do not know any model, and follow any known motion.
 """
 
 from __future__ import annotations
