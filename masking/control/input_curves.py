@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,7 +31,7 @@ TINY = 1e-290  # so that what is wanted, where it is not a number, gives none
 LOOKS = 401  # points at which a curve is looked at, to find its branch
 FLAT = 1e-9  # of what a curve gives: what rounding makes of a part of it that is flat
 
-Known = Mapping[sp.Symbol, Node]  # nodes of the symbols of a model
+Known: TypeAlias = "Mapping[sp.Symbol, Node]"  # nodes of the symbols of a model; as text, so that sympy stays unloaded
 
 
 class Branch(NamedTuple):

@@ -3,6 +3,8 @@
 import json
 import pickle
 import re
+import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,6 +30,15 @@ def load(folder, *, plant=None, changes=None, **settings):
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
     return load(tmp_path_factory.mktemp("short")).run()
+
+
+def test_a_start_loads_no_package_that_only_compiling_needs():
+    code = (
+        "import sys, masking.lab.runs.experiment\n"
+        "loaded = [m for m in ('sympy.core', 'numba.core', 'pint.util', 'matplotlib.figure') if m in sys.modules]\n"
+        "assert not loaded, loaded"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 def test_columns_of_a_recording(short):
