@@ -2,6 +2,10 @@
 
 import http.client
 import json
+import os
+import signal
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from urllib.parse import urlencode, urlsplit
@@ -126,6 +130,23 @@ def test_a_model_that_cannot_move_is_refused_before_there_is_a_page(tmp_path):
     file.write_text("name: off\ncoordinates: {x: {initial: 1}}\nequations: {x'': x**3 + x'**3}\n", encoding="utf-8")
     with pytest.raises(MaskingError):
         masking.play(file, duration=1e3)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_the_verb_serves_the_page_until_an_interrupt(tmp_path):
+    command = [sys.executable, "-P", "-m", "masking", "play", "van_der_pol", "--duration", "30", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    try:
+        text = process.stdout.readline() + process.stdout.readline() + process.stdout.readline()
+        answer = get(f"{json.loads(text)['page']}data?")[0]
+        assert json.loads(answer)["t"][-1] == 30.0
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "masking: the page has ended"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture(scope="module")
