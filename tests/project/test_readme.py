@@ -20,7 +20,6 @@ NOT_RUN = {
     "python examples/scripts/10_discover_and_refine.py": "minutes; test_examples runs it",
     "masking play duffing": "ends at an interrupt; test_play_page plays",
     "masking rig serve tue_rig": "ends at an interrupt; test_rig serves",
-    "masking play duffing": "ends at an interrupt; test_play_page serves",
     "masking rig run huygens_rig --plant udp://127.0.0.1:5005": "80 s; test_rig runs in lockstep",
     "masking rig calibrate tue_rig --model setup_springs": "minutes of the twin's clock; test_calibration",
 }
