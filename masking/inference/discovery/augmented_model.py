@@ -6,7 +6,6 @@ sensors are to forces at these ports. What is fitted has the effects in the plac
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -32,6 +31,7 @@ from masking.model.declaration.expression import Expression
 from masking.model.effects import FORCE, OFFSET, Effect
 
 MOST_COLUMNS = 96  # features that are spread at once
+Key = tuple[str, str, tuple[int, ...]]  # an effect, its place, and `Seated.reads`
 PLACED = "placed(t: float, y, u, p, d, jy: Matrix)"
 
 
@@ -138,11 +138,6 @@ class Given:
     basis: Array
     late: Array  # delay of each actuator, s (actuators,)
     late_columns: IntVector  # column of this delay, or -1 (actuators,)
-
-    @property
-    def states(self) -> int:
-        """Number of states of the effects."""
-        return sum(len(one.effect.states) for one in self.trial.placed)
 
 
 @dataclass(frozen=True)
@@ -385,7 +380,7 @@ class AugmentedModel:
         used, channels = len(self.names), len(self.twin.actuators)
         late, late_columns = np.zeros(channels), np.full(channels, -1)
         own, columns = self.basis(theta[: len(self.start)])
-        values, at, seated, same = list[float](), dict[int, int](), list[Seated](), dict[float, int]()
+        values, at, seated, same = list[float](), dict[int, int](), list[Key](), dict[float, int]()
         for instance in (*self.imperfections, *instances):
             estimated = {i: used + m for m, i in enumerate(instance.free)}
             of_effect = [float(theta[estimated[i]]) if i in estimated else x for i, x in enumerate(instance.values)]
@@ -401,7 +396,7 @@ class AugmentedModel:
                 values += [x] * (place == len(values))
                 reads.append(place)
                 at |= {place: estimated[i]} if i in estimated else {}
-            seated.append(self._seated(instance, tuple(reads)))
+            seated.append((instance.effect, instance.at, tuple(reads)))
         trial = self._trial(tuple(seated))
         basis = np.zeros((len(columns) + len(trial.free), used))
         basis[: len(columns), : columns.shape[1]] = columns
@@ -410,20 +405,20 @@ class AugmentedModel:
                 basis[row, at[place]] = 1.0
         return Given(trial, np.concatenate([own, values]), basis, late, late_columns)
 
-    def _seated(self, instance: EffectInstance, reads: tuple[int, ...]) -> Seated:
-        known = list(self.laws.items())
-        parts = self.parts(instance) if instance.where == "element" else []
-        acting = tuple((*known[number], seat) for number, seat in parts)
-        return Seated(self.laws[instance.effect], self.index(instance), acting, reads)
+    def _trial(self, keys: tuple[Key, ...]) -> Trial:
+        if keys not in self._trials:
+            placed = [self._seated(*key) for key in keys]
+            self._trials[keys] = Trial.of(self._ported, placed, self._sensitivity.affected, self._opened[0].structure())
+        return self._trials[keys]
 
-    def _trial(self, placed: tuple[Seated, ...]) -> Trial:
-        key = json.dumps([one.structure() for one in placed])
-        if key not in self._trials:
-            self._trials[key] = Trial.of(self._ported, placed, self._sensitivity.affected, self._opened[0].structure())
-        return self._trials[key]
+    def _seated(self, effect: str, at: str, reads: tuple[int, ...]) -> Seated:
+        law, known = self.laws[effect], list(self.laws.values())
+        instance = EffectInstance(effect, at, (), (), law)
+        parts = self.parts(instance) if law.where == "element" else []
+        return Seated(law, self.index(instance), tuple((known[number], seat) for number, seat in parts), reads)
 
     @cached_property
-    def _trials(self) -> dict[str, Trial]:
+    def _trials(self) -> dict[tuple[Key, ...], Trial]:
         return {}
 
     @cached_property

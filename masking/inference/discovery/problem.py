@@ -128,11 +128,12 @@ class EstimationProblem:
         """
         rig, record = self.rig, self.record
         given = rig.given(instances, np.concatenate([theta, np.empty(0) if added is None else added]))
-        states, moving, intervals = given.states, len(rig.twin.free), self.intervals
+        n, moving, intervals = len(rig.twin.state_names), len(rig.twin.free), self.intervals
+        states = given.trial.states - n
         basis, late_columns, every = given.basis, given.late_columns, given.basis.shape[1] + states
         if frozen:
             basis, late_columns = np.zeros((len(basis), 0)), np.full_like(late_columns, -1)
-        k, n = basis.shape[1] + states, given.trial.states - states
+        k = basis.shape[1] + states
         width = k + moving
         y = np.full(n + states, NEARLY_ZERO)
         derivatives = np.zeros((COLUMN_ROWS * (n + states), whole_lanes(width)))

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from masking.compile.codegen import column_step, module_store
@@ -38,12 +39,12 @@ class Seated:
 
     effect: Effect
     at: int  # number of its sensor or actuator; of an element, `laws` have the seats
-    laws: tuple[tuple[str, Effect, int], ...]  # in an element: names, laws and the seats where they act
+    laws: tuple[tuple[Effect, int], ...]  # in an element: laws and the seats where they act
     reads: tuple[int, ...]  # places of its parameters among those of all effects: what is the same stands once
 
     def structure(self) -> list[object]:
         """All that compiled functions depend on."""
-        return [self.effect.structure(), self.at, [[name, seat] for name, _, seat in self.laws], self.reads]
+        return [self.effect.structure(), self.at, [[law.structure(), seat] for law, seat in self.laws], self.reads]
 
 
 class Ported:
@@ -128,7 +129,7 @@ class TrialEquations:
         x, rate = self._moved(ported.displacements), self._moved(ported.rates)
         forces, inertias = dict[int, Node](), dict[int, Node]()
         for one, nodes in pairs:
-            for _, law, seat in one.laws:
+            for law, seat in one.laws:
                 found = inertias if law.is_inertia else forces
                 motion = {"d": x[seat], "d_rate": rate[seat], "d_acc": graph.number(1.0)}
                 value = self._through(law, {**nodes, **motion})
@@ -175,7 +176,6 @@ class Trial:
     Derivatives are by the affected entries of the rig's parameters, by `free` ones of the effects, then by commands.
     """
 
-    placed: Sequence[Seated]
     equations: Kernels
     free: Sequence[int]  # parameters of the effects that may be estimated, by their places among all
     states: int  # those of the effects included
@@ -207,9 +207,9 @@ class Trial:
         many = len(affected) + len(free) + len(ported.commands)
         sizes = RigSizes(states, ported.coordinates, len(ported.reading))
         equations = Kernels(module_store.load(module_store.key(made_from), build))
-        return cls(placed, equations, free, states, sizes, (many + states, sizes.added_rows))
+        return cls(equations, free, states, sizes, (many + states, sizes.added_rows))
 
-    @property
+    @cached_property
     def kernels(self) -> Kernels:
         """Normal equations, linked to the rig's."""
         links = {**self.equations.by_signature(SLOPES, SENSED), **column_step.link(self.states, self.sizes.coordinates)}
