@@ -32,9 +32,8 @@ class Sheet:
     subject: list[str]  # lines on the rig and its records
     tiles: list[Tile]  # numbers on top
     sections: dict[str, list[str]]  # paragraphs by heading; the errors stand below the first section
-    errors: dict[str, dict[str, float]] = field(
-        default_factory=dict
-    )  # relative, by model and channel; none where not finite
+    # relative, by model and channel; none where not finite
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
     errors_title: str = ""  # with the record that they are of
     errors_label: str = RELATIVE
     in_percent: bool = True  # whether errors are shown so

@@ -66,10 +66,8 @@ class Playground:
 
     def _sliders(self) -> Iterator[Slider]:
         model, d = self.model, self.model.declaration
-        si, second = (
-            model.units.parameter_values(model.overrides, dimensionless=False),
-            model.units.computed[False]["t"],
-        )
+        si = model.units.parameter_values(model.overrides, dimensionless=False)
+        second = model.units.computed[False]["t"]
         for name, p in d.parameters.items():
             if not isinstance(p.value, Expression) or not p.value.names:  # others follow from these
                 value = si[name] / model.units.conversions[p.unit].factor

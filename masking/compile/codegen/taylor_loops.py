@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import reduce
 from itertools import groupby
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from masking.compile.codegen import llvm_text
 from masking.compile.codegen.graph import Graph, Node
@@ -274,6 +274,16 @@ def function(symbol: str, loops: Loops, types: Mapping[str, str], loads: Mapping
     return "\n\n".join([*(text for _, text in parts.values()), body.definition(symbol, "double")])
 
 
+class _Sum(NamedTuple):
+    """A sum of products of coefficients of two operands, see `Recurrences.total`."""
+
+    x: str
+    y: str
+    ends: int
+    last: int
+    weighted: bool
+
+
 class _Part(Recurrences):
     """A function that computes one coefficient of the elements of a run, in blocks."""
 
@@ -286,7 +296,7 @@ class _Part(Recurrences):
         self.operands = [self.graph.symbol(f"x{i}", varying=one) for i, one in enumerate(run.kind.varying)]
         self.strides = {"n": 1} | {f"x{i}": stride for i, stride in enumerate(run.strides)}
         self.inner: dict[Node, Node] = {}  # coefficients of parts that have no series
-        self.sums: dict[str, tuple[str, str, int, int, bool]] = {}
+        self.sums: dict[str, _Sum] = {}
         self.body = llvm_text.Body({}, llvm_text.FREE, self.lanes)
 
     def _symbol(self, text: str) -> Node:
@@ -309,7 +319,7 @@ class _Part(Recurrences):
     def total(self, x: Node, y: Node, ends: int, *, last: int = 0, weighted: bool = False) -> Node:
         name = f"sum{len(self.sums)}"
         one, two = (str(self.graph.operations[z][1]) for z in (x, y))
-        self.sums[name] = one, two, ends, last, weighted
+        self.sums[name] = _Sum(one, two, ends, last, weighted)
         return self._symbol(name)
 
     def _coefficient(self, expression: Any) -> Node:  # noqa: ANN401  (nested tuples)
@@ -343,7 +353,7 @@ class _Part(Recurrences):
         body.lines += ["%i = phi i64 [ 0, %begin ], [ %i.next, %store ]"]
         body.lines += [f"%{x}.i = add i64 %{x}, {'%i' if stride else 0}" for x, stride in self.strides.items()]
         for name, made in self.sums.items():
-            known[name] = self._sum(name, *made)
+            known[name] = self._sum(name, made)
         for node in needed(self.graph, [result]):
             operation, text = self.graph.operations[node][0], str(self.graph.operations[node][1])
             if operation == "symbol" and text not in known:
@@ -375,9 +385,10 @@ class _Part(Recurrences):
             return new(f"load {self.body.type}, ptr {address}, align {llvm_text.ALIGNED}")
         return self._everywhere(new(f"load double, ptr {address}, align {llvm_text.ALIGNED}"))
 
-    def _sum(self, name: str, x: str, y: str, ends: int, last: int, weighted: bool) -> str:  # noqa: PLR0917
+    def _sum(self, name: str, made: _Sum) -> str:
         """Loop over the products of a sum; those of a square are the same from both ends."""
         body, new, apply = self.body, self.body.new, self.body.apply
+        x, y, ends, last, weighted = made
         halved = x == y and ends == last and not weighted
         behind = new(f"add i64 %k, {1 - last * (not halved)}")
         behind = new(f"lshr i64 {behind}, 1") if halved else behind
