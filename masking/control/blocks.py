@@ -113,10 +113,9 @@ class Transform:
         """Lower eta, its rate, J and (dJ/dt) v for given nodes of rig coordinates, velocities and parameters."""
         s = self.rig.equations.symbols
         known = dict(zip((*s.q, *s.v, *self.parameter_symbols), (*q, *v, *p), strict=True))
-        jacobian = [[graph.lower(e, known) for e in row] for row in self.jacobian.tolist()]
-        eta = [graph.lower(e, known) for e in self.expressions]
+        jacobian, eta = graph.rows(self.jacobian, known), graph.lowered(self.expressions, known)
         moving = [dot(graph, row, v) for row in jacobian]
-        return MappedCoordinates(eta, moving, jacobian, [graph.lower(e, known) for e in self.bias])
+        return MappedCoordinates(eta, moving, jacobian, graph.lowered(self.bias, known))
 
 
 @dataclass(frozen=True)
@@ -280,10 +279,9 @@ class Cancellation:
         """Lower a0 (n,), B (n, k) and the health of the mass matrix; `v` holds the internal states at its end."""
         s = self.model.equations.symbols
         known = dict(zip((s.t, *s.q, *s.v, *s.s, *s.p), (time, *q, *v, *p), strict=True))
-        mass = [[graph.lower(e, known) for e in row] for row in self.model.equations.mass.tolist()]
         free = self.model.equations.force.xreplace(dict.fromkeys(s.u, sp.Integer(0)))
-        entries = [[f, *row] for f, row in zip(free, self.model.equations.input_force.tolist(), strict=True)]
-        solution, divisors = solve(graph, mass, [[graph.lower(e, known) for e in row] for row in entries])
+        entries = graph.rows(free.row_join(self.model.equations.input_force), known)
+        solution, divisors = solve(graph, graph.rows(self.model.equations.mass, known), entries)
         return [row[0] for row in solution], [row[1:] for row in solution], health(graph, divisors)
 
 

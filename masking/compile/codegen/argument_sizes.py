@@ -252,6 +252,8 @@ class _Kernel:
             case ast.Compare(left=left, ops=[operation], comparators=[right]):
                 x, y, test = self.number(left), self.number(right), _COMPARED.get(type(operation))
                 return None if x is None or y is None or test is None else _number(test(x, y))
+            case ast.IfExp(test=test, body=body, orelse=other) if (decided := self.number(test)) is not None:
+                return self.value(body if decided else other)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 found = self.number(operand)
                 return None if found is None else _number(not found)

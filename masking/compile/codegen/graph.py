@@ -75,8 +75,13 @@ class Graph:
         return self.lowered([expression], symbols)[0]
 
     def lowered(self, expressions: Iterable[sp.Expr], symbols: Mapping[sp.Symbol, Node]) -> list[Node]:
-        """Node of each expression, as `lower`; in one walk, since most entries of a large matrix are the same."""
+        """Node of each expression, as `lower`, in one walk."""
         return [*map(_Lowering(self, symbols).node, expressions)]
+
+    def rows(self, matrix: sp.Matrix, symbols: Mapping[sp.Symbol, Node]) -> list[list[Node]]:
+        """Nodes of the entries of a matrix, as `lowered`: most entries of a large one are the same."""
+        entries, width = self.lowered(matrix.flat(), symbols), matrix.cols
+        return [entries[width * i : width * (i + 1)] for i in range(matrix.rows)]
 
     def _node(self, operation: tuple[str | float | int, ...], varying: bool) -> Node:
         node = self._index.get(operation)

@@ -28,9 +28,9 @@ from masking.compile.numerics.motion_sensitivities import (
     Derivatives,
     command_at,
     drive,
+    driven_step,
     motion_alone,
     motion_with_derivatives,
-    runge_kutta_4,
     take,
 )
 from masking.compile.numerics.rig_sizes import LANES
@@ -225,7 +225,7 @@ def extended_filter(slopes: Kernel, sensed: Kernel, carry: Kernel, has_root: boo
     samples from `begin` on, linearising the readings of a sample `updates` times, each about the estimate before. The
     state, the parameters, p and the covariance `matrix` are those of the next sample afterwards.
     """
-    advance = runge_kutta_4(motion_with_derivatives(slopes))
+    advance = driven_step(motion_with_derivatives(slopes))
     form = ROOT if has_root else FULL
     carry_covariance, correct, variance_of = form.carry, form.correct, form.variance
 
@@ -368,7 +368,7 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     written before (`predicted`) and after (`filtered`) each correction by `gain` (n + forces, sensors). The part `kept`
     of the forces goes on to the next sample.
     """
-    advance = runge_kutta_4(motion_alone(derivative))
+    advance = driven_step(motion_alone(derivative))
 
     @compiled
     @requires(

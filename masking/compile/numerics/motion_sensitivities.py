@@ -35,7 +35,7 @@ from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
-from masking.compile.numerics.runge_kutta import held_late
+from masking.compile.numerics.runge_kutta import OF_STATE, classical_step, held_late
 from masking.compile.numerics.vectors import add_products, cleared
 
 # Of a record whose normal equations are summed up, for n states, `sensors`, `channels` and columns, in work space that
@@ -203,15 +203,8 @@ def readings_with_derivatives(sensed: Kernel) -> Kernel:
     return read
 
 
-@inlined
-def of_stage(stages, stage, n):
-    """Derivatives of one stage of a step among those of all."""
-    first = stage * n
-    return Derivatives(stages.by_state[first : first + n], stages.by_column[first : first + n])
-
-
-def runge_kutta_4(flow: Kernel) -> Kernel:
-    """Make one step of the classical Runge-Kutta method for a motion, whose rates and their derivatives `flow` writes.
+def driven_step(flow: Kernel) -> Kernel:
+    """Make one step of a motion whose rates and their derivatives `flow` writes.
 
     Returns `advance(t, y, u, end, given, h, stages, work)`, which moves y (n,) over h, while the commands go linearly
     from u to `end`; `stages` (4 n rows) gets the derivatives of each stage after the other, and `work` has 6 rows, and
@@ -219,20 +212,22 @@ def runge_kutta_4(flow: Kernel) -> Kernel:
     """
 
     @inlined
+    def slope(t, stage, y, drives, moving, rate):
+        begin, end, now = drives
+        given, stages, work = moving
+        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        for i in range(now.size):
+            now[i] = begin[i] + c * (end[i] - begin[i])
+        of_stage = slice(stage * y.size, (stage + 1) * y.size)
+        flow(t, y, now, given, rate, Derivatives(stages.by_state[of_stage], stages.by_column[of_stage]), work)
+
+    step = classical_step(slope, OF_STATE)
+
+    @inlined
     def advance(t, y, u, end, given, h, stages, work):
-        channels = u.shape[0]
         rates, work = take(work, 4)
         rows, work = take(work, 2)
-        state, now = rows[0][: y.size], rows[1][:channels]
-        for stage in range(4):
-            c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-            for i in range(channels):
-                now[i] = u[i] + c * (end[i] - u[i])
-            for i in range(y.size):
-                state[i] = y[i] + (c * h * rates[stage - 1, i] if stage > 0 else 0.0)
-            flow(t + c * h, state, now, given, rates[stage], of_stage(stages, stage, y.size), work)
-        for i in range(y.size):
-            y[i] += h / 6.0 * (rates[0, i] + 2.0 * (rates[1, i] + rates[2, i]) + rates[3, i])
+        step(t, y, (u, end, rows[1][: u.size]), (given, stages, work), h, rates, rows[0][: y.size])
 
     return advance
 
@@ -243,7 +238,7 @@ def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
     Returns `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y
     on, which is the last state afterwards.
     """
-    advance = runge_kutta_4(motion_alone(derivative))
+    advance = driven_step(motion_alone(derivative))
 
     @compiled
     @requires(
@@ -312,7 +307,7 @@ def normal_equations(slopes: Kernel, sensed: Kernel, carry: Kernel) -> Kernel:
     nothing, and rows are as long as those of `columns`) and entries of `gradient` (J^T W r). A reading that is not a
     number counts for nothing. States beyond those of `starts` go on from one interval to the next.
     """
-    advance, read = runge_kutta_4(motion_with_derivatives(slopes)), readings_with_derivatives(sensed)
+    advance, read = driven_step(motion_with_derivatives(slopes)), readings_with_derivatives(sensed)
 
     @compiled
     @requires(

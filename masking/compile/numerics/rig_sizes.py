@@ -26,24 +26,9 @@ class RigSizes:
     sensors: int  # readings of a sample
 
     @property
-    def moved(self) -> int:
-        """Number of states that are integrated."""
-        return self.states
-
-    @property
-    def read_rows(self) -> int:
-        """Rows of work space of readings with derivatives."""
-        return self.sensors + 2
-
-    @property
-    def flow_rows(self) -> int:
-        """Rows of work space of rates with derivatives."""
-        return self.states
-
-    @property
     def moving_rows(self) -> int:
         """Rows of work space of an integration step with derivatives."""
-        return 4 * self.moved + 6 + self.flow_rows
+        return 5 * self.states + 6
 
     @property
     def added_rows(self) -> int:
@@ -53,4 +38,4 @@ class RigSizes:
     @property
     def work_rows(self) -> int:
         """Rows of work space of the normal equations."""
-        return 1 + self.read_rows + self.sensors + self.added_rows + 5 + 1 + self.moving_rows
+        return 2 * self.sensors + self.added_rows + 8 + self.moving_rows

@@ -36,6 +36,7 @@ SINGULAR_PART = 1e-9
 # Where the health vanishes like the root of the time left, steps vanish before it has fallen that far.
 NEARLY_SINGULAR_PART = 1e-6
 SMALLEST_STEP = 1e-14
+OF_STATE = -1  # in the place of a number of states: that of the state
 SHORT_STEP = 1e-6  # part of the time; errors of longer ones are larger than those of rounding
 ROUNDED = 1e-15  # part of a time, or of the largest state so far, that rounding on the way may make
 
@@ -288,25 +289,21 @@ def classical_step(slope: Kernel, size: int) -> Kernel:
 
     Args:
         slope: `slope(t, stage, y, u, p, dy)` writes the derivatives at a stage, 0 to 3; u and p are anything.
-        size: number n of states.
+        size: number n of states, or OF_STATE.
 
     Returns:
         `advance(t, y, u, p, h, k, state)`, which moves y over h; `k` (4, n) and `state` (n,) are work space.
     """
 
-    @compiled
+    @inlined
     def advance(t, y, u, p, h, k, state):
-        slope(t, 0, y, u, p, k[0])
-        for i in range(size):
-            state[i] = y[i] + 0.5 * h * k[0, i]
-        slope(t + 0.5 * h, 1, state, u, p, k[1])
-        for i in range(size):
-            state[i] = y[i] + 0.5 * h * k[1, i]
-        slope(t + 0.5 * h, 2, state, u, p, k[2])
-        for i in range(size):
-            state[i] = y[i] + h * k[2, i]
-        slope(t + h, 3, state, u, p, k[3])
-        for i in range(size):
+        n = y.size if size == OF_STATE else size
+        for stage in range(4):
+            c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            for i in range(n):
+                state[i] = y[i] + (c * h * k[stage - 1, i] if stage > 0 else 0.0)
+            slope(t + c * h, stage, state, u, p, k[stage])
+        for i in range(n):
             y[i] += h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
     return advance

@@ -17,19 +17,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
-from masking.compile.codegen import column_step, module_store
-from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.codegen import module_store
+from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import copied, derivatives
-from masking.compile.numerics.rig_sizes import RigSizes, whole_lanes
+from masking.compile.numerics.rig_sizes import RigSizes
 from masking.control.rig.twin import LoweredTwin
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.places import Place, followed, rates
-from masking.inference.estimation.sensitivity import SENSED, SLOPES, with_derivatives
-from masking.lazy_imports import motion_sensitivities
+from masking.inference.estimation.sensitivity import accumulation, with_derivatives
 from masking.model.effects import Effect
 
 
@@ -212,9 +210,4 @@ class Trial:
     @cached_property
     def kernels(self) -> Kernels:
         """Normal equations, linked to the rig's."""
-        links = {**self.equations.by_signature(SLOPES, SENSED), **column_step.link(self.states, self.sizes.coordinates)}
-
-        def factories() -> dict[str, tuple[Any, ...]]:
-            return {"normal": (motion_sensitivities.normal_equations, "slopes", "sensed", "carry")}
-
-        return linked("trials", factories, links, (self.sizes.work_rows, whole_lanes(max(self.widths))))
+        return accumulation(self.equations, self.sizes, max(self.widths))

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader as lazy
 import numpy as np
 
+from masking.compile.codegen import column_step
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.kernel_arguments import Filtered, FilteredTwin, FilterRecord, FilterSteps
@@ -229,7 +230,7 @@ def _filters(sensing: Sensitivity) -> Kernels:
             "filter_root": (kalman_kernels.extended_filter, "slopes", "sensed", "carry", True),
         }
 
-    links = {**sensing.equations.by_signature(SLOPES, SENSED), **sensing.carry}
+    links = {**sensing.equations.by_signature(SLOPES, SENSED), **column_step.link(sizes.states, sizes.coordinates)}
     return linked("Kalman filters", factories, links, work)
 
 

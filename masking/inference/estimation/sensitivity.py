@@ -21,7 +21,6 @@ from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.llvm_text import Results
-from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
 from masking.compile.numerics.arrays import Array, IntMatrix
@@ -153,22 +152,16 @@ class Sensitivity:
 
     @cached_property
     def kernels(self) -> Kernels:
-        """Compiled functions; from the cache on disk where they have been made before."""
-        sizes, width = self.sizes, whole_lanes(max(self.states + len(self._compiled), *self.widths))
+        """Normal equations, linked to the twin's."""
+        return accumulation(self.equations, self.sizes, max(self.states + len(self._compiled), *self.widths))
 
+    @cached_property
+    def _simulation(self) -> Kernels:
         def factories() -> dict[str, tuple[Any, ...]]:
-            return {
-                "simulate": (motion_sensitivities.simulation, "reading", "rates"),
-                "normal": (motion_sensitivities.normal_equations, "slopes", "sensed", "carry"),
-            }
+            return {"simulate": (motion_sensitivities.simulation, "reading", "rates")}
 
-        links = {**self.equations.by_signature(*SIGNATURES), **self.carry}
-        return linked("sensitivities", factories, links, (sizes.work_rows, width))
-
-    @property
-    def carry(self) -> dict[str, NativeFunction]:
-        """Function that moves derivatives of the state over a step, as `linked` takes it."""
-        return column_step.link(self.states, self.sizes.coordinates)
+        links = self.equations.by_signature(RATES, READING)
+        return linked("simulation", factories, links, (10, max(self.states, len(self.twin.actuators))))
 
     @cached_property
     def equations(self) -> Kernels:
@@ -212,7 +205,7 @@ class Sensitivity:
         readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
         given = np.ascontiguousarray(commands, dtype=float)
         p = self.parameters(theta)
-        self.kernels.simulate(len(given), 1.0 / rate, substeps, is_first_order(hold), y, p, given, readings)
+        self._simulation.simulate(len(given), 1.0 / rate, substeps, is_first_order(hold), y, p, given, readings)
         if not np.isfinite(readings).all():
             raise IntegrationError("the simulated motion is no longer finite")
         return readings
@@ -260,6 +253,19 @@ class Sensitivity:
         if self.kernels.normal(steps, max(count, 1), shooting, arrays, readings, sums):
             raise IntegrationError("the simulated motion is no longer finite")
         return NormalEquations(symmetric(matrix), gradient, squares, simulated, y)
+
+
+def accumulation(equations: Kernels, sizes: RigSizes, width: int) -> Kernels:
+    """Kernel `normal`, see `motion_sensitivities.normal_equations`, for equations made from `with_derivatives`.
+
+    `width` is the length of the longest rows that it works with.
+    """
+
+    def factories() -> dict[str, tuple[Any, ...]]:
+        return {"normal": (motion_sensitivities.normal_equations, "slopes", "sensed", "carry")}
+
+    links = {**equations.by_signature(SLOPES, SENSED), **column_step.link(sizes.states, sizes.coordinates)}
+    return linked("normal equations", factories, links, (sizes.work_rows, whole_lanes(width)))
 
 
 def symmetric(lower: Array) -> Array:

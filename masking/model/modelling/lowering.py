@@ -61,19 +61,15 @@ class LoweredEquations:
                     text = kind + prefix + symbol.name.rstrip("'")
                     nodes[symbol] = graph.symbol(text, varying=varying)
         if equations.coordinates:
-            n = len(equations.coordinates)
-            entries = graph.lowered((*equations.mass.flat(), *equations.force.flat()), nodes)
-            mass, force = [entries[n * i : n * (i + 1)] for i in range(n)], [[entry] for entry in entries[n * n :]]
-            solution, divisors = solve(graph, mass, force)
+            solution, divisors = solve(graph, graph.rows(equations.mass, nodes), graph.rows(equations.force, nodes))
         else:
             solution, divisors = [], []
         accelerations = [row[0] for row in solution]
         nodes.update(zip(s.a, accelerations, strict=True))
-        rates = [graph.lower(rate, nodes) for rate in equations.rates]
-        lagged = [graph.lower(lag.value, nodes) for lag in equations.lags]
-        delays = [graph.lower(lag.time, nodes) for lag in equations.lags]
-        happening = equations.events
-        conditions = [graph.lower(one, nodes) for one in (*happening.conditions, *happening.values)]
+        rates = graph.lowered(equations.rates, nodes)
+        lagged = graph.lowered((lag.value for lag in equations.lags), nodes)
+        delays = graph.lowered((lag.time for lag in equations.lags), nodes)
+        conditions = graph.lowered((*equations.events.conditions, *equations.events.values), nodes)
         return cls(equations, graph, nodes, accelerations, health(graph, divisors), rates, lagged, delays, conditions)
 
     def lower(self, expression: sp.Expr) -> Node:
