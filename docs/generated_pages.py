@@ -28,7 +28,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=_reference(folder)))
         reference.append({folder.name: page})
     if config.nav is not None:
-        config.nav += [{"Reference": reference}, *REPOSITORY_FILES.values()]
+        config.nav += [{"Modules": reference}, *REPOSITORY_FILES.values()]
     return files
 
 

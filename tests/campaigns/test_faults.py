@@ -24,7 +24,7 @@ def test_the_table_is_whole():
 
 
 def test_the_guide_has_the_table():
-    page = (Path(__file__).parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "rig_reference.md").read_text(encoding="utf-8")
     lines = page.partition("<!-- computed: faults_table -->")[2].partition("<!-- end -->")[0].splitlines()
     rows = [tuple(cell.strip() for cell in line.split("|")[1:4]) for line in lines if line.startswith("|")]
     assert rows[2:] == [(str(fault.number), fault.injected, fault.expected) for fault in FAULTS]

@@ -101,7 +101,7 @@ def test_every_wing_and_folder_is_described():
 def test_pages_of_the_site_are_those_of_the_folder():
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     named = set(re.findall(r"[\w]+\.md", str(site["nav"])))
-    assert named == {page.name for page in PAGES if page.parent.name == "docs"} | {"index.md"}
+    assert named == {page.name for page in PAGES if page.parent == ROOT / "docs"} | {"index.md"}
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
@@ -115,7 +115,7 @@ def test_every_effect_is_in_the_table_with_its_meaning(effect):
 
 
 def test_the_cart_in_metres_of_the_declarations_moves_as_the_oscillator(tmp_path):
-    blocks = FENCED.findall((ROOT / "docs" / "declarations.md").read_text(encoding="utf-8"))
+    blocks = FENCED.findall((ROOT / "docs" / "declare_experiment.md").read_text(encoding="utf-8"))
     (text,) = (body for language, body in blocks if language == "yaml" and "x/stroke" in body)
     (tmp_path / "cart.yaml").write_text(text, encoding="utf-8")
     run = Experiment.load(tmp_path / "cart.yaml").run()

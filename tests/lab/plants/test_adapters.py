@@ -273,7 +273,7 @@ def test_an_adapter_outside_of_the_package_is_found(installed, capsys):
 
 
 def test_the_adapter_of_the_documentation_is_found_and_keeps_the_rules(tmp_path, installed, monkeypatch, capsys):
-    text = (Path(__file__).parents[3] / "docs" / "rig.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "adapter.md").read_text(encoding="utf-8")
     blocks = dict(re.findall(r"^```python\n# (my_\w+)\.py\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
     (entry,) = re.findall(
         r'^```toml\n\[project.entry-points."masking.plants"\]\n(\S+) = "(\S+)"\n```$', text, re.MULTILINE
