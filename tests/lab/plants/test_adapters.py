@@ -286,6 +286,12 @@ def test_the_adapter_of_the_documentation_is_found_and_keeps_the_rules(tmp_path,
     assert capsys.readouterr().out.endswith("my-rig:lab conforms\n")
 
 
+def test_the_guide_shows_what_a_check_prints():
+    text = (Path(__file__).parents[3] / "docs" / "connect.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^    passes  (.+)$", text, re.MULTILINE)
+    assert shown == [str(rule.__doc__).removesuffix(".") for rule in conformance.RULES]
+
+
 def test_a_check_prints_what_fails(installed, capsys):
     installed("their_rig", "deaf = their_rig:Deaf")
     assert cli.main(["rig", "check", "deaf:here"]) == 1
