@@ -131,15 +131,14 @@ def relaxing(h: float, rates: Matrix, weight: Matrix) -> None:
 
 
 def law_along(law: Kernel) -> Kernel:
-    """Make the value of a law along a motion, and its derivatives by parameters.
+    """Make the value of a law with states along a motion, and its derivatives by parameters.
 
-    The states of an effect are integrated by the exponential midpoint rule, with the law linearised in the middle of
+    The states are integrated by the exponential midpoint rule, with the law linearised in the middle of
     each piece: second order, exact where the law is linear in its states, and stable however fast these decay.
     Source: Hochbruck and Ostermann (2010), Acta Numerica 19, 209-286, section 2.
 
-    Returns `follow(span, number, states, course, parameters, values, features, work)`, which writes `features`
-    (count, 1 + c): the value, then its derivatives by the parameters with indices `parameters` (c,). `states` counts
-    those of the effect.
+    Returns `follow(span, number, course, parameters, values, features, work)`, which writes `features` (count, 1 + c):
+    the value, then its derivatives by the parameters with indices `parameters` (c,).
     """
 
     @compiled
@@ -150,7 +149,7 @@ def law_along(law: Kernel) -> Kernel:
         f"len(work) >= {2 * (LAW_ROWS + MOST_STATES)} and work.shape[1] >= max(linked.width, features.shape[1], 2)",
     )
     def follow(
-        span: Pieces, number: int, states: int, course: Course, parameters: IntVector, values: Vector,
+        span: Pieces, number: int, course: Course, parameters: IntVector, values: Vector,
         features: Matrix, work: Matrix,
     ) -> None:  # fmt: skip
         count, dt, pieces = span
@@ -168,7 +167,7 @@ def law_along(law: Kernel) -> Kernel:
             for j in range(1, many):
                 through = rows[0, BY_STATE] * dz[0, j] + rows[0, BY_STATE + 1] * dz[1, j]
                 features[index, j] = through + rows[0, BY_PARAMETER + parameters[j - 1]]
-            if states and index < count - 1:
+            if index < count - 1:
                 for piece in range(pieces):
                     share = (piece + 0.5) / pieces
                     px = x[index] + share * (x[index + 1] - x[index])

@@ -166,8 +166,9 @@ class Patience:
 
     # reduction of a cost that is expected of a step without damping; below it the method gives up
     least: Callable[[float], float] = lambda cost: -np.inf
-    # whether to give up, from the cost and that of the step that was tried, infinite if it failed
-    is_hopeless: Callable[[float, float], bool] = lambda cost, tried: False
+    # whether to give up, from the cost, that of the step that was tried, infinite if it failed, and the reduction that
+    # is expected of a step without damping
+    is_hopeless: Callable[[float, float, float], bool] = lambda cost, tried, expected: False
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,8 @@ def minimise(
     for number in range(1, rounds + 1):
         if progress is not None:
             progress((number - 1) / rounds)
-        is_vain = patience is not None and at.equations.step(damping.least)[1] < patience.least(at.cost)
+        whole = at.equations.step(damping.least)[1] if patience is not None else np.inf
+        is_vain = patience is not None and whole < patience.least(at.cost)
         step, gain = at.equations.step(damping.value)
         enough = tolerance(at)
         if gain < enough and damping.value > damping.least and not is_last:
@@ -235,7 +237,7 @@ def minimise(
                 return Minimum(x, at, number, converged=True)
             farther = box.after(x, step)
             tried = attempted(farther)
-        if patience is not None and patience.is_hopeless(at.cost, tried.cost):
+        if patience is not None and patience.is_hopeless(at.cost, tried.cost, whole):
             return Minimum(x, at, number, converged=True)
         success = tried.cost < at.cost
         damping = damping.after(success=success)

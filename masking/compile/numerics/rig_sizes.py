@@ -36,6 +36,11 @@ class RigSizes:
         return TOGETHER * self.sensors
 
     @property
+    def response_rows(self) -> int:
+        """Rows of work space of responses along a known motion."""
+        return 6 * self.states + 2 * self.sensors + 3
+
+    @property
     def work_rows(self) -> int:
         """Rows of work space of the normal equations."""
         return 2 * self.sensors + self.added_rows + 8 + self.moving_rows

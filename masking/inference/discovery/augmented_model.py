@@ -168,6 +168,10 @@ class AugmentedModel:
         return laws.known({one.effect: one.entry for one in self.imperfections} | tried)
 
     @property
+    def _with_states(self) -> dict[str, Effect]:
+        return {name: law for name, law in self.laws.items() if law.states}
+
+    @property
     def places(self) -> tuple[Place, ...]:
         """Places where a force may sit."""
         return self._opened[1]
@@ -308,7 +312,8 @@ class AugmentedModel:
     def kernels(self) -> Kernels:
         """Compiled functions; from the cache on disk where they have been made before."""
         width = whole_lanes(max(self.affected, 2 * len(self.seats), laws.WIDTH, MOST_COLUMNS))
-        links = {laws.SIGNATURE: laws.library(self.laws), **self.equations.by_signature(*SIGNATURES, PLACED)}
+        rows = max(self.sizes.work_rows, self.sizes.response_rows, 2 * len(self.seats) + 2)
+        links = {laws.SIGNATURE: laws.library(self._with_states), **self.equations.by_signature(*SIGNATURES, PLACED)}
 
         def factories() -> dict[str, tuple[Any, ...]]:
             return {
@@ -320,7 +325,7 @@ class AugmentedModel:
                 "read": (known_motion.readings_along, "sensed"),
             }
 
-        return linked("augmented models", factories, links, (self.sizes.work_rows, width))
+        return linked("augmented models", factories, links, (rows, width))
 
     @cached_property
     def latent(self) -> IntVector:
@@ -431,22 +436,27 @@ class AugmentedModel:
         The motion is the displacement, command or reading that the effect acts on (m,) and the rate of it (m,), with dt
         in s. Of one in series with an element or in its place, it is what the element's force gains, linearised.
         """
-        values = np.array([*instance.values, *np.zeros(MOST_PARAMETERS)])
+        names, course = list(self.laws), Course(*map(np.ascontiguousarray, (x, rate)))
+        if instance.entry.attaches == "beside":
+            return self._follow(instance, instance.effect, course, dt, by)
+        parts = ((self._forces[seat], names[number]) for number, seat in self.parts(instance))
+        return np.asarray(sum(factor * self._follow(instance, name, course, dt, by) for factor, name in parts))
+
+    def _follow(self, instance: EffectInstance, name: str, course: Course, dt: float, by: Sequence[int]) -> Array:
+        given = dict(zip(instance.entry.parameters, instance.values, strict=True))
+        law = self.laws[name].reduced(given)
+        if not law.states:
+            return laws.along(law, course, dt, given, [list(given)[i] for i in by])
+        features, values = (
+            np.empty((len(course.x), 1 + len(by))),
+            np.array([*given.values(), *np.zeros(MOST_PARAMETERS)]),
+        )
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
-        span, course = Pieces(len(x), dt, laws.pieces(x, rate, dt)), Course(*map(np.ascontiguousarray, (x, rate)))
-        parts = [(self._number(instance), 1.0)]
-        if instance.entry.attaches != "beside":
-            parts = [(number, self._forces[seat]) for number, seat in self.parts(instance)]
-        total, features = np.zeros((len(x), 1 + len(by))), np.empty((len(x), 1 + len(by)))
-        for number, factor in parts:
-            self.kernels.along(span, number, len(instance.entry.states), course, parameters, values, features)
-            total += factor * features
-        return total
+        span, number = Pieces(len(course.x), dt, laws.pieces(*course, dt)), list(self._with_states).index(name)
+        self.kernels.along(span, number, course, parameters, values, features)
+        return features
 
     def index(self, instance: EffectInstance) -> int:
         """Index of an instance's place among the places, sensors or actuators."""
         names = {"element": [p.name for p in self.places], "sensor": self.twin.sensors, "actuator": self.twin.actuators}
         return list(names[instance.where]).index(instance.at)
-
-    def _number(self, instance: EffectInstance) -> int:
-        return list(self.laws).index(instance.effect)

@@ -19,7 +19,7 @@ BEYOND = 2.0  # times the frequency at which readings fall below their noise: me
 class Thinning:
     """Samples over which means are taken: of motions a multiple of the stride, of readings a multiple of that.
 
-    Of a stride, which is odd, a law in an element looks at the middle sample.
+    Of a stride, a law in an element looks at the middle.
     """
 
     motion: int
@@ -34,14 +34,15 @@ class Thinning:
         seen = min(problem.rules.screened_frequency, BEYOND * rate * bandwidth(record.readings))
         highest = max(seen, 2.0 * float(own), 0.5 * FEWEST * rate / len(record))
         motion = max(1, int(rate / (6.0 * highest)))
-        stride = max(1, (motion // 2 - 1) // 2 * 2 + 1)
+        stride = max(1, motion // 2)
         motion -= motion % stride
         return cls(motion, motion * max(1, int(rate / (2.0 * highest) / motion)), stride)
 
 
 def middles(samples: Array, stride: int) -> Array:
-    """Middle one of every `stride` samples (m,), which is odd."""
-    return np.ascontiguousarray(samples[: len(samples) // stride * stride][stride // 2 :: stride])
+    """Middle of every `stride` samples of a table (m, c): a sample, or the mean of two."""
+    cut = samples[: len(samples) // stride * stride]
+    return np.asarray(0.5 * (cut[(stride - 1) // 2 :: stride] + cut[stride // 2 :: stride]))
 
 
 def thinned(table: Array, thin: int) -> Array:

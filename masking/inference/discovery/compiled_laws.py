@@ -1,4 +1,6 @@
-"""Compiled laws: the effects of a dictionary as functions with derivatives, distinguished by a number.
+"""Laws along known motions: the effects of a dictionary as functions with derivatives.
+
+A law without states is computed for all samples at once; the others are compiled, distinguished by a number.
 
 Each function takes what the effect acts on (displacement and rate of an element, its acceleration where the effect is
 an inertia, or the value of a sensor or actuator), its internal states and its parameters, and gives a row for the force
@@ -9,7 +11,7 @@ parameters. They do not know any model, and follow any known motion.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -17,6 +19,7 @@ import numpy as np
 
 from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph, Node
+from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import copied, derivatives
@@ -30,6 +33,7 @@ from masking.compile.numerics.effect_table import (
     MOST_STATES,
     VALUE,
 )
+from masking.compile.numerics.kernel_arguments import Course
 from masking.lazy_imports import sympy as sp
 from masking.model import effects
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
@@ -57,8 +61,9 @@ def pieces(x: Array, rate: Array, dt: float) -> int:
 
     The rate is 0 where none is known, as of a command.
     """
-    radians = dt * float(np.linalg.norm(rate)) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
-    return math.ceil(np.clip(FINE * radians, 1.0, MOST_PIECES)) if rate.any() else MOST_PIECES
+    moved = dt * rate if rate.any() else np.diff(x)
+    radians = float(np.linalg.norm(moved)) / max(float(np.linalg.norm(x - x.mean())), 1e-300)
+    return math.ceil(float(np.clip(FINE * radians, 1.0, MOST_PIECES)))
 
 
 def _spline(x: str) -> str:
@@ -154,6 +159,38 @@ def _alone(texts: tuple[str, ...]) -> tuple[Graph, tuple[str, ...], list[Node]]:
     return graph, names, [graph.lower(one.to_sympy(symbols), by_symbol) for one in found]
 
 
+def along(law: Effect, course: Course, dt: float, values: Mapping[str, float], by: Sequence[str]) -> Array:
+    """Value of a law without states along what it acts on (m,), with dt in s between two.
+
+    Then come its derivatives by parameters, whose values are by name (m, 1 + c).
+    """
+    graph, symbols, nodes = _with_derivatives(law.expression, tuple(by))
+    signals = {_subject(law): course.x, "d_rate": course.rate, "t": dt * np.arange(len(course.x))}
+    held = {symbols[name]: value for name, value in {**values, "xi": 0.0}.items() if name in symbols}
+    moving = {symbols[name]: signal for name, signal in signals.items() if name in symbols}
+    found = np.empty((len(course.x), len(nodes)))
+    with np.errstate(all="ignore"):  # where a condition does not choose what it computes
+        value = function_of(graph, nodes, held, ARRAYS, "value in numbers", variables=[*moving])
+        for column, result in zip(found.T, value(moving.values()), strict=True):
+            column[:] = result
+    return found
+
+
+@cache
+def _with_derivatives(text: str, by: tuple[str, ...]) -> tuple[Graph, dict[str, Node], list[Node]]:
+    """Expression and its derivatives by some of its symbols as nodes of a graph of their own, and its symbols."""
+    law, names, rows = _alone((text,))
+    graph = Graph()
+    symbols = {name: graph.symbol(name, varying=True) for name in names}
+    rows = copied(law, rows, [law.symbol(name, varying=True) for name in names], graph, [*symbols.values()])
+    columns = derivatives(graph, rows, [graph.symbol(name, varying=True) for name in by])
+    return graph, symbols, [*rows, *columns[0]]
+
+
+def _subject(effect: Effect) -> str:
+    return "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
+
+
 def estimable(effect: Effect) -> set[str]:
     """Parameters of an effect that may be estimated: of pieces of curves, the factor alone."""
     return {*_FACTOR} if effect.name in BASES else {*effect.parameters}
@@ -162,7 +199,7 @@ def estimable(effect: Effect) -> set[str]:
 def _law(effect: Effect) -> tuple[Graph, list[tuple[str, int]], dict[str, str]]:
     """Graph of a law, its rows, and what its symbols read."""
     graph = Graph()
-    subject = "d_acc" if effect.is_inertia else SUBJECTS[effect.where]
+    subject = _subject(effect)
     reads = {"t": "t", subject: "x", "d_rate": "rate", **dict(zip(effect.states, ("z", "z2"), strict=False))}
     reads |= {p: f"theta[{i}]" for i, p in enumerate(effect.parameters)}
     nodes = {symbol: graph.symbol(f"s_{symbol}", varying=True) for symbol in reads}

@@ -385,11 +385,12 @@ class _LeastSquares:
         def wanted(now: float) -> float:
             return rules.hopeless_fraction * max(now - likelihood.level(self.rival), 0.0)
 
-        def is_hopeless(now: float, tried: float) -> bool:
+        def is_hopeless(now: float, tried: float, expected: float) -> bool:
             nonlocal slow
             costs.append(now)
             slow = slow + 1 if now - tried < wanted(now) else 0
             is_idle = len(costs) > rules.hopeless_steps and costs[-1 - rules.hopeless_steps] - now < IDLE * enough
+            is_idle = is_idle or (tried >= now and expected < IDLE * enough)
             is_far = len(costs) == continuation.ROUNDS and now > likelihood.level(BEHIND * self.rival)
             return (
                 slow == rules.hopeless_steps or is_idle or (is_far and self.is_behind is not None and self.is_behind())

@@ -41,6 +41,8 @@ class MotionFeatures:
     simulated: Array  # readings as they are simulated (m, sensors)
     thinning: Thinning  # samples over which means are taken
     kept: Kept = field(default_factory=Kept)  # what is known of this motion already; it is added to
+    # what is followed, as `_followed` gives it
+    courses: dict[tuple[str, str, bool], tuple[Array, Array, int, int]] = field(default_factory=dict, init=False)
 
     def with_slopes(self, instance: EffectInstance) -> Features:
         """Signal that an instance adds where it acts, with slopes by its free parameters."""
@@ -75,23 +77,27 @@ class MotionFeatures:
         """Signal that an instance adds where it acts, with slopes by some parameters; by channel of a delay."""
         if instance.effect == compiled_laws.DELAY:
             return self._late(instance)
-        rig, record, motion, thin = self.rig, self.record, self.motion, self.thinning.motion
-        where, at, stride = instance.where, rig.index(instance), 1
-        nothing = np.zeros(len(record))
-        if where == "element":
-            x, rate = motion.acted_on(instance.entry, at)
-            column = rig.columns[1][at]
-            if not instance.entry.is_inertia:  # commands make an acceleration jump
-                stride = self.thinning.stride
-                x, rate = middles(x, stride), middles(rate, stride)
-        elif where == "actuator":
-            x, rate, column = record.acting[:, at], nothing, rig.columns[2][at]
-        else:
-            x, rate, column = self.simulated[:, at], nothing, at
-        made = rig.along(instance, x, rate, stride / record.rate, free)
-        if where != "element":
+        x, rate, column, stride = self._followed(instance)
+        made = self.rig.along(instance, x, rate, stride / self.record.rate, free)
+        if instance.where != "element":
             made[:, 0] -= x
-        return thinned(made, thin // stride), np.full(made.shape[1], float(column))
+        return thinned(made, self.thinning.motion // stride), np.full(made.shape[1], float(column))
+
+    def _followed(self, instance: EffectInstance) -> tuple[Array, Array, int, int]:
+        """What an instance follows, its rate (m,), the column where it acts, and the samples of each of m."""
+        where, is_inertia = instance.where, instance.entry.is_inertia
+        if (where, instance.at, is_inertia) not in self.courses:
+            rig, at, stride, rate = self.rig, self.rig.index(instance), 1, np.zeros(len(self.record))
+            if where == "element":
+                x, rate = self.motion.acted_on(instance.entry, at)
+                column, stride = rig.columns[1][at], 1 if is_inertia else self.thinning.stride
+            elif where == "actuator":
+                x, column = self.record.acting[:, at], rig.columns[2][at]
+            else:
+                x, column = self.simulated[:, at], at
+            # Commands make an acceleration jump: each sample of it counts, as of commands and readings.
+            self.courses[where, instance.at, is_inertia] = middles(x, stride), middles(rate, stride), column, stride
+        return self.courses[where, instance.at, is_inertia]
 
     def _late(self, instance: EffectInstance) -> Features:
         """Change of each command by a delay, and the columns where these act."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ from masking.inference.discovery.fitting import Begun, Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.rules import RULES
 from masking.inference.estimation.identification_data import Data
-from masking.lab import signals
 from masking.lab.records.input_hold import Hold
+from masking.lab.signals import multisines
 
 FACTORS = (3.0, 1.0)  # of the record's own size, as far as limits allow
 PERIODS, BANDS = 3, 3  # of a multisine in an experiment; of one kind, over all frequencies together
@@ -85,19 +86,25 @@ def next_experiment(
     most = np.maximum(FACTORS[0] * size, 1e-12) if limits is None else limits
     peaks = np.unique([np.minimum(factor * size, most) for factor in FACTORS], axis=0)[::-1]
 
-    def separation(commands: Array, *, fitted: bool) -> float:
-        ways = (first, second), (second, first)
-        return min(_left(problem, commands, truth, other, fitted=fitted) for truth, other in ways)
+    def separation(excitation: Excitation, way: int, *, fitted: bool) -> float:
+        truth, other = (second, first) if way else (first, second)
+        return _left(problem, excitation[2], truth, other, fitted=fitted)
 
-    looked_at, best = list[tuple[float, Excitation]](), None
-    for one in _excitations(problem, peaks, rates):
-        if not looked_at or not problem.work.is_over:
-            looked_at.append((separation(one[2], fitted=False), one))
-    for foreseen, (name, settings, commands) in sorted(looked_at, key=lambda pair: -pair[0]):
-        if best is not None and (foreseen <= best.separation or problem.work.is_over):
+    every, best, queue = list[Excitation](), None, list[tuple[float, int, int]]()
+    for i, one in enumerate(_excitations(problem, peaks, rates)):
+        if not every or not problem.work.is_over:
+            every.append(one)
+            heappush(queue, (-separation(one, 0, fitted=False), 1, i))
+    while queue:  # the one that may separate most: one way is the most that the smaller of both may be
+        foreseen, ways, i = heappop(queue)
+        if best is not None and (-foreseen <= best.separation or problem.work.is_over):
             break
-        parted = separation(commands, fitted=True)
+        if ways == 1:
+            heappush(queue, (max(foreseen, -separation(every[i], 1, fitted=False)), 2, i))
+            continue
+        parted = min(separation(every[i], way, fitted=True) for way in range(ways))
         if best is None or parted > best.separation:
+            name, settings, commands = every[i]
             best = NextExperiment(name, settings, parted, names, commands, problem.rules.separation)
     return best
 
@@ -166,8 +173,8 @@ def _waves(t: Array, many: int) -> Iterator[Excitation]:
         lines, columns = np.arange(low, high + 1), []
         for i in range(many):
             own = lines[i::many] if len(lines) >= many else lines
-            phases = signals.schroeder_phases(np.ones(len(own)))
-            wave = signals.Multisine.harmonic(own, period, phases=phases).sample(t)
+            phases = multisines.schroeder_phases(np.ones(len(own)))
+            wave = multisines.wave((PERIODS * own).tolist(), np.exp(1j * phases), len(t))
             columns.append(wave / np.abs(wave).max())
         stated = {"lowest": f"{low / period:.2g} Hz", "highest": f"{high / period:.2g} Hz"}
         yield "multisine", stated, np.array(columns).T

@@ -238,9 +238,10 @@ class Screen:
     def _scored(self, jobs: Sequence[tuple[Candidate, EffectInstance]]) -> list[Score]:
         """Scores of instances of candidates; their columns together are at most `MOST_COLUMNS`."""
         made = self.products(jobs)
+        parts = (slice(own[0], own[-1] + 1) for own in made.columns)
         return [
-            self._score(Score(*job, 0.0), made.gram[np.ix_(part, part)], made.right[part], made.squares[part])
-            for job, part in zip(jobs, made.columns, strict=True)
+            self._score(Score(*job, 0.0), made.gram[part, part], made.right[part], made.squares[part])
+            for job, part in zip(jobs, parts, strict=True)
         ]
 
     def unique(self, instance: EffectInstance) -> float:
@@ -342,6 +343,9 @@ class Screen:
 def best_factors(gram: Array, right: Array, squares: Array) -> Array:
     """Factors of columns that fit best (c,), 0 for those that are rounding alone; see `Products`."""
     factors, keep = np.zeros(len(right)), np.diag(gram) > ROUNDING * squares
+    if keep.sum() == 1:
+        factors[keep] = right[keep] / np.diag(gram)[keep]
+        return factors
     scale = np.sqrt(np.diag(gram)[keep])
     scaled = gram[np.ix_(keep, keep)] / np.outer(scale, scale)
     factors[keep] = decompositions.least_squares(scaled, right[keep] / scale, COLLINEAR) / scale

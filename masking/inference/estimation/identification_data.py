@@ -259,7 +259,8 @@ class Data:
 
     def residuals(self, simulated: Array, late: Array = NOT_LATE) -> Array:
         """Measured less simulated (m, sensors), 0 for readings that are not counted."""
-        return np.nan_to_num(self.counted(late) - simulated)
+        left = self.counted(late) - simulated
+        return np.where(np.isnan(left), 0.0, left)
 
     def __len__(self) -> int:
         return len(self.readings)

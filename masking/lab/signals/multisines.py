@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -230,7 +231,7 @@ class Multisine:
         return self.sample(times), float(times[1])
 
 
-def wave(harmonics: tuple[int, ...], amplitudes: np.ndarray, size: int) -> Array:
+def wave(harmonics: Sequence[int], amplitudes: np.ndarray, size: int) -> Array:
     """Samples of one period of Re sum_k c_k exp(i h_k theta) (size,), for harmonics h_k and complex c_k (lines,)."""
     spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
     spectrum[list(harmonics)] = 0.5 * size * amplitudes

@@ -17,6 +17,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, Literal
 
 from masking.model.declaration.expression import Expression
@@ -116,7 +117,7 @@ class Trial:
     sticks: bool = False  # whether it is fitted with the parameters that follow the step of integration
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Effect:
     """A physical effect."""
 
@@ -194,7 +195,7 @@ class Effect:
         """Whether a controller is designed with it: noise of sensors, and what sits in the loop."""
         return bool(self.deviation) or self.where == "loop"
 
-    @property
+    @cached_property
     def follows(self) -> frozenset[str]:
         """Motion that it follows: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
         texts = filter(None, [self.expression, self.takes_rate, *(state.rate for state in self.states.values())])

@@ -151,11 +151,19 @@ def test_a_step_to_where_derivatives_are_not_finite_is_made_shorter():
 
 
 def test_a_fit_without_hope_is_given_up():
+    """Rosenbrock's function is 24.2 at (-1.2, 1): what a step of the linear problem takes."""
+    steps = []
+
+    def is_hopeless(now, tried, expected):
+        steps.append((now, tried, expected))
+        return now < 4.5
+
     found = minimise(
         problem(rosenbrock, slopes), np.array([-1.2, 1.0]), NO_BOUNDS, DAMPING,
-        patience=Patience(is_hopeless=lambda now, _: now < 4.5), **SETTINGS,
+        patience=Patience(is_hopeless=is_hopeless), **SETTINGS,
     )  # fmt: skip
     assert 0.0 < found.at.cost < 4.5
+    assert steps[0][0] == pytest.approx(24.2) and steps[0][2] == pytest.approx(24.2)
 
 
 @pytest.mark.parametrize(("least", "left"), [(0.0, 0.0), (30.0, 24.2)])
