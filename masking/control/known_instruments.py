@@ -213,8 +213,12 @@ class Instruments:
         """Measured value of a rig at rest, in SI units; outputs are those without further forces."""
         model = self.model
         still = dict(zip(model.states, model.first_internal, strict=True)) | {f"{c}''": 0.0 for c in model.coordinates}
+        still |= {"t": 0.0, **dict.fromkeys(model.inputs, 0.0)}
         at = still | {**values}
         outputs = {n: o.expression for n, o in model.declaration.outputs.items() if n in sensor.measures.names}
+        pending = dict(model.declaration.definitions) if outputs else {}
+        while ready := [n for n, x in pending.items() if not x.names & pending.keys()]:
+            at |= {name: pending.pop(name).evaluate(at) for name in ready}
         return sensor.measures.evaluate({n: x.evaluate(at) for n, x in outputs.items()} | at)
 
     def rest(self) -> Array:

@@ -104,7 +104,8 @@ class InputUse:
 class BudgetRow:
     """The masking error of a further run without one cause: of each coordinate, and their rms.
 
-    `remedy` is what helps on a rig, `note` what must be known to read the row.
+    `remedy` is what helps, `note` what must be known to read the row; `remedied` is the rms with the remedy, None where
+    it was not tried.
     """
 
     cause: str
@@ -112,11 +113,17 @@ class BudgetRow:
     rms: float
     remedy: str
     note: str
+    remedied: float | None = None
 
     @property
     def title(self) -> str:
         """Name of the run."""
-        titles = {"": "as it is", "sampling": "sampled faster", "all of these": "without all"}
+        titles = {
+            "": "as it is",
+            "sampling": "sampled faster",
+            "parameters": "with the rig's parameters",
+            "all of these": "without all",
+        }
         return titles.get(self.cause, f"without {self.cause}")
 
     def chi_of(self, names: Iterable[str]) -> list[float]:
@@ -446,7 +453,8 @@ def _budget(recording: Recording) -> Budget | None:
     def row(entry: Mapping[str, Any]) -> BudgetRow:
         cause, remedy, note = (str(entry.get(key, "")) for key in ("cause", "remedy", "note"))
         chi = {name: float(value) for name, value in entry["chi"].items()}
-        return BudgetRow(cause, chi, float(entry["rms"]), remedy, note)
+        remedied = entry.get("remedied")
+        return BudgetRow(cause, chi, float(entry["rms"]), remedy, note, None if remedied is None else float(remedied))
 
     whole, *rows, without_all = map(row, (content, *content["rows"], content["without_all"]))
     return Budget(str(content["sentence"]), whole, tuple(rows), without_all)

@@ -26,8 +26,8 @@ _ORDER, _ENOUGH = 8, 100  # of differences of readings; readings in which noise 
 _MEDIAN = 0.6745  # of the magnitude of normal noise, in parts of its deviation
 _LOUD = 2.0  # times the noise that is known
 _NO_PHASE = "no fixed phase"
+_HELPS = 0.98  # of chi: what a cause must bring it down to, for what helps on the rig to be shown
 _STEADY = 0.7  # length of the mean unit vector below which a phase is not locked
-_HELPS = 0.98  # of chi: what a cause must bring it down to, for its remedy to be shown
 
 
 def warnings(study: Study) -> list[str]:
@@ -412,6 +412,7 @@ def worth(row: BudgetRow, whole: BudgetRow) -> list[str]:
         change = f"{100.0 * (row.rms / whole.rms - 1.0):+.0f} %".replace("-", "\N{MINUS SIGN}")
         change = "0 %" if change[1:] == "0 %" else change
     helps = row.remedy if row.rms <= _HELPS * whole.rms else ""
+    helps = helps if row.remedied is None else f"{row.remedy}: rms {number(row.remedied, 2)}"
     return [change, "; ".join(filter(None, (row.note, helps)))]
 
 

@@ -214,13 +214,13 @@ def refine(name_or_path: str | Path, settings: Refine) -> Refinement:
 
 
 def assumed(experiment: Experiment) -> Twin:
-    """Plant as the controller assumes it: its own model, and of the plant's effects noise and delay."""
+    """Plant as the controller assumes it: its own model, and of the plant's effects those that it knows."""
     assembly, settings = experiment.assembly, experiment.declaration.controller
     base = assembly.controller_model
     known = {}
     for name, use in assembly.plant.effects.items():
-        if experiment.twin.dictionary[use.effect].is_known_to_controller:
-            change = experiment.assumed_effects.get(name)
+        if experiment.twin.dictionary[use.effect].is_known_to_controller or name in settings.effects:
+            change = experiment.assumed.changes.get(name)
             values: dict[str, Any] = {} if change is None else {"parameters": {**use.parameters, **change.parameters}}
             if change is not None and change.enabled is not None:
                 values["enabled"] = change.enabled

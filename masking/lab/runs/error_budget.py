@@ -22,10 +22,11 @@ from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import Progress, TwinRun, run_twin
+from masking.lab.runs.remedies import PARAMETERS, SAMPLING, differing_parameters, remedies, with_rig_parameters
 from masking.model.declaration import schema
-from masking.model.effects import DELAY, EFFECTS, FAMILIES, SATURATION, Effect
+from masking.model.effects import DELAY, FAMILIES, SATURATION
 
-NOTHING, SAMPLING, ALL = "nothing", "sampling", "all of these"
+NOTHING, ALL = "nothing", "all of these"
 FASTER: Final = 10  # times the rate: so much faster is sampling that costs next to nothing
 LONGEST: Final = 10.0  # s that the runs of a budget may take where nobody has asked for one
 PREDICTED: Final = 10_000  # samples that a prediction simulates at most
@@ -34,6 +35,8 @@ MOST_DOUBLED: Final = 7  # times that a delay is doubled: more than 100 samples 
 _PREPARING: Final = 0.15  # s before each of them
 _WORTH: Final = 0.9  # of chi: what a cause must bring it down to, to be worth a sentence
 _PROBES: Final = 200  # states of the run at which the controller's model is compared with the rig
+_CAUSES: Final = 0.6  # part of the work of a budget that is done when all causes have been looked at
+_FELT: Final = 0.5  # masking error between two wanted motions from which on what parts them is their excitation
 _KNOWN: Final = 0.5  # of the error of the model: what knowing a cause must bring it down to
 _KNOWN_NOTE: Final = "the controller's model knows it: without it, the model is wrong"
 _OFFSETS_NOTE: Final = "makes up for another cause: to correct it alone makes matters worse"
@@ -46,8 +49,9 @@ class Row:
     cause: str  # what was absent
     effects: tuple[str, ...]  # the effects that were switched off; "limits" for those of the plant file
     chi: Mapping[str, float]  # masking error of each virtual coordinate; infinite where the run could not go on
-    remedy: str = ""  # what helps against the cause on a rig
+    remedy: str = ""  # what helps against the cause: a change of a file that was tried, or else what helps on the rig
     note: str = ""  # what must be known to read the row, such as why the run stopped
+    remedied: float | None = None  # rms of chi with the remedy; None where it was not tried
 
     @property
     def worst(self) -> float:
@@ -74,6 +78,9 @@ class Budget:
         """Cause to remove first, in words."""
         now, left = f"{self.whole.rms:.2g}", f"{self.without_all.rms:.2g}"
         best = min(self.rows, key=lambda row: row.rms)
+        declared = min(self.rows, key=lambda row: (math.inf if row.remedied is None else row.remedied, row.rms))
+        if declared.remedied is not None:
+            return f"Remedy first: {declared.cause} (chi {now} -> {declared.remedied:.2g} with {declared.remedy})."
         if math.isinf(self.whole.rms):
             cured = f" Without {best.cause} it goes on (chi {best.rms:.2g})." if math.isfinite(best.rms) else ""
             return f"The run stops: {self.whole.note}.{cured}"
@@ -158,32 +165,47 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
     Only the cause changes: the observer keeps the bandwidths and the noise for which it was designed, and a controller
     that predicts the delay predicts the one there is. A run that cannot go on counts with an infinite chi.
     """
-    bench, found = _Bench(experiment), causes(experiment.twin)
-    total = 1 + len(found) + 2 * FASTER
-    done = itertools.accumulate([1] * (1 + len(found)) + [FASTER], initial=0)
-
-    def row(cause: str, without: Iterable[str], effects: tuple[str, ...], note: str = "") -> tuple[Row, TwinRun | None]:
-        without, before = frozenset(without), next(done)
-        weight = FASTER if SAMPLING in without else 1
-        return bench.row(cause, without, effects, note, lambda part: report((before + weight * part) / total))
+    bench, found, others = _Bench(experiment), causes(experiment.twin), differing_parameters(experiment)
+    total = 1 + len(found) + bool(others) + 2 * FASTER
+    done = itertools.accumulate([1] * (1 + len(found) + bool(others)) + [FASTER], initial=0)
 
     def report(part: float) -> None:
         if progress is not None:
             progress(part)
 
+    def row(
+        cause: str, without: Iterable[str], effects: tuple[str, ...], note: str = "", bench: _Bench = bench
+    ) -> tuple[Row, TwinRun | None]:
+        without, before = frozenset(without), next(done)
+        weight = FASTER if SAMPLING in without else 1
+        return bench.row(cause, without, effects, note, lambda part: report(_CAUSES * (before + weight * part) / total))
+
     whole, run_as_it_is = row(NOTHING, (), ())
     known = bench.known(found, run_as_it_is) if run_as_it_is else frozenset()
-    rows = []
+    rows, felt = list[Row](), set[str]()
     for cause, effects in found.items():
-        made, _ = row(cause, [cause], effects, _KNOWN_NOTE if cause in known else "")
+        made, run = row(cause, [cause], effects, _KNOWN_NOTE if cause in known else "")
+        if run is not None and run_as_it_is is not None and bench.is_felt(run_as_it_is, run):
+            felt.add(cause)
+            continue
         is_worse = not made.note and made.rms * _WORTH > whole.rms
         rows.append(replace(made, note=_OFFSETS_NOTE) if is_worse else made)
+    exact = _Bench(with_rig_parameters(experiment).made()) if others else bench
+    if others:
+        rows.append(row(PARAMETERS, (), others, bench=exact)[0])
     faster = f"sampled at {FASTER * bench.rate / 1e3:g} kHz instead, with the same delay in seconds"
     rows.append(row(SAMPLING, [SAMPLING], (), faster)[0])
     note = f"but for {', '.join(c for c in found if c in known)}, which the controller's model knows" if known else ""
-    off = [cause for cause in found if cause not in known]
+    off = [cause for cause in found if cause not in known | felt]
     effects = tuple(name for cause in off for name in found[cause])
-    return Budget(whole, tuple(rows), row(ALL, [*off, SAMPLING], effects, note)[0], bench.rate)
+    ideal = row(ALL, [*off, SAMPLING], effects, note, bench if known else exact)[0]
+    worth = [i for i, one in enumerate(rows) if one.rms <= _WORTH * whole.rms or one.cause == SAMPLING]
+    tried = dict[str, Row]()
+    for done_before, i in enumerate(worth):
+        rows[i] = bench.remedied(rows[i], whole, rows[i].cause in known, tried)
+        report(_CAUSES + (1.0 - _CAUSES) * (done_before + 1) / len(worth))
+    report(1.0)
+    return Budget(whole, tuple(rows), ideal, bench.rate)
 
 
 @dataclass(frozen=True, repr=False)
@@ -249,19 +271,40 @@ class _Bench:
         self, cause: str, without: frozenset[str], effects: tuple[str, ...], note: str, progress: Progress
     ) -> tuple[Row, TwinRun | None]:
         """Run the experiment without some causes; return its row, and the run if it could go on."""
-        twin = self.experiment.twin
-        known = [twin.dictionary[use.effect] for name, use in twin.declaration.effects.items() if name in effects]
-        remedy = _remedy(cause, known)
         names = self.experiment.virtual.coordinates
         try:
             run = self.run(without, progress)
         except MaskingError as error:
-            return Row(cause, effects, dict.fromkeys(names, math.inf), remedy, str(error)), None
+            return Row(cause, effects, dict.fromkeys(names, math.inf), note=str(error)), None
         with np.errstate(all="ignore"):  # a run that is about to grow without bound
             columns = self.experiment.columns(run)[0].columns
             found = {name: masking_error(columns[f"virtual.{name}"], columns[f"ideal.{name}"]) for name in names}
         chi = {name: value if math.isfinite(value) else math.inf for name, value in found.items()}
-        return Row(cause, effects, chi, remedy, note), run
+        return Row(cause, effects, chi, note=note), run
+
+    def is_felt(self, whole: TwinRun, without: TwinRun) -> bool:
+        """Whether a cause moves the virtual system itself: a push that is felt is no error, but its excitation."""
+        if not any(source.is_live for source in self.experiment.declaration.inputs.values()):
+            return False
+        names = [f"ideal.{name}" for name in self.experiment.virtual.coordinates]
+        whole_columns, columns = (self.experiment.columns(run)[0].columns for run in (whole, without))
+        return max(masking_error(columns[name], whole_columns[name]) for name in names) > _FELT
+
+    def remedied(self, row: Row, whole: Row, known: bool, tried: dict[str, Row]) -> Row:
+        """Row with the first change that brings the error down, as a run shows, or else with what helps on the rig.
+
+        `tried` holds the runs with changes, by their words.
+        """
+        for remedy in remedies(self.experiment, row.cause, row.effects, known):
+            if remedy.words not in tried:
+                changed = _Bench(remedy.made())
+                tried[remedy.words] = changed.row("", frozenset(), (), "", lambda _: None)[0]
+            if tried[remedy.words].rms <= _WORTH * whole.rms:
+                return replace(row, remedy=remedy.words, remedied=tried[remedy.words].rms)
+        twin = self.experiment.twin
+        placed = [e for e in twin.effects if e.path.partition(".")[2] in row.effects and e.enabled and e.entry.remedy]
+        helps = dict.fromkeys((e.entry.remedy, e.at) for e in placed)
+        return replace(row, remedy="; ".join(f"{at}: {text}" if at else text for text, at in helps))
 
     def run(self, without: frozenset[str], progress: Progress) -> TwinRun:
         """Run the experiment without some causes, recorded at the instants at which it is recorded as it is."""
@@ -349,11 +392,3 @@ def _switched(twin: Twin, on: Callable[[str, bool], bool]) -> Twin:
         enabled = use.enabled if change.enabled is None else change.enabled
         changes[name] = change.model_copy(update={"enabled": on(name, enabled)})
     return twin.changed(changes)
-
-
-def _remedy(cause: str, effects: Iterable[Effect]) -> str:
-    if cause == SAMPLING:
-        return "raise controller.rate"
-    remedies = [effect.remedy for effect in effects if cause in {effect.family, effect.name}]
-    usual = [effect.remedy for effect in EFFECTS.values() if cause == SATURATION == effect.family]
-    return next(iter([*remedies, *usual]), "")

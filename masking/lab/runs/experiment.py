@@ -19,6 +19,7 @@ from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments, branches
 from masking.control.law import APPROACH, Controller
 from masking.control.observer import Differences, Kalman, Observer
+from masking.control.rig import assumed_rig
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import LawStep, SampledStep
@@ -118,7 +119,8 @@ class Experiment:
         """Control law."""
         settings = self.declaration.controller
         overrides = {} if settings.model else self.assembly.plant.parameters
-        assumed = Model(self.assembly.controller_model, {**overrides, **settings.parameters})
+        base = assumed_rig.model(self.assembly.controller_model, self.assumed, self.declaration)
+        assumed = Model(base, {**overrides, **settings.parameters})
         transform = Transform(assumed, self.virtual, self.declaration.transform)
         own = self.declaration.transform.parameters
         balance = None if settings.energy_balance is None else (settings.energy_balance, self._frequency)
@@ -184,28 +186,16 @@ class Experiment:
     @cached_property
     def instruments(self) -> Instruments:
         """Sensors, actuators and limits as the controller knows them."""
-        assumed, factors = self.twin.changed(self.assumed_effects), self.twin.kernels.meta["factors"]
+        assumed, factors = self.assumed, self.twin.kernels.meta["factors"]
         plant, model, driven = self.assembly.plant, self.law.model.affine, self.law.driven
         if not self.match.is_same:
             plant = coordinate_match.in_coordinates_of(model.declaration, plant, self.plant.coordinates)
         return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven, self.law.per_unit)
 
     @cached_property
-    def assumed_effects(self) -> dict[str, schema.EffectChange]:
-        """Changes of the plant's effects as the controller takes them.
-
-        A DeclarationError where `controller.effects` names an effect that no controller is designed with.
-        """
-        assumed, uses = self.declaration.controller.effects, self.assembly.plant.effects
-        allowed = [name for name, use in uses.items() if self.twin.dictionary[use.effect].is_known_to_controller]
-        remedy = f"allowed: {', '.join(allowed) or 'none'}; other effects belong into controller.model and .parameters"
-        problems = []
-        for name in assumed.keys() - set(allowed):
-            path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"
-            problems.append(Problem(self.declaration.key_place(path), path, message, remedy))
-        if problems:
-            raise DeclarationError(problems)
-        return {**self.declaration.effects, **assumed}
+    def assumed(self) -> Twin:
+        """Plant with the effects that the controller takes it to have; a DeclarationError where it can know one not."""
+        return assumed_rig.assumed(self.twin, self.declaration)
 
     @cached_property
     def sampled(self) -> SampledController:
@@ -334,7 +324,7 @@ class Experiment:
         for model in (self.plant, self.law.model, self.virtual):
             model.validate()
         self.twin.validate()
-        _ = self.assumed_effects
+        _ = self.assumed
         largest = cross_checks.LARGEST_RECORDING if self.ideal.needs_memory else cross_checks.LARGEST_ON_DISK
         if problems := [*registry.check_units(self.assembly), *self._check_size(largest)]:
             raise DeclarationError(problems)

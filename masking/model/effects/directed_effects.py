@@ -10,7 +10,7 @@ from masking.model.effects import starts
 from masking.model.effects.entry import NOT_NEGATIVE, POSITIVE, Effect, EffectParameter, Trial
 
 _SIDEWAYS = "a force that is not in line with the motion, a part that turns or bends as another moves, a tilted sensor"
-_MODELLED = "align the parts, or let the model hold the coupling"
+_MODELLED = "align the parts"
 
 DIRECTED: tuple[Effect, ...] = (
     Effect(
@@ -31,7 +31,7 @@ DIRECTED: tuple[Effect, ...] = (
         "c*d_rate",
         {"c": EffectParameter("F*s/D", "force per rate of the other", (-10.0, 10.0), 0.5)},
         cause="a spinning rotor between two axes, a frame that turns, eddy currents, fluid films",
-        remedy="let the model hold the coupling, or stop what spins",
+        remedy="stop what spins",
         source="Childs (1993), Turbomachinery Rotordynamics, sections 1.5 and 2.2",
         family="damping",
         is_linear=True,
@@ -43,7 +43,7 @@ DIRECTED: tuple[Effect, ...] = (
         "r*d",
         {"r": EffectParameter("F/D", "force per command", (-1.0, 1.0), 0.1)},
         cause="the housing of the actuator stands on that body; a force that is not in line with the motion",
-        remedy="put the reaction into the equations, or the actuator on ground",
+        remedy="put the actuator on ground",
         source="Newton (1687), Principia, third law",
         family="actuator gains",
         is_linear=True,
@@ -55,7 +55,7 @@ DIRECTED: tuple[Effect, ...] = (
         "g*d",
         {"g": EffectParameter("F/D", "force per command and displacement", (-100.0, 100.0), 1.0)},
         cause="a voice coil off the middle of its field, a lever whose arm changes, a valve that overlaps unevenly",
-        remedy="centre the coil, or divide the command by the gain where it is",
+        remedy="centre the actuator",
         source="Preumont (2011), Vibration Control of Active Structures, section 3.2",
         family="actuator gains",
         directed="gain",

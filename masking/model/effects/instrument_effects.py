@@ -14,7 +14,7 @@ _DOEBELIN = "Doebelin (2003), Measurement Systems, section 3.2"
 _TAO = "Tao and Kokotovic (1996), Adaptive Control of Systems with Actuator and Sensor Nonlinearities, ch. 1"
 _PADE = "Franklin, Powell and Emami-Naeini (2015), Feedback Control of Dynamic Systems, section 5.6.3"
 _WIDROW = "Widrow and Kollar (2008), Quantization Noise, ch. 1"
-_SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range; the observer smooths it"
+_SAMPLED = "raise the resolution of the converter or amplify the signal to fill its range"
 
 # Values from which fits start.
 _CLIPPED = (0.8, 0.9, 0.97, 1.0)  # what is clipped reads the limit, and its noise
@@ -73,7 +73,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "m",
         {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS[:2])},
         cause="a filter in the amplifier, a slow sensor",
-        remedy="raise the cut-off of the filter, or put it into the observer's model",
+        remedy="raise the cut-off of the filter",
         source="Doebelin (2003), Measurement Systems, section 3.3",
         states={"m": EffectState("(s - m)/tau", "S", "filtered value", _ANY)},
         is_linear=True,
@@ -117,7 +117,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "2*m - s",
         {"tau": EffectParameter("s", "dead time", (1e-4, 0.1), 2e-3, None, POSITIVE, (0.04, 0.2))},
         cause="a sensor that computes, a bus or a network, averaging in a converter",
-        remedy="read it earlier, or put the dead time into the observer's model",
+        remedy="read it earlier",
         source=_PADE,
         states={"m": EffectState("2*(s - m)/tau", "S", "mean of the reading and the value", _ANY)},
         is_linear=True,
@@ -142,7 +142,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "s + sigma*xi",
         {"sigma": EffectParameter("S", "standard deviation of a sample", (0.0, 0.1), 1e-3, None, NOT_NEGATIVE)},
         cause="thermal noise of the electronics, stray fields, vibration of the sensor's mount",
-        remedy="shield and shorten cables, filter before sampling; the observer trades it against speed",
+        remedy="shield and shorten cables, filter before sampling",
         source="Astrom (1970), Introduction to Stochastic Control Theory, ch. 2",
         family="noise",
         is_searched=False,
@@ -227,7 +227,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "a",
         {"tau": EffectParameter("s", "time constant", (1e-5, 0.1), 1e-3, None, POSITIVE, _LAGS)},
         cause="the inductance of the coil under voltage, the bandwidth of the amplifier",
-        remedy="drive the coil by a current amplifier, or lead the command by the time constant",
+        remedy="a faster amplifier, such as one that controls the current of a coil",
         source="Franklin, Powell and Workman (1998), Digital Control of Dynamic Systems, ch. 2",
         states={"a": EffectState("(u - a)/tau", "U", "value that acts", _ANY)},
         is_linear=True,
@@ -255,7 +255,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
             "limit": EffectParameter("W", "largest mean power", (0.1, 100.0), 8.0, 8.0, NOT_NEGATIVE),
         },
         cause="the resistance of the coil turns current into heat faster than it is carried away",
-        remedy="run for shorter or at smaller amplitude, cool the coil",
+        remedy="run for shorter or at smaller amplitude, cool the actuator",
         source="Incropera and DeWitt (2002), Fundamentals of Heat and Mass Transfer, section 5.1",
         states={"P": EffectState(_HEAT, "W", "mean power of the coil")},
         family=SATURATION,
@@ -267,7 +267,7 @@ INSTRUMENTS: tuple[Effect, ...] = (
         "",
         {"samples": EffectParameter("1", "whole samples", (0.0, 20.0), 1.0, None, NOT_NEGATIVE, (1.0,))},
         cause="the time of computing, buffers of converters and drivers, a network",
-        remedy="predict the state by the delay before computing the command, or raise the rate",
+        remedy="shorten the time between a reading and the command that answers it",
         source="Astrom and Wittenmark (1997), Computer-Controlled Systems, section 3.5",
         where="loop",
         family="delay",

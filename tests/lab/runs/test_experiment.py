@@ -242,7 +242,10 @@ def test_a_controller_may_take_noise_and_delay_to_be_other_than_they_are():
             "nois",
             "controller.effects.nois: 'nois' is not an effect of twin of the experimental rig; did you mean 'noise'",
         ),
-        ("friction1", "controller.effects.friction1: a controller is not designed with dry_friction; allowed: noise,"),
+        (
+            "offset",
+            "controller.effects.offset: a controller is not designed with sensor_offset; allowed: measured_spring1,",
+        ),
     ],
 )
 def test_effects_that_a_controller_cannot_take_are_refused(name, said):
