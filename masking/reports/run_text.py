@@ -10,6 +10,7 @@ import numpy as np
 
 from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
+from masking.reports import parted_text
 from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, nested, parameters
 from masking.reports.text import capital, short
 
@@ -54,7 +55,7 @@ def warnings(study: Study) -> list[str]:
             "or drive it instead."
         )
     other = strayed(study)
-    if other and not found:
+    if other and not found and not manifest.get("parting"):
         other += (
             " Nothing that was measured explains it: compare zeros, noise, gains and delay of the rig with those of "
             "its plant file ('masking rig check ADDRESS --plant PLANT', 'masking rig calibrate'), or let 'masking "
@@ -66,7 +67,7 @@ def warnings(study: Study) -> list[str]:
 def strayed(study: Study) -> str:
     """Coordinates that moved otherwise than wanted; nothing where none did, or something else is held."""
     far = [f"{name} {number(chi, 2)}" for name, chi in study.chi.items() if not chi <= _OTHER]
-    if not far or regulation(study.recording.manifest):
+    if not far or regulation(study.recording.manifest) or parted_text.is_as_wanted(study.recording.manifest):
         return ""
     return f"The masking error is above 1 ({', '.join(far)}): a rig at rest would be nearer to the wanted motion."
 
@@ -224,6 +225,9 @@ def headline(facts: Study) -> list[str]:
         if not chi <= _ROUGH:
             verb = "did not move as" if possible else "would not move as"
         sentences = [f"{plant} {verb} {virtual}: masking error chi {size} {over}."]
+        if possible and not chi <= _ROUGH:
+            error, unit = f"masking error chi {size} {over}", length(facts)[1]
+            sentences = parted_text.sentences(facts, plant, virtual, error, unit) or sentences
         if held:
             sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {over}."]
     if still:

@@ -25,6 +25,7 @@ FILE = re.compile(r"# ([\w.]+)(, added at the end)?\n")
 STATUS = {  # in their order, of commands that the page says do not end with 0
     "masking check experiment_tip.yaml": [1, 0],
     "masking check beam_tip.yaml": [1],
+    "masking run experiment.yaml --set w=12 --out results/fast": [1],
     "masking simulate drive.yaml drive_log.csv": [2],
 }
 NOT_RUN = {

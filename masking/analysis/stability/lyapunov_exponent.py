@@ -94,21 +94,48 @@ def largest_exponent(
             f"a Lyapunov exponent over {duration:g}, after {transient:g}, in intervals of {step:g}: all must be "
             f"positive, and the duration at least {_BATCHES} intervals"
         )
-    made, y = Variational(model, directions=1), model.initial_state(initial or {})
+    before = math.ceil(transient / step)
+    times = np.arange(before + round(duration / step) + 1, dtype=np.float64) * step
+    states = model.initial_state(initial or {})[None]
+    return exponent_along(model, times, states, before=before, inputs=inputs, tolerance=tolerance, progress=progress)
+
+
+def exponent_along(
+    model: Model,
+    times: Array,
+    states: Array,
+    *,
+    before: int = 0,
+    inputs: Array | None = None,
+    tolerance: float = 1e-9,
+    progress: Callable[[float], None] | None = None,
+) -> Exponent:
+    """Largest Lyapunov exponent of a model along a motion that something else makes, such as a rig.
+
+    Args:
+        model: as for `largest_exponent`, as the errors are.
+        times: instants (m + 1,) at which w is brought back to length 1, evenly spaced.
+        states: of the motion at these instants (m + 1, 2 n + k), in SI units or in the model's scales; of the first
+            alone (1, 2 n + k), the motion is the model's own.
+        before: intervals that are left out of the mean.
+        inputs: constant inputs (k,); zero where not given.
+        tolerance: local relative error of the integrator.
+        progress: called with the part done.
+    """
+    made, y, count = Variational(model, directions=1), states[0], len(times) - 1
     # A direction that is none of the axes: it has a part in every direction, that of fastest growth included.
     w: Array = np.array([[1.0 + 0.1 * i] for i in range(made.size)]) / math.sqrt(made.size or 1)
-    before, count = math.ceil(transient / step), round(duration / step)
-    growth: Array = np.empty(before + count)
-    sizes = np.empty(before + count)
-    for i in range(before + count):
-        y, w = made.along((i * step, (i + 1) * step), y, w, u=inputs, tolerance=tolerance)
+    growth, sizes = np.empty(count), np.empty(count)
+    for i in range(count):
+        y = states[i] if len(states) > 1 else y
+        y, w = made.along((float(times[i]), float(times[i + 1])), y, w, u=inputs, tolerance=tolerance)
         length = float(np.linalg.norm(w))
         growth[i] = math.log(length) if length > 0.0 else -math.inf
         sizes[i] = np.linalg.norm(y)
         w /= length or 1.0
         if progress is not None and i % 100 == 0:
-            progress(i / (before + count))
-    kept = growth[before:]
+            progress(i / count)
+    kept, step = growth[before:], float(times[1] - times[0])
     rates = np.array([float(np.mean(part)) for part in np.array_split(kept, _BATCHES)]) / step
     error = float(np.std(rates, ddof=1) / math.sqrt(_BATCHES))
     quarter = np.array_split(np.maximum(sizes[before:], 1e-300), 4)

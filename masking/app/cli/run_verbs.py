@@ -16,7 +16,7 @@ _EITHER = {"name_or_path": "MODEL_OR_EXPERIMENT"}
 
 @verb(out="results/{name_or_path}", metavars={"name_or_path": "EXPERIMENT"})
 def _run(call: Call) -> int:
-    """Run an experiment, save its recording and write its report."""
+    """Run an experiment, save its recording and write its report; exit status 1 where chi is above 1."""
     from masking.app.workflows.output_folders import RUN, own_folder
     from masking.app.workflows.run import record, save
     from masking.lab.runs.experiment import Experiment
@@ -49,7 +49,8 @@ def _run(call: Call) -> int:
         "report": str(page.path),
     }
     replaced = f" (replaces the run of {before})" if before else ""
-    return call.answer(content, f"{page}{replaced}")
+    call.answer(content, f"{page}{replaced}")
+    return int(bool(run_report.strayed(recording)))
 
 
 @verb("app.workflows.run:report")

@@ -22,6 +22,7 @@ from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import Progress, TwinRun, run_twin
+from masking.lab.runs.parted_motion import noted
 from masking.lab.runs.remedies import PARAMETERS, SAMPLING, differing_parameters, remedies, with_rig_parameters
 from masking.model.declaration import schema
 from masking.model.effects import DELAY, FAMILIES, SATURATION
@@ -114,18 +115,19 @@ class Budget:
 def run(experiment: Experiment, wanted: bool | None = None, progress: Progress | None = None) -> Recording:
     """Run an experiment and put its budget into the manifest of the recording, under `budget`.
 
-    Where it is not said whether a budget is wanted, one is made that takes less than ten seconds. `progress` is called
-    with the part done, first of the run and then of the budget. A MaskingError where the run could not go on, or a
-    budget is wanted of a run without an observer.
+    Where it is not said whether a budget is wanted, one is made that takes less than ten seconds, but none of chaos,
+    whose masking error grows whatever its causes are. `progress` is called with the part done, first of the run and
+    then of the budget. A MaskingError where the run could not go on, or a budget is wanted without an observer.
     """
     if wanted and not experiment.has_observer:
         raise ModelError(
             f"{experiment.declaration.name}: there is no budget of a controller that knows the true state; give "
             "controller.rate and an observer, such as 'controller: {rate: 1 kHz, observer: disturbance}'"
         )
-    recording = experiment.run(progress)
+    recording = noted(experiment, experiment.run(progress))
     if wanted is None:
         is_free = experiment.declaration.controller.regulate is None  # else chi is of another motion
+        is_free = is_free and "chaos" not in recording.manifest.get("parting", {})
         wanted = experiment.has_observer and is_free and expected_time(experiment, recording) < LONGEST
     if not wanted:
         return recording

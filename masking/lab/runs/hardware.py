@@ -35,6 +35,7 @@ from masking.lab.runs import safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
 from masking.lab.runs.operator_link import Operator
+from masking.lab.runs.parted_motion import noted
 from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
 
@@ -220,7 +221,8 @@ class _Run:
         if self.streamed is not None and self.streamed.recorder.note:
             outcome |= {"recorder": self.streamed.recorder.as_dict()}
         layout = RowLayout(self.experiment)
-        return layout.recording(ran.table, self.after, lockstep=self.settings.lockstep, outcome=outcome)
+        made = layout.recording(ran.table, self.after, lockstep=self.settings.lockstep, outcome=outcome)
+        return noted(self.experiment, made)
 
     @property
     def _is_full(self) -> bool:
