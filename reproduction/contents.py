@@ -9,6 +9,7 @@ from typing import Final
 from masking.errors import DeclarationError, Problem, nearest
 from reproduction import (
     appendices,
+    beam,
     chapter4,
     chapter5,
     chapter7,
@@ -30,6 +31,7 @@ CHAPTERS: Final[Mapping[str, Chapter]] = MappingProxyType(
             "Fig. 4.2": chapter4.fig_4_2,
             "Fig. 4.3": chapter4.fig_4_3,
             "Fig. 4.4": chapter4.fig_4_4,
+            "Table 4.3": beam.table_4_3,
             "Fig. 4.5": chapter4.fig_4_5,
             "Fig. 4.6": chapter4.fig_4_6,
             "Fig. B.1": appendices.fig_b_1,

@@ -114,31 +114,40 @@ def free_motion(chosen: Mapping[str, float] | None = None) -> Data:
     return recorded(twin.with_parameters(chosen or {}), idle, moved=np.array(RELEASED), name="free motion")
 
 
-def recorded(twin: Twin, commands: Array, *, moved: Array | None = None, name: str = "record", seed: int = 0) -> Data:
+def recorded(
+    twin: Twin,
+    commands: Array,
+    *,
+    moved: Array | None = None,
+    name: str = "record",
+    seed: int = 0,
+    rate: float = RATE,
+) -> Data:
     """Return what the sensors of a twin read under commands, with its noise, zero at its equilibrium.
 
     Args:
         twin: what is recorded; it rests for a while before the record begins.
-        commands: (m, a), V, at `RATE`.
+        commands: (m, a), V, at the rate.
         moved: displacement from rest at the first sample, SI units (n,); none where it is None.
         name: of the record.
         seed: of the noise.
+        rate: Hz.
     """
-    settle = round(SETTLE * RATE)
+    settle, substeps = round(SETTLE * rate), round(SUBSTEPS * RATE / rate)
     count = len(twin.model.coordinates)
     begin = twin.rest(np.zeros(count))
     idle = Data(
-        name, RATE, np.zeros((settle, len(twin.actuators))), np.zeros((settle, len(twin.sensors))), twin.late(RATE)
+        name, rate, np.zeros((settle, len(twin.actuators))), np.zeros((settle, len(twin.sensors))), twin.late(rate)
     )
     sensing = Sensitivity(twin, ())
-    rest = sensing.simulate(np.empty(0), begin, idle.acting, rate=RATE, substeps=SUBSTEPS)[-1]
+    rest = sensing.simulate(np.empty(0), begin, idle.acting, rate=rate, substeps=substeps)[-1]
     gains = 200.0  # V/m, each sensor sees one coordinate of its own
     start = begin.copy()
     start[:count] = np.linalg.solve(_sensing(count), rest / gains)
     if moved is not None:
         start[:count] += moved
-    made = Data(name, RATE, commands, np.zeros((len(commands), len(twin.sensors))), twin.late(RATE))
-    clean = sensing.simulate(np.empty(0), start, made.acting, rate=RATE, substeps=SUBSTEPS) - rest
+    made = Data(name, rate, commands, np.zeros((len(commands), len(twin.sensors))), twin.late(rate))
+    clean = sensing.simulate(np.empty(0), start, made.acting, rate=rate, substeps=substeps) - rest
     noise = np.array([twin.noise().get(sensor, 0.0) for sensor in twin.sensors])
     return replace(made, readings=clean + noise * np.random.default_rng(seed).standard_normal(clean.shape))
 

@@ -339,7 +339,7 @@ class _Bench:
     def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
         """Causes that the controller's model holds: with them, and only them, the rig is nearer to it."""
         settings, twin = self.experiment.declaration.controller, self.experiment.twin
-        if settings.model is None and not settings.parameters:
+        if settings.model is None and not settings.parameters and not settings.effects:
             return frozenset()
         model, match, n = self.experiment.law.model, self.experiment.match, len(twin.model.coordinates)
         k, kernels = len(model.coordinates), self.experiment.sampled_loop.kernels

@@ -95,6 +95,14 @@ def test_a_remedy_lowers_the_error_as_it_says_when_it_is_written_into_the_file(t
     assert sampled.manifest["masking_error"]["x"] == pytest.approx(faster.remedied, rel=1e-9)
 
 
+def test_what_a_controller_was_given_is_known_and_not_proposed_again(tmp_path):
+    found = budget(written(tmp_path, "cart_stop", controller={"effects": {"friction": True}}))
+    row = next(one for one in found.rows if one.cause == "friction")
+    assert "knows it" in row.note
+    assert "friction" not in found.without_all.effects
+    assert not any("effects" in one.remedy for one in found.rows)
+
+
 def test_a_push_that_is_felt_is_no_cause():
     found = budget(Experiment.load("cart_felt").changed(duration=3))
     assert "periodic force" in causes(Experiment.load("cart_felt").twin)
