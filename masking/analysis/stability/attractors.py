@@ -25,7 +25,8 @@ _FURTHER: Final = 9  # times the length of the record, after which a motion that
 _MOST_ROWS: Final = 20_000  # of a motion that is looked at
 _TOLERANCE: Final = 1e-9  # local relative error of integration
 _ASIDE: Final = 0.01  # of the size of each state: how far aside a neighbour begins
-_SAME: Final = 1e-3  # of the size of the motion: two motions are one
+_SAME: Final = 1e-3  # of the size of the record: two motions are one
+_TIMED: Final = 1e-3  # relative: two periods are one
 _STILL: Final = 1e-5  # of the size of the record: what moves less is at rest
 _AWAY, _NEAR = 0.5, 0.3  # of the range: a motion has left where it is, and may have come back between two rows
 _REPEATS: Final = 1e-3  # of the range, by which a period differs from the next at most
@@ -35,6 +36,7 @@ _ALIKE: Final = 0.1  # distance of two distributions that are taken to be one in
 _TIMES: Final = 2.0  # that of the wanted motion over the same time, in which a distribution is alike
 _EXPONENT: Final = 0.3  # of an exponent, by which another is alike in any case
 _SURE: Final = 3.0  # standard errors
+_MOST_STATES: Final = 24  # of a model whose variational equations are compiled within seconds
 
 Kind = Literal["rest", "periodic"]
 
@@ -53,12 +55,11 @@ class Attractor:
         middle, amplitude = ({n: x / sizes[n] for n, x in part.items()} for part in (self.middle, self.amplitude))
         return replace(self, middle=middle, amplitude=amplitude)
 
-    def is_near(self, other: Attractor, part: float) -> bool:
-        """Whether another is the same to within a part of the size of this one."""
-        size = max(*self.amplitude.values(), *(abs(x) for x in self.middle.values()), 1e-300)
+    def is_near(self, other: Attractor, off: float) -> bool:
+        """Whether another has the same period, and places that are off by so much at most."""
         pairs = [(a[n], b[n]) for a, b in ((self.middle, other.middle), (self.amplitude, other.amplitude)) for n in a]
-        is_timed = abs(self.period - other.period) <= part * self.period
-        return self.kind == other.kind and is_timed and all(abs(a - b) <= part * size for a, b in pairs)
+        is_timed = abs(self.period - other.period) <= _TIMED * self.period
+        return self.kind == other.kind and is_timed and all(abs(a - b) <= off for a, b in pairs)
 
 
 @dataclass(frozen=True)
@@ -83,11 +84,7 @@ class Parting:
     chaos: Chaos | None = None
     wanted: Attractor | None = None  # where the wanted motion settles
     reached: Attractor | None = None  # where the motion that was made settled
-
-    @property
-    def is_same(self) -> bool:
-        """Whether both have settled at the same attractor, on which they differ in phase."""
-        return bool(self.wanted and self.reached and self.wanted.is_near(self.reached, 10.0 * _SAME))
+    is_same: bool = False  # whether that is the same periodic motion, on which they differ in phase
 
     def as_dict(self, sizes: Mapping[str, float]) -> dict[str, Any]:
         """Parting as JSON can hold it, with coordinates in units of these sizes."""
@@ -110,26 +107,28 @@ def parting(model: Model, times: Array, made: Array, wanted: Array) -> Parting:
 
     Returns:
         what is known; nothing where the model has delays or events, the motion cannot be followed on, or comes to
-        neither an attractor nor chaos.
+        neither an attractor nor chaos, which is looked for in models of few states.
     """
     try:
         model.check_ordinary("an attractor")
-        ends = [_settled(model, times, motion, wanted) for motion in (wanted, made)]
-        if ends[0] is not None and ends[1] is not None:
-            return Parting(None, *ends) if _is_on(made, ends[1], model) else Parting()
-        return Parting(_chaos(model, times, made, wanted)) if ends == [None, None] else Parting()
+        size = float(np.abs(wanted).max())
+        end, reached = (_settled(model, times, motion, wanted) for motion in (wanted, made))
+        if end is None and reached is None and made.shape[1] <= _MOST_STATES:
+            return Parting(_chaos(model, times, made, wanted))
+        if end is None or reached is None or not _is_on(made, reached, model):
+            return Parting()
+        is_same = end.is_near(reached, 10.0 * _SAME * size)
+        return Parting() if is_same and end.kind == "rest" else Parting(None, end, reached, is_same)
     except (IntegrationError, ModelError):
         return Parting()
 
 
 def _settled(model: Model, times: Array, motion: Array, wanted: Array) -> Attractor | None:
     """Attractor that a motion comes to, and a neighbour with it; None where they come to none."""
-    size = np.abs(wanted).max(axis=0)
-    aside = motion[-1] + _ASIDE * np.where(size > 0.0, size, 1.0)
-    found = [_end(model, _followed(model, times, state), float(size.max())) for state in (motion[-1], aside)]
-    if found[0] is None or found[1] is None or not found[0].is_near(found[1], _SAME):
-        return None
-    return found[0]
+    sizes = np.abs(wanted).max(axis=0)
+    aside, size = motion[-1] + _ASIDE * np.where(sizes > 0.0, sizes, 1.0), float(sizes.max())
+    end, beside = (_end(model, _followed(model, times, state), size) for state in (motion[-1], aside))
+    return end if end and beside and end.is_near(beside, _SAME * size) else None
 
 
 def _followed(model: Model, times: Array, state: Array, *, whole: bool = False) -> tuple[Array, Array]:

@@ -107,6 +107,13 @@ def test_a_phase_on_one_limit_cycle_is_no_other_attractor(models):
     assert found.reached.amplitude["x"] == pytest.approx(2.00862, abs=1e-3)
 
 
+def test_two_ways_to_one_rest_are_two_motions(models):
+    """That one decays otherwise than it should is no matter of phase."""
+    assert met(models, "wells", (1.4, 0.0), (1.2, 0.0), 100.0).as_dict({"x": 1.0}) == {}
+    ends = [simulated("wells", (start, 0.0), np.linspace(0.0, 300.0, 301))[-1] for start in (1.2, 1.4)]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-6), "both come to rest in the same well"
+
+
 def test_motions_that_nothing_attracts_are_not_named(models):
     assert met(models, "spring", (1.0, 0.0), (0.8, 0.0), 100.0).as_dict({"x": 1.0}) == {}
 
