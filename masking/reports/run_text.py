@@ -65,9 +65,10 @@ def warnings(study: Study) -> list[str]:
 
 
 def strayed(study: Study) -> str:
-    """Coordinates that moved otherwise than wanted; nothing where none did, or something else is held."""
+    """Coordinates that moved otherwise than wanted; nothing where none did, something else is held, or it is chaos."""
     far = [f"{name} {number(chi, 2)}" for name, chi in study.chi.items() if not chi <= _OTHER]
-    if not far or regulation(study.recording.manifest) or parted_text.is_as_wanted(study.recording.manifest):
+    manifest = study.recording.manifest
+    if not far or regulation(manifest) or (parted_text.is_as_wanted(manifest) and not cut(study.inputs)):
         return ""
     return f"The masking error is above 1 ({', '.join(far)}): a rig at rest would be nearer to the wanted motion."
 
