@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,30 +44,34 @@ class Checked(Printed, Result):
         return "\n".join([*lines, f"  whether it fits is unknown: {self.unknown}"] if self.unknown else lines)
 
 
-def check(*files: str | Path, compiling: Callable[[], None] | None = None) -> tuple[Checked, ...]:
+def check(
+    *files: str | Path, changes: Mapping[str, float] | None = None, compiling: Callable[[], None] | None = None
+) -> tuple[Checked, ...]:
     """Check declarations whole: spelling, schema, symbols, units, equations, and that an experiment can be masked.
 
     A sound experiment is also compared with the limits of its rig, if the plant file has them.
 
     Args:
         files: files or packaged names.
+        changes: parameters that replace the declared ones: of an experiment's virtual system, or of a model.
         compiling: called before an experiment is compiled, which takes some ten seconds, to find out whether it fits.
 
     Returns:
         one result for each file, with every problem found; none are raised.
     """
-    return tuple(_check(file, kind, compiling) for file in files for kind in _kinds(file))
+    return tuple(_check(file, kind, changes or {}, compiling) for file in files for kind in _kinds(file))
 
 
 def _kinds(file: str | Path) -> tuple[str, ...]:
     return tuple(kind for kind in catalogue.KINDS if str(file) in catalogue.names(kind)) or ("",)
 
 
-def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) -> Checked:
+def _check(file: str | Path, kind: str, changes: Mapping[str, float], compiling: Callable[[], None] | None) -> Checked:
     try:
         kind = kind or catalogue.kind_of(file)
+        catalogue.check_changes(kind, changes)
         if kind == "model":
-            load_model(file).validate()
+            load_model(file).with_parameters(**changes).validate()
         elif kind == "plant":
             registry.check_plant_file(file)
             Twin.load(file).validate()
@@ -76,7 +80,7 @@ def _check(file: str | Path, kind: str, compiling: Callable[[], None] | None) ->
         elif kind == "batch":
             batch_plan.load(file)
         else:
-            wanted = Experiment.load(file)
+            wanted = Experiment.load(file, changes=changes)
             wanted.validate()
             return _fit(str(file), wanted, compiling)
     except DeclarationError as error:

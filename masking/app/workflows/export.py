@@ -114,8 +114,7 @@ def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
     if settings.plant is not None:
         raise DeclarationError(Problem(None, "--plant", f"a {kind} runs on no plant", "name an experiment"))
     if kind == "plant":
-        if changes:
-            raise DeclarationError(Problem(None, "--set", "values of a plant stand in its file", "change them there"))
+        catalogue.check_changes(kind, changes)
         twin = Twin.load(name_or_path)
         twin.validate()
         if twin.delay and rate is None:

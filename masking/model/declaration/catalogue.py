@@ -163,6 +163,13 @@ def kind_of_keys(keys: Collection[str]) -> str | None:
     return kind if counts[kind] else None
 
 
+def check_changes(kind: str, changes: Mapping[str, float] | None) -> None:
+    """Refuse other values of parameters, of `--set`, for a kind that takes none, with a `DeclarationError`."""
+    if changes and kind not in {"model", "experiment"}:
+        message = f"values of {_ARTICLE[kind]} stand in its file"
+        raise DeclarationError(Problem(None, "--set", message, "change them there"))
+
+
 def wrong_kind(kind: str, found: str, shown: str, reference: Reference, node: Node | None = None) -> Problem:
     """Say that a file, whose content may be given as `node`, is of another kind, `found`, than is needed."""
     needed = f"{_ARTICLE[kind]} is needed here"

@@ -174,7 +174,7 @@ class Model:
         """Model in which each input appears to the first power: one that acts nonlinearly stands for what it does."""
         return replace(self, is_affine=True) if self.kernels.meta["curved"] else self
 
-    def with_parameters(self, **values: float) -> Model:
+    def with_parameters(self, /, **values: float) -> Model:
         """Model with other parameter values, in the declared units; nothing is recompiled."""
         changed = replace(self, overrides={**self.overrides, **values})
         vars(changed).update(kernels=self.kernels, units=self.units)  # neither depends on values

@@ -211,6 +211,23 @@ def test_set_changes_a_parameter_of_the_virtual_system(capsys, short, tmp_path):
     assert masking.Recording.load(tmp_path / "out").manifest["parameters"]["w3"] == 0.6
 
 
+def test_check_with_other_values_says_what_it_says_of_a_file_with_them(capsys, tmp_path):
+    """A file that has these values is the truth."""
+    written, other = tmp_path / "a.yaml", tmp_path / "b.yaml"
+    other.write_text(SHORT, encoding="utf-8")
+    written.write_text(f"{SHORT}parameters: {{w1: 2, z3: 0.2}}\n", encoding="utf-8")
+    _, wanted, _ = run(capsys, "check", written, "--json")
+    _, found, _ = run(capsys, "check", other, "--set", "w1=2", "--set", "z3=0.2", "--json")
+    _, declared, _ = run(capsys, "check", other, "--json")
+    assert json.loads(found)[0] | {"file": str(written)} == json.loads(wanted)[0]
+    assert json.loads(found) != json.loads(declared)
+    status, found, _ = run(capsys, "check", "duffing", "tue_rig", "--set", "w9=1", "--set", "self=2")
+    assert status == 2
+    assert "w9: coupled Duffing oscillators has no parameter 'w9'; did you mean" in found  # the model
+    assert "'self' is not a parameter of coupled Duffing oscillators" in found  # the experiment
+    assert "--set: values of a plant stand in its file; change them there" in found
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
