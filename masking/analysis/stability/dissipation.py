@@ -189,8 +189,7 @@ def default_box(motion: Motion, box: Box) -> dict[str, tuple[float, float]]:
     """Sides of all coordinates and velocities, in the units of the model: as given, or by default."""
     model, names = motion.model, [*map(str, motion.q), *map(str, motion.v)]
     check_box(model, box)
-    declared = model.declaration.coordinates
-    state = model.initial_state({c: 0.0 for c, d in declared.items() if d.initial is None})
+    state = model.initial_state({})
     n = len(motion.q)
     reach = 2.0 * float(np.max(np.abs(state[:n]), initial=0.0)) or 1.0
     try:

@@ -204,8 +204,7 @@ class _Rest:
         names = [q.name for q in self.q]
         check_box(self.model, given, with_velocities=False)
         box, known = {}, self.bound()
-        declared = self.model.declaration.coordinates
-        state = self.model.initial_state({n: 0.0 for n in names if declared[n].initial is None})
+        state = self.model.initial_state({})
         wide = _FURTHER * float(np.max(np.abs(state[: len(names)]), initial=0.0)) or 1.0
         turn = (-np.pi * (1.0 - _MARGIN), np.pi * (1.0 + _MARGIN))
         for name, is_angle in zip(names, self.angles, strict=True):

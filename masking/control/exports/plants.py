@@ -63,14 +63,14 @@ def twin_unit(twin: Twin, name: str, rate: float) -> Unit:
 
 
 def model_unit(model: Model, name: str, rate: float) -> Unit:
-    """Model, in SI units or in its scales, as a unit, in its initial state; coordinates without one begin at 0.
+    """Model, in SI units or in its scales, as a unit, in its initial state.
 
     `rate` are steps per second, or per unit of the model's time.
     """
     model.check_ordinary("an exported model")
     module = lowering.module(model.equations)
     d, n, values, period = model.declaration, len(model.coordinates), model.values(), 1.0 / rate
-    state = model.initial_state({c: 0.0 for c, x in d.coordinates.items() if x.initial is None})
+    state = model.initial_state({})
     size, u = len(state), np.zeros(len(model.inputs))
     lengths = np.resize(model.lengths, size) if n else np.ones(size)
     substeps = steps_between(lambda y, out: model.kernels.derivative(0.0, y, u, values, out), state, lengths, rate)

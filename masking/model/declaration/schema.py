@@ -65,7 +65,7 @@ _SWITCH = _Switch("", (bool,))
 
 
 class Coordinate(Block):
-    """A coordinate, its meaning and unit, and where it starts; `initial` None leaves that to the experiment."""
+    """A coordinate, its meaning and unit, and where it starts; `initial` None is 0, and an experiment says where."""
 
     meaning: TextField = ""
     unit: TextField = "1"

@@ -285,7 +285,7 @@ class Model:
         Args:
             times: monotone times (m,), in seconds, or in units of the time scale.
             initial: values of coordinates (`x1`), velocities (`x1'`) and internal states at the first time, in the
-                declared units; what is not given is taken from the declaration.
+                declared units; what is not given is as declared, or 0 where nothing is.
             inputs: constant inputs (k,), in SI units or in the declared scales; or each by its name: a number, a
                 `Series`, or values at the times (m,), with straight lines between. By default all are zero.
             tolerance: local relative error.
@@ -311,14 +311,14 @@ class Model:
         return replace(found, units=self.units.computed[self.is_dimensionless])
 
     def initial_state(self, given: Mapping[str, float | np.ndarray]) -> np.ndarray:
-        """State (2 n + k,) of given and declared initial values, in SI units or in the declared scales.
+        """State (2 n + k,) of given and declared initial values, else 0, in SI units or in the declared scales.
 
         Args:
             given: values by the name of a coordinate (`x1`), velocity (`x1'`) or internal state, in the declared
                 units; those of several runs (runs,) give states (runs, 2 n + k).
 
         Raises:
-            ModelError: a coordinate has no initial value, or a name is no state.
+            ModelError: a name is no state.
         """
         return self._begun(given) if given else self._declared_state.copy()
 
@@ -335,11 +335,8 @@ class Model:
         second = self.units.size("s", self.overrides) if self.is_dimensionless and not self.units.is_plain else 1.0
         positions, velocities = [], []
         for name, coordinate in self.declaration.coordinates.items():
-            value = given.get(name, coordinate.initial)
-            if value is None:
-                raise ModelError(f"no initial value of {name}: give one, such as 'initial: {{{name}: 0}}'")
             size = self._size(coordinate.unit)
-            positions.append(value * size)
+            positions.append(given.get(name, coordinate.initial or 0.0) * size)
             velocities.append(given.get(f"{name}'", coordinate.initial_velocity) * size * second)
         states = zip(self.declaration.states.items(), self.first_internal, strict=True)
         internal = [given[n] * self._size(z.unit) if n in given else first for (n, z), first in states]

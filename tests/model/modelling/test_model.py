@@ -267,9 +267,19 @@ class TestErrors:
         ):
             load("duffing").initial_state({"y": 1.0})
 
-    def test_a_missing_initial_value(self):
-        with pytest.raises(ModelError, match=r"^no initial value of x1: give one, such as 'initial: \{x1: 0\}'$"):
-            load("setup").initial_state({})
+
+def test_coordinates_that_are_left_out_begin_as_declared_or_at_0(declared):
+    """One solution of x'' = -x is cos t, and y = 0, z = 0.3 cos t are others."""
+    equations = {f"{name}''": f"-{name}" for name in "xyz"}
+    model = declared(coordinates={"x": {}, "y": {}, "z": {"initial": 0.3}}, equations=equations)
+    times = np.linspace(0.0, 5.0, 51)
+    for run in (
+        model.simulate(times, {"x": 1.0}),
+        model.simulate(times, {"x": 1.0}, inputs={}),
+        model.simulate(times, ensemble={"x": [1.0]}),
+    ):
+        for name, size in (("x", 1.0), ("y", 0.0), ("z", 0.3)):
+            np.testing.assert_allclose(np.ravel(run[name]), size * np.cos(times), atol=1e-8)
 
 
 @pytest.mark.skipif(not MAPS.exists(), reason="needs /proc/self/maps")
