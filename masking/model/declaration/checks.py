@@ -39,7 +39,7 @@ def accelerations(names: Iterable[str]) -> list[str]:
 def equation_of(model: ModelDeclaration, coordinate: str) -> Expression | None:
     """Give the left-hand side of the equation in which a force on a coordinate acts: x'', or such as m*x''.
 
-    It holds this acceleration and no other; that of an internal state is its rate. None where there is no such
+    It holds this acceleration and no other; that of an internal state holds its rate. None where there is no such
     equation, as in a Lagrangian model.
     """
     if coordinate in model.states:
@@ -145,18 +145,15 @@ def _symbols(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem
     moving = [*rest, *accelerations(coordinates)]
     accelerated = definitions_with(model, accelerations(coordinates))
     steady = [symbol for symbol in moving if symbol not in model.inputs]
-    own = [left for left in model.equations if model.state_of(left)]
-    of_states = {f"equations.{left}" for left in own}
+    own = {id(left): f"{state}'" for left in model.equations if (state := model.state_of(left))}
+    of_states = {f"equations.{left}" for left in model.equations if id(left) in own}
     for path, expression in formulas(model):
         section = path.partition(".")[0]
-        if any(expression is left for left in own):
-            continue  # z' on the left of its equation
         rates = [x for x in sorted(expression.symbols) if x.endswith("'") and x.rstrip("'") in model.states]
-        for symbol in rates:
+        for symbol in (x for x in rates if x != own.get(id(expression))):
             name = symbol.rstrip("'")
             message = f"'{symbol}' is a rate of the internal state '{name}', which stands only in its own equation"
-            remedy = f"write {name}': ... under equations, alone"
-            remedy += ", and divide the right side by its factor" * any(expression is left for left in model.equations)
+            remedy = f"write {name}': ... under equations, on the left side without other rates and accelerations"
             yield expression.problem(expression.first(symbol), message, remedy)
         stretched = [*static, *coordinates, *model.states, *model.inputs]
         if path.endswith(".rate") and section == "elements":

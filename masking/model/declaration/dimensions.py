@@ -83,8 +83,8 @@ def symbol_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None] | 
 def force_dimensions(model: ModelDeclaration) -> dict[str, Dimension | None]:
     """Give the dimension of a force on each coordinate: that of its equation, or energy per coordinate of a Lagrangian.
 
-    That on an internal state is of its rate, and that on an output that elements act on of the output itself. Raises a
-    `DeclarationError` where a unit or an expression of the model has no dimension.
+    That on an output that elements act on is of the output itself. Raises a `DeclarationError` where a unit or an
+    expression of the model has no dimension.
     """
     units, problems = _dimensions(model)
     checker = _Checker(model, units, problems=problems)
@@ -237,13 +237,11 @@ class _Checker:
 
     def on(self, coordinate: str, action: Dimension | None) -> Dimension | None:
         """Give the dimension of a force on a coordinate, as `force_dimensions` does; that of L is the `action`."""
-        if coordinate in self.model.states:
-            return self.symbols[f"{coordinate}'"]
-        if coordinate in self.model.outputs and coordinate not in self.model.coordinates:
+        if coordinate in self.model.outputs and coordinate not in {*self.model.coordinates, *self.model.states}:
             output = self.model.outputs[coordinate]
             is_declared = "unit" in output.model_fields_set
             return self.units[f"outputs.{coordinate}.unit"] if is_declared else self.of(output.expression)
-        if self.model.lagrangian is None:
+        if self.model.lagrangian is None or coordinate in self.model.states:
             left = equation_of(self.model, coordinate)
             return None if left is None else self.of(left)
         moved = self.symbols.get(coordinate)

@@ -370,10 +370,12 @@ class ModelDeclaration(Declaration):
     drawing: tuple[Shape, ...] = ()
 
     def state_of(self, left: Expression) -> str | None:
-        """Give the internal state whose equation has this left-hand side, None for an equation of motion."""
-        symbol = left.steps[0].value if len(left.steps) == 1 and left.steps[0].operation == "symbol" else ""
-        name = symbol.removesuffix("'")
-        return name if name in self.states and symbol == f"{name}'" else None
+        """Give the internal state whose equation has this left-hand side, None for an equation of motion.
+
+        It holds the rate of this state, no other and no acceleration.
+        """
+        rates = [symbol for symbol in left.symbols if symbol.endswith("'") and symbol[:-1] in self.states]
+        return rates[0][:-1] if len(rates) == 1 and not any(symbol.endswith("''") for symbol in left.symbols) else None
 
     @property
     def motion(self) -> dict[Expression, Expression]:
@@ -381,9 +383,9 @@ class ModelDeclaration(Declaration):
         return {left: right for left, right in self.equations.items() if self.state_of(left) is None}
 
     @property
-    def rates(self) -> dict[str, Expression]:
-        """The right-hand side of the equation of each internal state, in declared order."""
-        found = {self.state_of(left): right for left, right in self.equations.items()}
+    def rates(self) -> dict[str, tuple[Expression, Expression]]:
+        """Both sides of the equation of each internal state, in declared order."""
+        found = {self.state_of(left): (left, right) for left, right in self.equations.items()}
         return {name: found[name] for name in self.states if name in found}
 
 

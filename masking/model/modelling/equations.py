@@ -10,6 +10,7 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -128,9 +129,9 @@ class Equations:
                     del pending[name]
         return found
 
-    def symbolic(self, expression: Expression) -> sp.Expr:
-        """Declared expression in symbols of the model."""
-        return self._without_delays(expression.to_sympy(self.symbols.by_name | self.definitions))
+    def symbolic(self, expression: Expression, more: Mapping[str, sp.Symbol] = MappingProxyType({})) -> sp.Expr:
+        """Declared expression in symbols of the model, and `more` by their names."""
+        return self._without_delays(expression.to_sympy({**self.symbols.by_name, **self.definitions, **more}))
 
     def _without_delays(self, expression: sp.Expr) -> sp.Expr:
         """Expression with a symbol in place of each of its delayed expressions, which `lags` then has."""
@@ -219,7 +220,31 @@ class Equations:
     @cached_property
     def rates(self) -> tuple[sp.Expr, ...]:
         """Rates of the internal states as expressions of time, state, inputs and parameters."""
-        return tuple(self.symbolic(right) + self.acting(name) for name, right in self.declaration.rates.items())
+        return tuple(self._rate(name, *sides) for name, sides in self.declaration.rates.items())
+
+    def _rate(self, name: str, left: Expression, right: Expression) -> sp.Expr:
+        """Rate of an internal state, for which its equation, linear in it, is solved."""
+        factor, rest = self._in_rate(name, left, {})
+        return (self.symbolic(right) + self.acting(name) - rest) / factor
+
+    def _in_rate(self, name: str, left: Expression, values: Mapping[sp.Symbol, float]) -> tuple[sp.Expr, sp.Expr]:
+        """Factor of a rate on the left side of its equation, refused where it is 0 at some values, and the rest."""
+        own = sp.Symbol(f"{name}'", real=True)
+        side = self.symbolic(left, {own.name: own})
+        factor = gradient(side, [own])[0]
+        if not factor.free_symbols <= {*self.symbols.p} or factor.xreplace(values) == 0:
+            message = f"the factor of {own} is {factor}: it is 0, or may become 0"
+            remedy = (
+                f"give it parameters alone, with values other than 0, or write {own}: ... and divide the right side"
+            )
+            problem = left.problem(left.first(own.name), message, remedy)
+            raise ModelError(f"{self.name}: {message}; {remedy}", problem)
+        return factor, side.xreplace({own: sp.Integer(0)})
+
+    def check_rates(self, values: Mapping[sp.Symbol, float]) -> None:
+        """Refuse rates that are not determined at some values of the parameters, with a `ModelError`."""
+        for name, (left, _) in self.declaration.rates.items():
+            self._in_rate(name, left, values)
 
     @cached_property
     def events(self) -> Events:

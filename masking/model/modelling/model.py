@@ -389,14 +389,15 @@ class Model:
             self.dimensionless().values()
 
     def check_mass(self) -> None:
-        """Refuse a mass matrix that is singular, or not positive definite where energy says that it must be.
+        """Refuse rates or a mass matrix that are singular, or one not positive definite where energy says it must be.
 
         Raises:
             ModelError: it is, at the declared values and initial coordinates.
         """
+        e, s, values = self.equations, self.equations.symbols, self.values()
+        e.check_rates(dict(zip(s.p, values, strict=True)))
         if not self.coordinates:
             return
-        e, s, values = self.equations, self.equations.symbols, self.values()
         rest = {c: d.initial or 0.0 for c, d in self.declaration.coordinates.items()}
         point = {q: rest[q.name] for q in s.q} | dict.fromkeys((s.t, *s.v), 0.0) | dict(zip(s.p, values, strict=True))
         point |= {z: self.declaration.states[z.name].initial for z in s.s}

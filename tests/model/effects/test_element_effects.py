@@ -618,6 +618,31 @@ class TestStates:
         assert model.declaration.states["z"].meaning == "memory"
         np.testing.assert_allclose(model.simulate([0.0, 1.0])["z"], [2.0, 2.0 * math.exp(-4.0)], rtol=1e-8)
 
+    def test_its_rate_may_have_a_factor(self, declared):
+        """Tau z' + z = u + F has the solution (u + F) (1 - exp(-t/tau)), whatever stands on which side."""
+        times, units = np.linspace(0.0, 3.0, 7), {"inputs": {"u": {"unit": "N"}}, "states": {"z": {"unit": "N"}}}
+        units["parameters"] = {"tau": {"value": 0.5, "unit": "s"}, "F": {"value": 3.0, "unit": "N"}}
+        cases = (("tau*z'", "u - z", "1"), ("tau*z' + z", "u", "1"), ("z - 2*(u - tau*z')", "-z", "2"))
+        for left, right, acts in cases:
+            force = {"e": {"displacement": "z", "unit": "N", "force": "F", "acts": {"z": acts}}}
+            model = declared(**units, elements=force, equations={left: right})
+            model.validate()
+            found = model.simulate(times, inputs=[2.0])["z"]
+            np.testing.assert_allclose(found, 5.0 * (1.0 - np.exp(-times / 0.5)), rtol=1e-8, atol=1e-9)
+
+    @pytest.mark.parametrize(
+        ("left", "factor"),
+        [("x*z'", "x"), ("z'**2", "2*z'"), ("k*z'", "k"), ("z' - z'", "0"), ("(k + 1)*z' - z'", "k")],
+    )
+    def test_a_factor_that_may_vanish_is_refused_where_it_stands(self, declared, left, factor):
+        model = declared(**MEMORY | {"parameters": {"k": 0}, "equations": {"x''": "-k*x", left: "x - z"}})
+        with pytest.raises(
+            ModelError, match="give it parameters alone, with values other than 0, or write z': "
+        ) as caught:
+            model.validate()
+        assert f"the factor of z' is {factor}: it is 0, or may become 0" in str(caught.value)
+        assert caught.value.problem is not None
+
     def test_what_its_structure_and_meta_say(self, declared):
         model = declared(**MEMORY)
         assert model.structure()["states"] == {"z": "1"}
@@ -639,12 +664,16 @@ class TestStates:
             (
                 {"equations": {"x''": "-x - z'", "z'": "x"}},
                 "'z'' is a rate of the internal state 'z', which stands only in its own equation; write z': ... under "
-                "equations, alone\n    -x - z'\n         ^^",
+                "equations, on the left side without other rates and accelerations\n    -x - z'\n         ^^",
             ),
             (
-                {"equations": {"x''": "-x", "2*z'": "x"}},
+                {"equations": {"x''": "-x", "2*z' + x''": "x"}},
                 "'z'' is a rate of the internal state 'z', which stands only in its own equation; write z': ... under "
-                "equations, alone, and divide the right side by its factor\n    2*z'\n      ^^",
+                "equations, on the left side without other rates and accelerations\n    2*z' + x''\n      ^^",
+            ),
+            (
+                {"equations": {"x''": "-x", "k*z'": "x"}},
+                "unknown symbol 'k'; allowed: x, x', z, t, x'', z'\n    k*z'\n    ^",
             ),
             (
                 {"equations": {"x''": "-x", "z'": "x''"}},
