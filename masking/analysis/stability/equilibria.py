@@ -2,14 +2,15 @@
 
 A box in which the force at rest cannot vanish is left out. Where Krawczyk's operator maps a box into its inside, there
 is exactly one equilibrium in it, if mpmath's intervals confirm that; other boxes are cut in two. What is too small to
-cut stays undecided, such as equilibria that are not isolated.
+cut stays undecided, such as equilibria that are not isolated. Where these are lines along free directions, each is
+found once, where it meets a plane.
 
 Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,6 +20,7 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.confirmation import enclosed_again, has_root
+from masking.analysis.stability.free_directions import free_directions, independent
 from masking.analysis.stability.free_equations import check_continuous
 from masking.analysis.stability.modes import eigenvalues, is_smooth, state_matrix
 from masking.compile.codegen.graph import Graph, Node
@@ -40,6 +42,7 @@ _FURTHER = 10.0  # times the largest declared initial value, the box where nothi
 _MOST_REFINED = 200
 _OFF_MIDDLE = 0.4871  # part of a side at which a box is cut: symmetric models have equilibria in the middle
 _ROUNDING = 1e-14  # of a sum of products, and of a coefficient from its decimals
+_ANYWHERE = 0.3491  # a place where nothing special is
 _MARGIN = 0.0137  # of a turn, so that an equilibrium is not on the edge of a box of angles
 
 
@@ -85,19 +88,38 @@ class Equilibria(Printed):
     """The equilibria in a box."""
 
     points: tuple[Equilibrium, ...]  # those that are proved to exist, each alone in a box around it
-    box: dict[str, tuple[float, float]]  # where they were looked for, by coordinate
-    is_complete: bool  # whether there are no others in the box
+    # where they were looked for, by coordinate; both sides are one where the lines along a direction are met
+    box: dict[str, tuple[float, float]]
+    is_complete: bool  # whether there are no others in the box: neither undecided ones, nor any along lines
     is_global: bool  # whether there are none outside of the box either; angles modulo one turn
     undecided: Array  # boxes in which it could not be decided whether there are equilibria: least and largest (m, n, 2)
     shown: Mapping[str, Shown]  # how each coordinate is shown
+    # directions by coordinate, along which no force changes: there are equilibria all along them through each point
+    along: tuple[dict[str, float], ...] = ()
 
     def __str__(self) -> str:
-        count = len(self.points)
-        sides = (f"{n} in [{a / self.shown[n].size:.4g}, {self.shown[n].text(b, 4)}]" for n, (a, b) in self.box.items())
+        count, what = len(self.points), "isolated equilibria"
+        sides = (
+            f"{n} = {self.shown[n].text(b, 4)}"
+            if a == b
+            else f"{n} in [{a / self.shown[n].size:.4g}, {self.shown[n].text(b, 4)}]"
+            for n, (a, b) in self.box.items()
+        )
         where = "" if self.is_global else f" in the box {', '.join(sides)}"
-        if self.is_complete:
-            return f"{count} equilibri{'um' if count == 1 else 'a'}{where}, and no other (proved)"
-        return f"{count} isolated equilibria{where}; in {len(self.undecided)} small boxes it is not decided"
+        if self.along or not len(self.undecided):
+            what = f"equilibri{'um' if count == 1 else 'a'}"
+        if self.along and count:
+            ways = " and along ".join(map(self._way, self.along))
+            what = f"famil{'y' if count == 1 else 'ies'} of equilibria along {ways}"
+        if not len(self.undecided):
+            return f"{count} {what}{where}, and no other (proved)"
+        boxes = f"{len(self.undecided)} small box{'es' * (len(self.undecided) > 1)}"
+        return f"{count} {what}{where}; in {boxes} it is not decided"
+
+    def _way(self, direction: Mapping[str, float]) -> str:
+        """Direction in words: the coordinate that it moves, or such as (x1, x2) = (1, 1) in the declared units."""
+        parts = ", ".join(f"{x / self.shown[name].size:.4g}" for name, x in direction.items())
+        return ", ".join(direction) if len(direction) == 1 else f"({', '.join(direction)}) = ({parts})"
 
 
 def check_box(model: Model, box: Box, *, with_velocities: bool = True) -> None:
@@ -128,13 +150,18 @@ def equilibria(model: Model, box: Box | None = None) -> Equilibria:
     Raises:
         ModelError: a coordinate is unknown, or the equations hold what has no enclosure.
     """
-    return _Rest(model).search(dict(box or {}))
+    check_box(model, box or {}, with_velocities=False)
+    return _Rest(model, dict(box or {})).search()
 
 
 class _Rest:
-    """The force at rest f(q) and its Jacobian, on a graph."""
+    """The force at rest f(q) and its Jacobian, on a graph.
 
-    def __init__(self, model: Model) -> None:
+    Where there are free directions, some coordinates are held, and as many forces left out: most are sums of the
+    others, and those that are not are looked at, too.
+    """
+
+    def __init__(self, model: Model, given: dict[str, tuple[float, float]]) -> None:
         e = model.equations
         model.check_ordinary("a search for equilibria")
         if model.states:
@@ -142,17 +169,48 @@ class _Rest:
         if not model.is_autonomous:
             raise ModelError(f"the equations of {model.name} hold the time: it has no equilibria")
         check_continuous(e.force)
-        self.model, self.q = model, e.symbols.q
-        still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)
-        self.force = [f.subs(still) for f in e.force]
-        self.graph = Graph()
-        self.symbols = {q: self.graph.symbol(f"q_{q.name}", varying=True) for q in self.q}
-        self.at: list[Node] = list(self.symbols.values())
-        self.symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in e.symbols.p}
-        self.nodes = [self.graph.lower(f, self.symbols) for f in self.force]
-        self.slopes = [x for row in derivatives(self.graph, self.nodes, self.at) for x in row]
+        self.model, self.given = model, given
         self.exact = dict(zip(e.symbols.p, model.exact_values().values(), strict=True))
+        still = dict.fromkeys((*e.symbols.v, *e.symbols.u), 0)
+        self.held, self.along = dict[sp.Symbol, sp.Rational](), list[dict[str, float]]()
+        self._lower(e.symbols.q, [f.subs(still) for f in e.force], [])
+        if self._may_be_free():
+            self._hold()
+
+    def _lower(self, q: Sequence[sp.Symbol], force: list[sp.Expr], others: list[sp.Expr]) -> None:
+        self.q, self.force, self.graph = q, force, Graph()
+        self.symbols = {x: self.graph.symbol(f"q_{x.name}", varying=True) for x in q}
+        self.at: list[Node] = list(self.symbols.values())
+        self.symbols |= {p: self.graph.symbol(f"p_{p.name}", varying=False) for p in self.exact}
+        self.nodes = [self.graph.lower(f, self.symbols) for f in force]
+        self.others = [self.graph.lower(f, self.symbols) for f in others]
+        self.ratios = [[self.graph.lower(sp.cancel(f / by), self.symbols) for by in force] for f in others]
+        self.slopes = [x for row in derivatives(self.graph, self.nodes, self.at) for x in row]
         self.values = {self.symbols[p]: Interval.around(x) for p, x in self.exact.items()}
+
+    def _may_be_free(self) -> bool:
+        """Whether the slopes of the force at some point allow a direction along which it never changes."""
+        n = len(self.q)
+        slopes = self.enclose(self.slopes, Interval.of(_ANYWHERE + np.arange(n) / (n + 1.0))[None]).middle.reshape(n, n)
+        return bool(n and np.isfinite(slopes).all() and np.linalg.matrix_rank(slopes) < n)
+
+    def _hold(self) -> None:
+        """Hold coordinates, so that lines of equilibria are met in points."""
+        q, exact = self.q, [f.subs(self.exact) for f in self.force]
+        directions, moved = free_directions(exact, q)
+        along = [
+            {x.name: float(d) for x, d in zip(q, directions.row(k), strict=True) if d != 0} for k in range(len(moved))
+        ]
+        if self.given and any(len(one) > 1 for one in along):
+            return  # a line through the box may meet the plane outside of it
+        self.along, self.held = along, {q[i]: sp.Rational(np.mean(self.given.get(q[i].name, 0.0))) for i in moved}
+        order = [*(i for i in range(len(q)) if i not in moved), *moved]
+        found = [order[i] for i in independent([exact[i] for i in order], q)]
+        kept = [*found, *(i for i in order if i not in found)][: len(q) - len(moved)]
+        force = [f.subs(self.held) for f in self.force]
+        self._lower(
+            [x for x in q if x not in self.held], [force[i] for i in kept], [force[i] for i in found if i not in kept]
+        )
 
     def enclose(self, nodes: list[Node], boxes: Interval) -> Interval:
         """Enclosures (m, len(nodes)) over boxes (m, n)."""
@@ -200,24 +258,28 @@ class _Rest:
         reach = reach * (1.0 + 1e-6) + 1e-9 * (1.0 + float(reach.max(initial=0.0)))
         return {q.name: (-1.003 * float(r), 1.007 * float(r)) for q, r in zip(names, reach, strict=True)}
 
-    def search(self, given: dict[str, tuple[float, float]]) -> Equilibria:
-        names = [q.name for q in self.q]
-        check_box(self.model, given, with_velocities=False)
-        box, known = {}, self.bound()
-        state = self.model.initial_state({})
-        wide = _FURTHER * float(np.max(np.abs(state[: len(names)]), initial=0.0)) or 1.0
+    def search(self) -> Equilibria:
+        names, given = [q.name for q in self.q], self.given
+        box, known = dict[str, tuple[float, float]](), self.bound()
+        wide = _FURTHER * float(np.max(np.abs(self.model.first_place), initial=0.0)) or 1.0
         turn = (-np.pi * (1.0 - _MARGIN), np.pi * (1.0 + _MARGIN))
         for name, is_angle in zip(names, self.angles, strict=True):
             box[name] = given.get(name) or (turn if is_angle else known.get(name, (-1.003 * wide, 1.007 * wide)))
         is_global = not given and all(a or n in known for n, a in zip(names, self.angles, strict=True))
         sides = Interval(np.array([[a for a, _ in box.values()]]), np.array([[b for _, b in box.values()]]))
         roots, undecided = self._cut(sides)
+        roots = [at for at in roots if self.enclose(self.others, Interval(*at)[None]).contains_zero().all()]
+        box |= {q.name: (float(x), float(x)) for q, x in self.held.items()}
         rest = (self.graph, self.nodes, self.slopes, self.at)
-        sure = [has_root(*rest, given=self.values, box=Interval(low, high)) for low, high in roots]
+        sure = [
+            has_root(*rest, given=self.values, box=Interval(low, high)) and self._are_all(Interval(low, high))
+            for low, high in roots
+        ]
         doubtful = [np.stack([low, high], axis=1)[None] for (low, high), ok in zip(roots, sure, strict=True) if not ok]
         undecided = np.concatenate([undecided, *doubtful])
         points = tuple(self._point(low, high) for (low, high), ok in zip(roots, sure, strict=True) if ok)
-        return Equilibria(points, box, not len(undecided), is_global, undecided, self.model.shown)
+        is_complete = not self.along and not len(undecided)
+        return Equilibria(points, box, is_complete, is_global, undecided, self.model.shown, tuple(self.along))
 
     def _cut(self, whole: Interval) -> tuple[list[tuple[Array, Array]], Array]:
         sides = whole.width[0]
@@ -226,7 +288,7 @@ class _Rest:
             if len(pending.low) > MOST_BOXES:
                 undecided.append(np.stack([pending.low, pending.high], axis=2))
                 break
-            force = self.enclose(self.nodes, pending)
+            force = self.enclose([*self.nodes, *self.others], pending)
             pending = pending[np.all(force.contains_zero(), axis=1)]
             for low, high in roots:  # a box that has one root alone has been searched
                 inside = np.all((pending.low >= low) & (pending.high <= high), axis=1)
@@ -308,9 +370,18 @@ class _Rest:
                 found.append((box.low[0], box.high[0]))
         return sorted(found, key=lambda root: tuple(np.round(root[0] + root[1], 9)))
 
+    def _are_all(self, box: Interval) -> bool:
+        """Whether the other forces vanish where these do: each is one of these times what is finite all over a box."""
+        found = (self.enclose(ratios, box[None]) for ratios in self.ratios)
+        return all(np.any(np.isfinite(ratios.low) & np.isfinite(ratios.high)) for ratios in found)
+
     def _point(self, low: Array, high: Array) -> Equilibrium:
         position = {q.name: float(x) for q, x in zip(self.q, 0.5 * (low + high), strict=True)}
-        position = {n: 0.0 if abs(x) <= 0.5 * float(np.max(high - low)) else x for n, x in position.items()}
+        position = {
+            n: 0.0 if abs(x) <= 0.5 * float(np.max(high - low, initial=0.0)) else x for n, x in position.items()
+        }
+        position |= {q.name: float(x) for q, x in self.held.items()}
+        position = {name: position[name] for name in self.model.coordinates}
         values, verdict = stability_of(self.model, position)
         is_unstable = self._is_unstable(low, high)
         if is_unstable and verdict == STABLE:  # one of the two is wrong
@@ -321,7 +392,7 @@ class _Rest:
     def _is_unstable(self, low: Array, high: Array) -> bool:
         """Whether det(-df/dq) < 0 < det M over a box: the characteristic polynomial has a positive root."""
         n, e = len(self.q), self.model.equations
-        if e.mass.free_symbols - self.symbols.keys():
+        if self.held or e.mass.free_symbols - self.symbols.keys():
             return False
         given = self.values | {node: Interval.of(low[i], high[i]) for i, node in enumerate(self.at)}
         nodes = [*self.slopes, *(self.graph.lower(x, self.symbols) for x in e.mass)]

@@ -75,6 +75,7 @@ class Stability(Printed):
                 "sentence": str(self.rest),
                 "is_complete": self.rest.is_complete,
                 "is_global": self.rest.is_global,
+                "along": [{n: x / self.rest.shown[n].size for n, x in one.items()} for one in self.rest.along],
                 "units": {name: self.rest.shown[name].unit for name in self.coordinates},
                 "box": {n: [x / self.rest.shown[n].size for x in sides] for n, sides in self.rest.box.items()},
                 "points": [{

@@ -50,8 +50,11 @@ class Interval:
     @classmethod
     def stacked(cls, columns: Sequence[Interval], rows: int) -> Interval:
         """Intervals (rows, columns) of columns (rows,) or single ones."""
-        ends = zip(*((np.broadcast_to(x.low, rows), np.broadcast_to(x.high, rows)) for x in columns), strict=True)
-        return cls(*(np.stack(end, axis=1) for end in ends))
+        ends = (
+            [np.broadcast_to(end, rows) for end in ends]
+            for ends in ([x.low for x in columns], [x.high for x in columns])
+        )
+        return cls(*(np.stack(end, axis=1) if end else np.empty((rows, 0)) for end in ends))
 
     @property
     def width(self) -> Array:

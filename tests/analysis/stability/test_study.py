@@ -120,6 +120,64 @@ def test_equilibria_that_are_not_isolated_stay_undecided(declared):
     )
 
 
+CART = {"coordinates": {"x": {}, "th": {}}, "parameters": {"m": {"value": 1}, "M": {"value": 2}, "g": {"value": 9.81}}}
+
+
+@pytest.mark.parametrize(
+    ("model", "along", "points"),
+    [
+        pytest.param(
+            {"coordinates": {"a": {}}, "parameters": {"c": {"value": 0.1}}, "equations": {"a''": "-c*a'"}},
+            [{"a": 1.0}], [(0,)], id="shaft",
+        ),
+        pytest.param({"coordinates": {"a": {}}, "equations": {"a''": "0.2 - a'"}}, [{"a": 1.0}], [], id="driven shaft"),
+        pytest.param(
+            {"coordinates": {"a": {}, "b": {}}, "equations": {"2*a''": "-sin(a - b)", "b''": "sin(a - b) - b'"}},
+            [{"a": 1.0, "b": 1.0}], [(0, 0), (0, 1)], id="two shafts",
+        ),
+        pytest.param(
+            CART | {"equations": {
+                "(M + m)*x'' + m*cos(th)*th''": "m*sin(th)*th'**2", "th'' + cos(th)*x''": "-g*sin(th)",
+            }},
+            [{"x": 1.0}], [(0, 0), (0, 1)], id="cart and pendulum",
+        ),
+        pytest.param(
+            CART | {"equations": {
+                "x''": "(m*sin(th)*th'**2 + m*g*sin(th)*cos(th))/(M + m*sin(th)**2)",
+                "th''": "-(m*sin(th)*cos(th)*th'**2 + (M + m)*g*sin(th))/(M + m*sin(th)**2)",
+            }},
+            [{"x": 1.0}], [(0, 0), (0, 1)], id="cart and pendulum, solved",
+        ),
+        pytest.param(
+            {"coordinates": {"x": {}, "th": {}}, "equations": {"x''": "cos(th)", "th''": "-sin(th)"}},
+            [{"x": 1.0}], [], id="pushed by another",
+        ),
+    ],
+)  # fmt: skip
+def test_lines_of_equilibria_are_found_once_each_and_without_a_search(declared, model, along, points):
+    """By hand; in turns, where an angle is half of one."""
+    found = equilibria(declared(**model))
+    assert list(found.along) == along
+    assert [tuple(round(x / np.pi, 9) for x in p.position.values()) for p in found.points] == points
+    assert not found.is_complete
+    assert not len(found.undecided)
+    assert found.is_global
+    assert all(p.verdict != "asymptotically stable" for p in found.points)
+    said = (
+        f"{len(points)} famil{'y' if len(points) == 1 else 'ies'} of equilibria along"
+        if points
+        else "0 equilibria, and"
+    )
+    assert str(found).startswith(said)
+
+
+def test_a_box_that_is_given_is_searched_where_a_line_may_leave_it(declared):
+    model = declared(coordinates={"a": {}, "b": {}}, equations={"a''": "b - a - a'", "b''": "a - b"})
+    cyclic = declared(coordinates={"a": {}, "b": {}}, equations={"a''": "-a", "b''": "-b'"})
+    assert not equilibria(model, {"a": (1.0, 1.2)}).along
+    assert equilibria(cyclic, {"b": (1.0, 3.0)}).points[0].position == {"a": 0.0, "b": 2.0}
+
+
 def test_sixteen_equilibria_off_the_manifold_where_gravity_is_strong():
     # Counted by hand: h(x) = x + nu^2 sin x = c has up to three solutions x for each c of the middle disc.
     model = load("discs_eccentric", nu1=2.0, nu2=2.0)
