@@ -153,8 +153,8 @@ def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep
 
         masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
 
-    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. In a script, call
-    it under `if __name__ == "__main__":`, since the processes that make the runs import the script.
+    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. Where functions of
+    a script are measures, call it there under `if __name__ == "__main__":`, since other processes import the script.
 
     Args:
         experiment: an experiment file, the name of a packaged one, or an `Experiment`.

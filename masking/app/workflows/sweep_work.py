@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import multiprocessing
 import os
 import pickle
@@ -10,12 +12,14 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 from threadpoolctl import threadpool_limits
@@ -30,6 +34,7 @@ Submit = Callable[[int, int], "Future[Made]"]
 
 _SECONDS: Final = 2.0  # that a chunk takes, about
 _MOST: Final = 2000  # rows of a chunk
+_SCRIPT: Final = b"__main__"  # where a pickle has functions of the script that runs
 _AHEAD: Final = 2  # chunks for each process
 
 _plans: list[Plan] = []  # of this process, which keeps what a plan has compiled
@@ -110,28 +115,71 @@ def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ah
     except BrokenProcessPool:
         raise MaskingError(
             "a process of the sweep has ended, perhaps for want of memory. Finished runs are kept: start the same "
-            "again, with fewer --workers. In a script of your own, call masking.sweep under "
-            "'if __name__ == \"__main__\":'"
+            "again, with fewer --workers"
         ) from None
 
 
 @contextmanager
 def _processes(plan: Plan, workers: int) -> Iterator[Submit]:
-    context = multiprocessing.get_context("spawn")
+    context, content = multiprocessing.get_context("spawn"), _pickled(plan)
     with tempfile.TemporaryDirectory(prefix="masking-") as folder:  # measured: through a pipe, each waits for the last
         path = Path(folder) / "plan"
-        path.write_bytes(pickle.dumps(plan))
+        path.write_bytes(content)
         with process_environment.safe_start():  # of the process that looks after its locks
             pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(path,))
 
         def submit(first: int, last: int) -> Future[Made]:
-            with _interrupts_later(), process_environment.safe_start():  # of the process that this may start
+            # of the process that this may start
+            with _interrupts_later(), process_environment.safe_start(), _script(is_imported=_SCRIPT in content):
                 return pool.submit(_made_here, first, last)
 
         try:
             yield submit
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _pickled(plan: Plan) -> bytes:
+    """Plan for other processes; a `MaskingError` where these could not import its functions."""
+    remedy = "write it into a module of its own and import it, or make the runs in this process, with workers=1"
+    try:
+        content = pickle.dumps(plan)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise MaskingError(f"other processes cannot import a function of this sweep ({error}); {remedy}") from None
+    script = sys.modules["__main__"]
+    file = str(getattr(script, "__file__", ""))
+    if _SCRIPT in content and not Path(file).is_file():
+        raise MaskingError(f"other processes cannot import a function of a notebook or a prompt; {remedy}")
+    if _SCRIPT in content and _calls_when_imported(script, file):
+        raise MaskingError(
+            f"{file} begins a sweep when it is imported, as other processes do for its function; call masking.sweep "
+            f"under 'if __name__ == \"__main__\":', or, of the function: {remedy}"
+        )
+    return content
+
+
+def _calls_when_imported(script: ModuleType, file: str) -> bool:
+    """Whether a statement of a script that runs now stands outside of `if __name__ == "__main__":`."""
+    frames = (frame for frame, _ in traceback.walk_stack(None) if frame.f_globals is vars(script))
+    lines = [frame.f_lineno for frame in frames if frame.f_code.co_name == "<module>"]
+    with contextlib.suppress(OSError, SyntaxError, ValueError):  # its text is not to be had
+        conditions = [one for one in ast.parse(Path(file).read_bytes()).body if isinstance(one, ast.If)]
+        guards = [one for one in conditions if "__name__" in ast.unparse(one.test)]
+        return any(not any(one.lineno <= line <= (one.end_lineno or 0) for one in guards) for line in lines)
+    return False
+
+
+@contextmanager
+def _script(*, is_imported: bool) -> Iterator[None]:
+    """Let processes that are started here import the script that runs, or nothing in place of it."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = (
+        script if is_imported else ModuleType("__main__")
+    )  # of which multiprocessing finds no file
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 @contextmanager

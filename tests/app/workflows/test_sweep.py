@@ -3,6 +3,8 @@
 import contextlib
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -307,3 +309,46 @@ def test_rows_of_another_sweep_and_every_changed_byte_of_a_plan_are_refused(tmp_
         plan.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
         with contextlib.suppress(RecordError):  # but for a blank that is no part of what the plan says
             assert dict(load_sweep(tmp_path / "a").facts) == whole
+
+
+CALL = """
+import masking
+
+print("begun")
+
+def least(recording):
+    return float(recording["virtual.th1"].min())
+
+if {0}:
+    over = {{"mu1": [0.1, 0.2]}}
+    found = masking.sweep("huygens", over=over, virtual=True, duration=5, workers=2, measure=[{1}], out="out")
+    print(list(found.columns)[2], len(found))
+"""
+GUARD = '__name__ == "__main__"'
+UNGUARDED = "begins a sweep when it is imported"
+
+
+@pytest.mark.parametrize(
+    ("guard", "measure", "is_typed", "said"),
+    [
+        pytest.param("True", "'end.th1'", False, "begun\nend.th1 2\n", id="a script without functions"),
+        pytest.param(GUARD, "least", False, "least 2\n", id="a script with functions"),
+        pytest.param("True", "least", False, UNGUARDED, id="a script with functions that calls when it is imported"),
+        pytest.param("True", "lambda r: 1.0", False, "cannot import a function of this sweep", id="no name"),
+        pytest.param("True", "least", True, "cannot import a function of a notebook or a prompt", id="a prompt"),
+    ],
+)
+def test_a_script_may_call_it_anywhere_but_for_its_own_functions(tmp_path, guard, measure, is_typed, said):
+    """The language is the judge: the script runs as its user runs it, and in 'begun' says how often it is imported."""
+    script = tmp_path / "script.py"
+    script.write_text(CALL.format(guard, measure), encoding="utf-8")
+    command = [sys.executable, "-" if is_typed else str(script)]
+    given = script.read_text(encoding="utf-8") if is_typed else None
+    run = subprocess.run(command, input=given, cwd=tmp_path, capture_output=True, text=True, check=False)
+    if said.endswith("2\n"):
+        assert (run.returncode, run.stderr) == (0, "")
+        assert run.stdout.endswith(said)
+    else:
+        assert said in run.stderr
+        assert run.stderr.strip().endswith("or make the runs in this process, with workers=1")
+        assert run.stderr.count("Traceback") == 1
