@@ -463,7 +463,8 @@ class LoweredTwin:
         return self.graph.symbol(name, varying=varying)
 
     def _through(self, where: str, at: str, x: Node, noise: Node | None = None) -> Node:
-        """Value after the effects at one sensor or actuator, one after the other."""
+        """Value after the effects at one sensor or actuator, one after the other; no state follows noise."""
+        sound, silent = x, self.graph.number(0.0)
         for effect in (e for e in self.twin._on(where, at) if e.entry.expression):
             result, rates = expressions(effect.entry)
             nodes = {name: self.states[effect.label, name] for name in rates}
@@ -471,8 +472,11 @@ class LoweredTwin:
             nodes |= self.parameters[effect.label] | ({} if noise is None else {"xi": noise})
             symbols = {name: sp.Symbol(name, real=True) for name in nodes}
             known = {symbols[name]: node for name, node in nodes.items()}
-            self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
             x = self.graph.lower(result.to_sympy(symbols), known)
+            if noise is not None:
+                known |= {symbols["s"]: sound, symbols["xi"]: silent}
+                sound = self.graph.lower(result.to_sympy(symbols), known)
+            self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
         return x
 
 

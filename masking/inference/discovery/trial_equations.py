@@ -76,8 +76,12 @@ class TrialEquations:
         self._ported, self.graph, self.loads = ported, Graph(), dict(ported.loads)
         base = ported.graph
         self._symbols = [node for node, one in enumerate(base.operations) if one[0] == "symbol"]
+        # Simulated readings have no noise, and neither have the states of what follows them.
         self._given = {
-            node: self.graph.symbol(str(base.operations[node][1]), varying=base.varying[node]) for node in self._symbols
+            node: self.graph.number(0.0)
+            if self.loads.get(str(base.operations[node][1]), "").startswith("noise")
+            else self.graph.symbol(str(base.operations[node][1]), varying=base.varying[node])
+            for node in self._symbols
         }
         self._states = len(ported.moving)
         self._changes = dict[Node, Node]()  # rates of the states of effects

@@ -463,3 +463,12 @@ def test_samples_between_which_no_motion_is_seen_are_refused():
     assert twin.resolving(1000.0) == twin.substeps(1000.0)
     with pytest.raises(RecordError, match=r"1000 s apart: .* --map t=time:ms"):
         twin.resolving(1e-3)
+
+
+def test_the_state_of_a_sensor_follows_readings_without_their_noise(tmp_path):
+    """(2 (a + b) - m)/tau, whatever the noise that is declared before the lag."""
+    effects = {name: EFFECTS[name] for name in ("noise", "filter")}
+    effects = {"noise": effects["noise"] | {"at": "filtered"}, "filter": effects["filter"]}
+    twin = bench(tmp_path, effects=effects)
+    found = rates(twin, state(twin, a=0.3, b=0.2, filter_m=0.4))
+    assert found["filter_m"] == pytest.approx((2.0 * 0.5 - 0.4) / 0.02)
