@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from masking.app.workflows import calibration_excitation
-from masking.app.workflows.calibration_excitation import Progress, Say
+from masking.app.workflows.calibration_excitation import Progress, Rig, Say
 from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
@@ -108,9 +108,8 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
         costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
         costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
         parts = iter(_parts(progress, costs))
-        made = calibration_excitation.make(
-            twin, plant, folder / "records", seconds=seconds, lockstep=lockstep, say=tell, progress=next(parts)
-        )
+        rig = Rig(twin, plant, lockstep=lockstep, say=tell)
+        made = calibration_excitation.make(rig, folder / "records", seconds=seconds, progress=next(parts))
         stages = []
         for candidate, part in zip(candidates, parts, strict=False):
             names = independent(candidate.twin, made.fit, candidate.parameters)

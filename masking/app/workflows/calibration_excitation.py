@@ -11,7 +11,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,29 +27,116 @@ from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.lab.plants.interface import Plant, Settings
-from masking.lab.plants.safety_chain import Rules
+from masking.lab.plants.safety_chain import Cause, Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import MANIFEST, Recording
 from masking.lab.runs import safety_limits
-from masking.lab.runs.realtime import Hooks, check_channels, every, run_rig
+from masking.lab.runs.holding import Holding
+from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED
 from masking.lab.signals import Multisine, minimise_crest
 
 RATE: Final = 1000.0
 PART: Final = 0.8  # of a limit that a record may reach
-SMALL: Final = 0.02  # of the largest command: the first record
+SMALL: Final = 0.02  # of the largest command: the first record, at most
+LITTLE: Final = 0.3  # of a limit that the first record reaches, by the plant file, at most
+REST: Final = 1.0  # s that what is held gets to come to rest
+HALVED: Final = 6  # times that an excitation is made again with half its size
+# What an excitation does that is too large.
+TOO_FAR: Final = {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT, Cause.SENSOR_RANGE, Cause.THERMAL, Cause.COMMAND_RATE}
 STARTS: Final = 5  # of the search for a small crest factor
 SEED: Final = 0  # of the phases; records made with others are not mixed
 _REMEDY = "calibrate that plant, or give the plant file of the one that is there"
+_FOUND = ("size", "part")  # settings that the rig itself determines
 _DIGITS = 9  # of a number that shows whether a twin is the same
 
 Say = Callable[[str], None]
 Progress = Callable[[float], None]
 
 
-def make(
-    twin: Twin, plant: Plant, folder: Path, *, seconds: float, lockstep: bool, say: Say, progress: Progress
-) -> Records:
+@dataclass
+class Rig:
+    """A rig that is excited within the limits of its plant file, run after run.
+
+    What no spring holds is held by a controller, so that no excitation drives it away; a run that its motion ends is
+    made again with half the excitation.
+    """
+
+    twin: Twin
+    plant: Plant
+    rate: float = RATE  # Hz
+    lockstep: bool = False
+    say: Say = lambda text: None
+    acknowledge: bool = False  # why the plant tripped in a run before was looked at
+    used: float = 0.0  # s that the rig was driven
+    trips: int = 0  # by its motion
+
+    @cached_property
+    def known(self) -> Instruments:
+        """Instruments of the rig."""
+        return replace(Instruments.of(self.twin), noise={})
+
+    @cached_property
+    def limits(self) -> Array:
+        """Largest command of each actuator (actuators,)."""
+        return self.known.limits()[:, LARGEST]
+
+    @cached_property
+    def holding(self) -> Holding | None:
+        """Controller of what no spring holds; None where there is nothing to hold."""
+        return Holding.of(Instruments.of(self.twin), self.rate, PERIOD)
+
+    def first_size(self, waves: Array) -> float:
+        """Part of the largest command that is small for waves of peak 1 (samples, actuators), by the plant file."""
+        ideal = Rig(self.twin, SimulatedPlant(self.twin), self.rate, lockstep=True)
+        made = ideal.record(SMALL * self.limits * waves, {})
+        pairs = reached(self.twin, Data.of(made, self.twin, "simulated")).values()
+        most = SMALL * float(made.manifest["calibration"]["part"]) * LITTLE
+        return min([SMALL, *(most * limit / max(far, 1e-300) for far, limit in pairs)])
+
+    def record(self, commands: Array, settings: Mapping[str, Any], progress: Progress = lambda part: None) -> Recording:
+        """Recording under commands (samples, actuators), or the part of these that the rig could follow.
+
+        Missed readings are interpolated; what holds a rig is part of its commands. Raises a MaskingError where the run
+        was interrupted or tripped, and a PlantError where the plant is lost, refuses, or has other channels.
+        """
+        rules = safety_limits.without_model(safety_limits.rules(self.known, self.rate, self.twin))
+        if self.holding is not None:
+            commands = np.vstack([commands, np.zeros((round(REST * self.rate), len(self.limits)))])
+        for halved in range(HALVED + 1):
+            size = 0.5**halved
+            ran = self._run(size * commands, rules, progress)
+            self.used += len(ran.index) / self.rate
+            if ran.trip is None or ran.trip.cause not in TOO_FAR or not commands.any():
+                break
+            self.trips, self.acknowledge = self.trips + 1, True
+            self.say(f"once more with half the excitation: {ran.trip}")
+        if ran.reason != FINISHED:
+            why = f"{ran.reason} ({ran.trip})" if ran.trip else ran.reason
+            raise MaskingError(f"the recording was {why} and is not kept; run the same again to go on from here")
+        return _recording(self.twin, ran, self.rate, {**settings, "part": size})
+
+    def _run(self, commands: Array, rules: Rules, progress: Progress) -> RigRun:
+        first, holding, largest = list[int](), self.holding, self.limits
+
+        def step(tick: int, readings: Array) -> Array:
+            first[:] = first or [tick]
+            command: Array = commands[min(tick - first[0], len(commands) - 1)]
+            return command if holding is None else np.clip(command + holding.step(readings), -largest, largest)
+
+        if holding is not None:
+            holding.reset()
+        declared = self.twin.declaration
+        whose = f"the calibration is for {Path(next(iter(declared.files), declared.name)).stem}"
+        hooks = Hooks(
+            lambda found: check_channels(found, self.twin.sensors, self.twin.actuators, whose, _REMEDY),
+            on_tick=every(progress, len(commands)),
+        )
+        settings = Settings(self.rate, lockstep=self.lockstep, acknowledge=self.acknowledge)
+        return run_rig(step, self.plant, settings, samples=len(commands), limits=rules, hooks=hooks)
+
+
+def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Records:
     """Make the records that are not in a folder yet, of some seconds each, and read them all.
 
     Raises:
@@ -57,41 +145,44 @@ def make(
         MaskingError: a recording was interrupted.
         RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
     """
-    instruments = replace(Instruments.of(twin), noise={})
-    limits, size = instruments.limits()[:, LARGEST], SMALL
-    rules = safety_limits.without_model(safety_limits.rules(instruments, RATE, twin))
+    twin, limits, say = rig.twin, rig.limits, rig.say
     made: list[Data] = []
-    missed = {}
+    missed, size = {}, 0.0
     for number, name in enumerate(NAMES):
         path = folder / name
-        settings = _settings(plant, limits, seconds=seconds, size=size, twin=twin)
+        settings = _settings(rig, seconds)
         if (path / MANIFEST).exists():
             recording = Recording.load(path)
             _check(recording.manifest.get("calibration"), settings, path)
             say(f"{name}: recorded before")
         else:
             say(f"{name}: recording {seconds:g} s")
-            commands = size * limits * _waves(len(limits), number, seconds)
+            waves = _waves(len(limits), number, seconds, rig.rate)
+            size = size or rig.first_size(waves)
             part = part_of(progress, number, len(NAMES))
-            _record(twin, plant, commands, rules, settings, lockstep=lockstep, part=part).save(path, overwrite=True)
+            recording = rig.record(size * limits * waves, settings | {"size": size}, part)
+            recording.save(path, overwrite=True)
             recording = Recording.load(path)
+        own = recording.manifest["calibration"]
+        size = own["size"] * own["part"]
         missed[name] = int(recording.manifest["rig"]["counters"].get("missed", 0))
         made.append(Data.of(recording, twin, str(path)))
         if not number:
-            size = _larger(twin, made[0])
-            say(f"up to {size:.0%} of the largest command")
+            size = _larger(twin, made[0], size)
+            say(f"up to {size:.2g} of the largest command")
         progress((number + 1) / len(NAMES))
     _, fit, unseen = made
     return Records(fit, unseen, size, limits, missed)
 
 
-def _settings(plant: Plant, limits: Array, *, seconds: float, size: float, twin: Twin) -> dict[str, Any]:
+def _settings(rig: Rig, seconds: float) -> dict[str, Any]:
     """Settings of a record, as JSON can hold them; of a simulated rig with a digest of its twin."""
+    twin, plant = rig.twin, rig.plant
     found = {
         "seconds": seconds,
+        "rate": rig.rate,
         "seed": SEED,
-        "size": size,
-        "limits": dict(zip(twin.actuators, map(float, limits), strict=True)),
+        "limits": dict(zip(twin.actuators, map(float, rig.limits), strict=True)),
         "sensors": list(twin.sensors),
     }
     if isinstance(plant, SimulatedPlant):
@@ -106,7 +197,8 @@ def _check(before: Mapping[str, Any] | None, now: Mapping[str, Any], path: Path)
     remedy = f"give another folder with --out, or delete {path.parent} to record anew"
     if before is None:
         raise RecordError(f"{path} does not say with which settings it was recorded; {remedy}")
-    other = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]
+    names = dict.fromkeys([*now, *before])
+    other = [name for name in names if name not in _FOUND and before.get(name) != now.get(name)]
     if other:
         differences = ", ".join(_difference(name, before.get(name), now.get(name)) for name in other)
         raise RecordError(f"{path} was recorded with other settings: {differences}; {remedy}")
@@ -126,9 +218,9 @@ def _shown(value: object) -> str:
     return ", ".join(value) if isinstance(value, list) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _waves(count: int, number: int, seconds: float) -> Array:
+def _waves(count: int, number: int, seconds: float, rate: float) -> Array:
     """Multisines with peak 1 (samples, count): lines in turn, which go round from record to record."""
-    t = np.arange(round(seconds * RATE)) / RATE
+    t = np.arange(round(seconds * rate)) / rate
     columns = []
     for i in range(count):
         lines = np.arange(1 + (i + number) % count, round(HIGHEST * PERIOD) + 1, count)
@@ -138,41 +230,21 @@ def _waves(count: int, number: int, seconds: float) -> Array:
     return np.array(columns).T
 
 
-def _larger(twin: Twin, small: Data) -> float:
+def _larger(twin: Twin, small: Data, size: float) -> float:
     """Part of the largest command at which the first limit of a coordinate would be reached, and no more."""
     if not np.ptp(small.readings, axis=0).any():
         raise RecordError(f"{small.name}: the sensors read the same throughout; look at the rig's power and cables")
     pairs = reached(twin, small).values()
-    size = min([PART, *(PART * SMALL * limit / max(far, 1e-300) for far, limit in pairs)])
-    return max(size, SMALL)
+    return min([PART, *(PART * size * limit / max(far, 1e-300) for far, limit in pairs)])
 
 
-def _record(
-    twin: Twin, plant: Plant, commands: Array, rules: Rules, settings: dict[str, Any], *, lockstep: bool, part: Progress
-) -> Recording:
-    """Recording of a plant under commands (samples, actuators); missed readings are interpolated."""
-    first: list[int] = []
-
-    def step(tick: int, readings: Array) -> Array:
-        del readings
-        first[:] = first or [tick]
-        command: Array = commands[min(tick - first[0], len(commands) - 1)]
-        return command
-
-    whose = f"the calibration is for {Path(next(iter(twin.declaration.files), twin.declaration.name)).stem}"
-    hooks = Hooks(
-        lambda found: check_channels(found, twin.sensors, twin.actuators, whose, _REMEDY),
-        on_tick=every(part, len(commands)),
-    )
-    ran = run_rig(step, plant, Settings(RATE, lockstep=lockstep), samples=len(commands), limits=rules, hooks=hooks)
-    if ran.reason != FINISHED:
-        why = f"{ran.reason} ({ran.trip})" if ran.trip else ran.reason
-        raise MaskingError(f"the recording was {why} and is not kept; run the same again to go on from here")
+def _recording(twin: Twin, ran: RigRun, rate: float, settings: Mapping[str, Any]) -> Recording:
+    """Recording of a run, with a row for each tick."""
     index = ran.index - ran.index[0]
     every_one = np.arange(index[-1] + 1)
     at = np.searchsorted(index, every_one, side="right") - 1  # a command holds until the next
-    columns = {"t": every_one / RATE}
+    columns = {"t": every_one / rate}
     columns |= {f"input.{name}": ran.applied[at, i] for i, name in enumerate(twin.actuators)}
     columns |= {f"sensor.{name}": np.interp(every_one, index, ran.sensors[:, i]) for i, name in enumerate(twin.sensors)}
     outcome = {"end": ran.reason, "counters": dict(ran.counters)}
-    return Recording(columns, {"name": "calibration", "rate": RATE, "rig": outcome, "calibration": dict(settings)})
+    return Recording(columns, {"name": "calibration", "rate": rate, "rig": outcome, "calibration": dict(settings)})

@@ -207,7 +207,7 @@ def _curve(found: Calibration, element: str) -> Curve | None:
     far = _MARGIN * float(np.abs(seen).max())
     d = np.linspace(-far, far, _POINTS)
     force = _force(fit.twin, element, d)
-    if force is None or np.abs(force - np.polyval(np.polyfit(d, force, 1), d)).max() < STRAIGHT * np.ptp(force):
+    if force is None or np.abs(force - np.polyval(np.polyfit(d, force, 1), d)).max() <= STRAIGHT * np.ptp(force):
         return None
     slopes = []
     for name, value in zip(fit.names, fit.values, strict=True):

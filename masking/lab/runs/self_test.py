@@ -1,5 +1,7 @@
 """Self-test of a rig before it is armed: a small pulse of each actuator, compared with the readings of the twin.
 
+As much follows in the other direction, so that a rig that nothing holds is left without a momentum.
+
 It runs by `runs.realtime` under the rules of `runs.safety_limits`, with the pulse as the largest command: more never
 reaches the plant. The twin is at rest when the test begins; so must the rig be.
 """
@@ -31,9 +33,12 @@ from masking.model.declaration.schema import EffectChange
 SIZE: Final = 0.05  # of the largest command
 RATE: Final = 500.0  # Hz
 _QUIET: Final = 0.3  # s before a pulse, in which the noise is measured
-_PULSE: Final = 0.1  # s at most: shorter where the twin moves by more than the next part of a limited coordinate
+_PULSE: Final = (
+    0.1  # s in each direction, at most: shorter where the twin moves by more than the next part of a limited coordinate
+)
 _MOVED: Final = 0.1
 _AFTER: Final = 0.2  # s of the answer that are compared
+_LONG: Final = _QUIET + 2.0 * _PULSE + _AFTER  # s that are compared, and what is before
 _REST: Final = 20.0  # s at most until the rig is at rest again
 _CLEAR: Final = 6.0  # times the noise that an answer must be
 _DEAD: Final = 0.2  # of the predicted answer
@@ -142,7 +147,7 @@ class _Pulse:
 
     def __init__(self, rules: Rules, at: int, seconds: float) -> None:
         self.rules, self.at, rate = rules, at, rules.rate
-        self.begin, self.stop = round(_QUIET * rate), round((_QUIET + _PULSE + _AFTER) * rate)
+        self.begin, self.stop = round(_QUIET * rate), round(_LONG * rate)
         self.end = self.begin + max(1, round(seconds * rate))
         self.first: int | None = None
         self.read, self.command = list[Array](), np.zeros(len(rules.actuators))
@@ -157,7 +162,8 @@ class _Pulse:
             read = np.array(self.read)
             last, first = np.ptp(read[-self.begin :], axis=0), np.ptp(read[: self.begin], axis=0)
             self.is_over = bool(np.all(last <= np.maximum(2.0 * first, 0.05 * np.ptp(read, axis=0))))
-        self.command[self.at] = self.rules.commands[self.at, LARGEST] if self.begin <= k < self.end else 0.0
+        largest, back = self.rules.commands[self.at, LARGEST], 2 * self.end - self.begin
+        self.command[self.at] = largest if self.begin <= k < self.end else -largest if self.end <= k < back else 0.0
         return self.command
 
     def run(
@@ -184,7 +190,7 @@ class _Pulse:
 
 
 def _answers(twin: Twin, at: int, predicted: Array, read: Array) -> Iterator[Answer]:
-    begin = round(len(read) * _QUIET / (_QUIET + _PULSE + _AFTER))
+    begin = round(len(read) * _QUIET / _LONG)
     for i, sensor in enumerate(twin.sensors):
         wanted = predicted[begin:, i] - predicted[begin - 1, i]
         noise = float(np.std(read[:begin, i]))

@@ -38,8 +38,8 @@ def recorded(folder, experiment, seconds):
     """Write an experiment, and what is recorded of its imperfect rig, all that is wrong with it hidden."""
     (folder / "e.yaml").write_text(experiment)
     twin = Experiment.load(folder / "e.yaml").twin
-    settings = {"seconds": seconds, "lockstep": True, "say": lambda text: None, "progress": lambda p: None}
-    calibration_excitation.make(twin, SimulatedPlant(twin, 3), folder / "records", **settings)
+    rig = calibration_excitation.Rig(twin, SimulatedPlant(twin, 3), lockstep=True)
+    calibration_excitation.make(rig, folder / "records", seconds=seconds, progress=lambda p: None)
     return folder
 
 

@@ -1,0 +1,104 @@
+"""A shaft that nothing holds keeps its stroke while it is excited, and one that springs hold is left alone."""
+
+import json
+
+import numpy as np
+import pytest
+
+from masking.app.workflows.calibrate import RigCalibration, calibrate
+from masking.app.workflows.calibration_excitation import PERIOD, Rig
+from masking.control.known_instruments import Instruments
+from masking.control.rig.twin import Twin
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.records.recording import Recording
+from masking.lab.runs.holding import Holding
+from masking.lab.runs.self_test import self_test
+
+MODEL = {
+    "name": "shaft",
+    "coordinates": {"th": {"unit": "rad"}},
+    "inputs": {"i": {"unit": "A"}},
+    "parameters": {
+        "J": {"value": 0.004, "unit": "kg*m**2"},
+        "b": {"value": 0.01, "unit": "N*m*s/rad"},
+        "kt": {"value": 0.2, "unit": "N*m/A"},
+    },
+    "equations": {"J*th''": "kt*i - b*th'"},
+    "elements": {"shaft": {"displacement": "th", "unit": "N*m", "acts": {"th": -1}}},
+}
+PLANT = {
+    "name": "drive",
+    "model": "shaft.yaml",
+    "sensors": {
+        "encoder": {"measures": "th", "gain": {"value": 1, "unit": "rad/rad"}, "unit": "rad", "meaning": "encoder"}
+    },
+    "limits": {
+        "missed": 0.2,
+        "inputs": {"i": {"max": 3, "unit": "A"}},
+        "coordinates": {"th": {"max": 3, "unit": "rad"}},
+    },
+    "effects": {
+        "noise": {"effect": "noise", "at": "encoder", "parameters": {"sigma": 2e-4}},
+        "delay": {"effect": "delay", "parameters": {"samples": 1}},
+    },
+}
+
+
+def drive(folder, **effects):
+    (folder / "shaft.yaml").write_text(json.dumps(MODEL))
+    path = folder / f"drive{len(effects)}.yaml"
+    path.write_text(json.dumps(PLANT | {"effects": PLANT["effects"] | effects}))
+    return Twin.load(path)
+
+
+def test_what_springs_hold_is_commanded_as_wanted():
+    for name in ("tue_rig", "cart"):
+        assert Holding.of(Instruments.of(Twin.load(name)), 1000.0, PERIOD) is None
+
+
+def test_a_force_that_never_ends_moves_a_free_shaft_by_what_the_virtual_spring_gives(tmp_path):
+    """J w^2 (th - th0) = kt i0, where the spring takes a quarter of the largest torque at the stroke, 3 rad."""
+    pushed = 0.02
+    rig = Rig(drive(tmp_path), SimulatedPlant(drive(tmp_path, bias={
+        "effect": "actuator_offset", "at": "i", "parameters": {"u0": pushed}})), lockstep=True)  # fmt: skip
+    made = rig.record(np.zeros((6000, 1)), {})
+    moved = made["sensor.encoder"][-500:].mean()
+    assert moved == pytest.approx(pushed / (0.25 * 3.0 / 3.0), rel=0.02)
+    assert made["input.i"][-500:].mean() == pytest.approx(-pushed, rel=0.02)  # what holds it is recorded
+
+
+def test_a_shaft_that_nothing_holds_passes_its_self_test(tmp_path):
+    twin = drive(tmp_path)
+    found = self_test(twin, SimulatedPlant(twin, 3), lockstep=True)
+    assert found.findings == ()
+    assert all(0.9 < answer.gain < 1.1 for answer in found.answers if answer.is_clear)
+
+
+def test_a_shaft_that_nothing_holds_is_calibrated_within_its_stroke(tmp_path):
+    """With a bias and friction that its plant file does not have, which would drive it away without bound."""
+    bias = {"effect": "actuator_offset", "at": "i", "parameters": {"u0": 0.01}}
+    twin = drive(tmp_path)
+    settings = RigCalibration(out=tmp_path / "out", seconds=20.0, lockstep=True)
+    found = calibrate(twin, SimulatedPlant(drive(tmp_path, bias=bias), 3), settings)
+    reach = [
+        np.abs(Recording.load(tmp_path / "out" / "records" / n)["sensor.encoder"]).max() for n in ("fit", "unseen")
+    ]
+    assert max(reach) < 3.0
+    assert min(reach) > 0.5
+    assert len(found.stages) == 1
+
+
+def test_an_excitation_that_is_too_large_is_halved(tmp_path):
+    """A resonance of a hundredth of the damping: the linear estimate from a small record is far too large."""
+    twin = Twin.load("cart")
+    rubs = twin.with_parameters({"friction_fc": 0.3})  # in which the small record hardly moves
+    said = []
+    rig = Rig(twin, SimulatedPlant(rubs), lockstep=True, say=said.append)
+    t = np.arange(4000) / 1000.0
+    made = rig.record(2.0 * np.sin(2.0 * np.pi * t)[:, None], {})
+    assert rig.trips == len(said) > 0
+    assert all("POSITION_LIMIT" in text for text in said)
+    part = made.manifest["calibration"]["part"]
+    assert part == 0.5**rig.trips
+    assert np.abs(made["sensor.encoder"]).max() < 25.1
+    assert np.abs(made["input.u"]).max() == pytest.approx(2.0 * part)
