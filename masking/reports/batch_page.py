@@ -1,4 +1,4 @@
-"""Page of a batch: a row for each run, made or not."""
+"""Page of a table: a row for each run of a batch, made or not, or for each step of another work."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import Any, Final
 from masking.display.printed_result import aligned
 from masking.reports import html
 
-PAGE: Final = "batch.html"
-TABLE: Final = "batch.csv"
+BATCH: Final = "batch"
 
 
 def text(sentence: str, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -28,15 +27,25 @@ def _cell(value: object) -> str:
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def save(name: str, sentence: str, rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, Any], folder: Path) -> Path:
-    """Write `batch.html`, `batch.csv` and `batch.json` into a folder; return the page.
+def save(
+    name: str,
+    sentence: str,
+    rows: Sequence[Mapping[str, Any]],
+    numbers: Mapping[str, Any],
+    folder: Path,
+    *,
+    stem: str = BATCH,
+    what: str = "Runs",
+) -> Path:
+    """Write a page, its table and its numbers into a folder, as `batch.html`, `.csv` and `.json`; return the page.
 
-    There is one row at least, all with the same columns. Raises a `RecordError` where a file cannot be written.
+    There is one row at least, all with the same columns; `what` they are is the heading. Raises a `RecordError` where a
+    file cannot be written.
     """
-    page, written = folder / PAGE, io.StringIO()
+    page, written = folder / f"{stem}.html", io.StringIO()
     table = csv.DictWriter(written, [*rows[0]])
     table.writeheader()
     table.writerows(rows)
-    html.write({folder / TABLE: written.getvalue()})
-    html.save(page, "batch", [], numbers, title=name, lead=sentence, head=[*rows[0]], rows=_shown(rows))
+    html.write({page.with_suffix(".csv"): written.getvalue()})
+    html.save(page, "batch", [], numbers, title=name, lead=sentence, head=[*rows[0]], rows=_shown(rows), what=what)
     return page

@@ -16,7 +16,7 @@ from masking.lab.records import foreign_json
 from masking.reports import html
 from masking.reports.html import Tile
 
-DISCOVERY, FIT = RESULTS = "discovery.json", "fit.json"  # files with a sheet
+DISCOVERY, FIT, LEARNING = RESULTS = "discovery.json", "fit.json", "learning.json"  # files with a sheet
 PAGE, PICTURE = "one_page.pdf", "one_page.png"
 RELATIVE: Final = "error relative to the reading"
 # Headings.

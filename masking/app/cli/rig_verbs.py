@@ -1,4 +1,4 @@
-"""Verbs of `masking rig`: check, serve, run, batch, stop, calibrate."""
+"""Verbs of `masking rig`: check, serve, run, batch, stop, calibrate, learn."""
 
 from __future__ import annotations
 
@@ -207,5 +207,16 @@ def _calibrate(call: Call) -> int:
     return call.answered()
 
 
+@verb(
+    "app.workflows.learn:learn_at",
+    out="results/{plant}_learning",
+    doing="learning",
+    interrupted="masking: interrupted; start the same again to go on with {out}",
+)
+def _learn(call: Call) -> int:
+    """Let a rig find out by itself what it is: excite it, find what its plant file lacks, and put that into control."""
+    return call.answered()
+
+
 _TEXT = "Run on a plant that runs by itself, or serve a twin that stands in for one."
-VERBS = (Verb("rig", _TEXT, verbs=(_check, _serve, _run, _batch, _stop, _calibrate)),)
+VERBS = (Verb("rig", _TEXT, verbs=(_check, _serve, _run, _batch, _stop, _calibrate, _learn)),)

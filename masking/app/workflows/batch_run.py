@@ -15,8 +15,9 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,25 +67,29 @@ def main(arguments: list[str] | None = None) -> int:
         wanted: Try = pickle.load(file)  # noqa: S301  (a file without a name, that its parent wrote)
     began = time.monotonic()
     try:
-        outcome = _outcome(wanted)
+        found = outcome(wanted, partial(_plant, wanted))
     except PlantLostError as error:
         is_there = stream.is_in(wanted.folder)
-        outcome = {"end": FAILED if is_there else batch_plan.UNREACHABLE, "why": str(error)}
+        found = {"end": FAILED if is_there else batch_plan.UNREACHABLE, "why": str(error)}
     except PlantRefusedError as error:
-        outcome = {"end": batch_plan.UNREACHABLE, "why": str(error)}
+        found = {"end": batch_plan.UNREACHABLE, "why": str(error)}
     except (MaskingError, OSError) as error:  # the latter where a disk or the memory is full
-        outcome = {"end": FAILED, "why": str(error)}
-    print(json.dumps(outcome | {"seconds": round(time.monotonic() - began, 3)}), flush=True)
+        found = {"end": FAILED, "why": str(error)}
+    print(json.dumps(found | {"seconds": round(time.monotonic() - began, 3)}), flush=True)
     return 0
 
 
-def _outcome(wanted: Try) -> dict[str, Any]:
+def _plant(wanted: Try) -> Plant:
+    made, address = wanted.experiment, wanted.address
+    return adapters.connect(address, wanted.key) if address else SimulatedPlant(made.twin, made.declaration.seed)
+
+
+def outcome(wanted: Try, plant: Callable[[], Plant]) -> dict[str, Any]:
+    """Make a try on a plant, of which each call gives one, and save its recording; return what became of it.
+
+    A MaskingError where nothing was recorded: a PlantError where the rig does not rest or the plant is lost or refuses.
+    """
     made, folder, lockstep = wanted.experiment, wanted.folder, wanted.lockstep or wanted.address is None
-
-    def plant() -> Plant:
-        address = wanted.address
-        return adapters.connect(address, wanted.key) if address else SimulatedPlant(made.twin, made.declaration.seed)
-
     kept: list[Recording] = []
     with Operator() as operator:
         try:

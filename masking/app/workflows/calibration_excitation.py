@@ -27,10 +27,11 @@ from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.lab.plants.interface import Plant, Settings
-from masking.lab.plants.safety_chain import Cause, Rules
+from masking.lab.plants.safety_chain import Cause, Chain, Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import MANIFEST, Recording
 from masking.lab.runs import safety_limits
+from masking.lab.runs.batch_plan import PEOPLE
 from masking.lab.runs.holding import Holding
 from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED
@@ -41,7 +42,8 @@ PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record, at most
 LITTLE: Final = 0.3  # of a limit that the first record reaches, by the plant file, at most
 REST: Final = 1.0  # s that what is held gets to come to rest
-HALVED: Final = 6  # times that an excitation is made again with half its size
+SMALLER: Final = 0.7  # of its size, with which an excitation is made again that was too large
+LEAST: Final = 0.01  # of its size
 # What an excitation does that is too large.
 TOO_FAR: Final = {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT, Cause.SENSOR_RANGE, Cause.THERMAL, Cause.COMMAND_RATE}
 STARTS: Final = 5  # of the search for a small crest factor
@@ -51,6 +53,7 @@ _FOUND = ("size", "part")  # settings that the rig itself determines
 _DIGITS = 9  # of a number that shows whether a twin is the same
 
 Say = Callable[[str], None]
+Look = Callable[[Chain, int], None]
 Progress = Callable[[float], None]
 
 
@@ -59,7 +62,7 @@ class Rig:
     """A rig that is excited within the limits of its plant file, run after run.
 
     What no spring holds is held by a controller, so that no excitation drives it away; a run that its motion ends is
-    made again with half the excitation.
+    made again with less excitation.
     """
 
     twin: Twin
@@ -68,8 +71,10 @@ class Rig:
     lockstep: bool = False
     say: Say = lambda text: None
     acknowledge: bool = False  # why the plant tripped in a run before was looked at
+    retries: int = 0  # after a trip that is not by its motion
+    look: Look | None = None  # called with the safety chain, which it may stop, and the tick of each sample
     used: float = 0.0  # s that the rig was driven
-    trips: int = 0  # by its motion
+    trips: int = 0  # after which a run was made again
 
     @cached_property
     def known(self) -> Instruments:
@@ -103,14 +108,14 @@ class Rig:
         rules = safety_limits.without_model(safety_limits.rules(self.known, self.rate, self.twin))
         if self.holding is not None:
             commands = np.vstack([commands, np.zeros((round(REST * self.rate), len(self.limits)))])
-        for halved in range(HALVED + 1):
-            size = 0.5**halved
-            ran = self._run(size * commands, rules, progress)
-            self.used += len(ran.index) / self.rate
-            if ran.trip is None or ran.trip.cause not in TOO_FAR or not commands.any():
+        size, retries = 1.0, self.retries
+        while (ran := self._run(size * commands, rules, progress)).trip is not None:
+            is_far = ran.trip.cause in TOO_FAR and size > LEAST and bool(commands.any())
+            if not is_far and (not retries or ran.trip.cause.name in PEOPLE):
                 break
+            size, retries = (SMALLER * size, retries) if is_far else (size, retries - 1)
             self.trips, self.acknowledge = self.trips + 1, True
-            self.say(f"once more with half the excitation: {ran.trip}")
+            self.say(f"once more{f' with {SMALLER:g} of the excitation' if is_far else ''}: {ran.trip}")
         if ran.reason != FINISHED:
             why = f"{ran.reason} ({ran.trip})" if ran.trip else ran.reason
             raise MaskingError(f"the recording was {why} and is not kept; run the same again to go on from here")
@@ -131,9 +136,12 @@ class Rig:
         hooks = Hooks(
             lambda found: check_channels(found, self.twin.sensors, self.twin.actuators, whose, _REMEDY),
             on_tick=every(progress, len(commands)),
+            look=self.look,
         )
         settings = Settings(self.rate, lockstep=self.lockstep, acknowledge=self.acknowledge)
-        return run_rig(step, self.plant, settings, samples=len(commands), limits=rules, hooks=hooks)
+        ran = run_rig(step, self.plant, settings, samples=len(commands), limits=rules, hooks=hooks)
+        self.used += len(ran.index) / self.rate
+        return ran
 
 
 def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Records:
@@ -157,10 +165,10 @@ def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Recor
             say(f"{name}: recorded before")
         else:
             say(f"{name}: recording {seconds:g} s")
-            waves = _waves(len(limits), number, seconds, rig.rate)
-            size = size or rig.first_size(waves)
+            made_of = waves(len(limits), number, seconds, rig.rate)
+            size = size or rig.first_size(made_of)
             part = part_of(progress, number, len(NAMES))
-            recording = rig.record(size * limits * waves, settings | {"size": size}, part)
+            recording = rig.record(size * limits * made_of, settings | {"size": size}, part)
             recording.save(path, overwrite=True)
             recording = Recording.load(path)
         own = recording.manifest["calibration"]
@@ -218,7 +226,7 @@ def _shown(value: object) -> str:
     return ", ".join(value) if isinstance(value, list) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _waves(count: int, number: int, seconds: float, rate: float) -> Array:
+def waves(count: int, number: int, seconds: float, rate: float) -> Array:
     """Multisines with peak 1 (samples, count): lines in turn, which go round from record to record."""
     t = np.arange(round(seconds * rate)) / rate
     columns = []

@@ -76,6 +76,13 @@ class SelfTest(Printed, Result):
     findings: tuple[str, ...]  # why the rig must not be armed, a sentence each; none where it may
 
     @property
+    def is_answered(self) -> bool:
+        """Whether a sensor answers each actuator, in the right direction, and none with noise alone."""
+        clear = [one for one in self.answers if one.is_clear]
+        moved = {one.actuator for one in clear if one.gain > _DEAD}
+        return bool(moved) and moved == {one.actuator for one in self.answers} and all(x.gain > -_DEAD for x in clear)
+
+    @property
     def headline(self) -> str:
         """Whether the rig may be armed, and why not."""
         return "; ".join(["fails", *self.findings] if self.findings else ["passes"])
