@@ -16,6 +16,7 @@ from masking.reports.text import capital, listed
 
 STEM: Final = "learning"
 PAGE: Final = f"{STEM}.html"
+MOST: Final = 1e9  # times the noise that an error is said to be
 _COLUMNS: Final = ("step", "assumed", "measured", "before", "after", "cause", "odds", "seconds")
 Row = Mapping[str, Any]
 
@@ -24,7 +25,9 @@ def facts(found: Discovery) -> dict[str, Any]:
     """What a discovery says in a row: errors over the noise before and after, the causes, and their odds."""
     error, floor = found.simulation_error, found.simulation_error.validation_noise_floor
     left = error.validation.after if found.law is None else found.law.error[1]
-    before, after = (max(part[n] / max(floor[n], 1e-300) for n in floor) for part in (error.validation.before, left))
+    before, after = (
+        min(MOST, max(part[n] / max(floor[n], 1e-300) for n in floor)) for part in (error.validation.before, left)
+    )
     causes = [text for _, text in discovery_files.written(found)]
     if found.verdict == "ambiguous":
         causes = [" or ".join(discovery_text.possible_causes(found))]

@@ -1,14 +1,19 @@
-"""Settings of the verbs of `masking rig` that the command line puts together itself."""
+"""Settings of the verbs of `masking rig`: those that the command line puts together itself, and of learning."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Final
 
+from masking.inference.discovery.ground import Tell
+from masking.inference.procedures.calibration_findings import PERIOD
 from masking.lab.plants.conformance import AMPLITUDE, RATE
 from masking.lab.plants.session import LONGEST_WATCHDOG, RATES
 from masking.lab.runs.self_test import SIZE
+
+TOLERANCE: Final = 0.05  # prior uncertainty of a parameter of a rig that nobody has calibrated
 
 
 @dataclass(frozen=True)
@@ -103,3 +108,32 @@ class RunSettings:
     stop_file: str | None = None
     out: str | None = None
     overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigLearning:
+    """How a rig learns what it is.
+
+    Args:
+        at: address of the rig, such as udp://127.0.0.1:5005 or serial:///dev/ttyACM0; by default the plant's twin.
+        key: file of mode 0600 with a key that the server has, too.
+        experiment: an experiment to run on the rig before and after, a YAML file or a name that 'masking list' shows.
+        hours: of the rig's clock that it may take.
+        seconds: length of each record.
+        tolerance: relative standard deviation of a parameter that declares none, before anything is recorded.
+        lockstep: each side waits for the other; no clock.
+        out: folder of the records and of the result; one that holds the same, not yet finished, is gone on with.
+        say: called with a sentence for each step.
+        tell: called with the step under way, and the fraction done.
+    """
+
+    at: str | None = None
+    key: str | None = None
+    experiment: str | None = None
+    hours: float = 1.0
+    seconds: float = 2.0 * PERIOD
+    tolerance: float = TOLERANCE
+    lockstep: bool = False
+    out: str | Path
+    say: Callable[[str], None] | None = None
+    tell: Tell | None = None

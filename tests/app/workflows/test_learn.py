@@ -1,0 +1,181 @@
+"""A rig that learns what it is: unattended, to the causes that it was given, and to the same end after a crash."""
+
+import csv
+import json
+import subprocess
+import sys
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from masking.app import cli
+from masking.app.workflows import calibration_excitation
+from masking.app.workflows.learn import JOURNAL, learn
+from masking.app.workflows.rig_settings import RigLearning
+from masking.control.rig.twin import Twin
+from masking.errors import DeclarationError, MaskingError, PlantError, PlantLostError, RecordError
+from masking.lab.plants.simulated import SimulatedPlant
+from masking.lab.plants.udp import UdpPlant
+from masking.lab.records.journal import Journal
+from masking.lab.records.recording import Recording
+from masking.lab.runs.experiment import Experiment
+from tests.benchmarks.learning import CART_RUN, RIGS, same, written
+
+
+def settings(out, **changes):
+    return RigLearning(**{"out": out, "seconds": 20.0, "lockstep": True} | changes)
+
+
+def rows(folder):
+    with Journal(folder / JOURNAL) as journal:
+        return journal.entries[1:]
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    """A cart with friction and a delay that its plant file does not have, and what it has learned."""
+    folder = tmp_path_factory.mktemp("rubbing")
+    plant, true, experiment = written(RIGS["friction"], folder)
+    rig = partial(SimulatedPlant, Twin.load(true))
+    found = learn(str(plant), rig, settings(folder / "out", experiment=str(experiment)))
+    return found, folder
+
+
+def test_it_finds_the_causes_and_their_values(rubbing):
+    found, folder = rubbing
+    (row,) = (row for row in found.rows if row["step"] == "discovery")
+    assert row["verdict"] == "named"
+    assert row["closed"]
+    assert row["before"] > 1000.0
+    assert row["after"] < 1.1
+    assert "dry friction in guide 99 %" in row["odds"]
+    twin = Twin.load(str(folder / "out" / "plant.yaml"))
+    assert twin.delay == 4
+    assert twin.model.value("dry_friction_fc") / twin.model.value("kf") == pytest.approx(0.3 / 8.0, rel=1e-3)
+
+
+def test_the_masking_error_falls_and_trips_do_not_end_it(rubbing):
+    found, folder = rubbing
+    before, after = (row["chi"] for row in found.rows if row["step"] in {"before", "after"})
+    assert before > 0.2
+    assert after < 0.1 * before
+    (excited,) = (row for row in found.rows if row["step"] == "excitation")
+    assert excited["seconds"] > 60.0  # some excitations were too large, and made again
+    made = Experiment.load(folder / "out" / "experiment.yaml")
+    assert made.declaration.controller.model is None
+    assert made.assembly.plant.files.keys() == {str(folder / "out" / "plant.yaml")}
+    read = Recording.load(folder / "out" / "steps" / "05-excitation" / "unseen")["sensor.encoder"]
+    assert np.abs(read).max() < 25.0
+
+
+def test_its_page_and_its_one_page_say_what_it_took(rubbing, capsys):
+    found, folder = rubbing
+    out = folder / "out"
+    table = list(csv.DictReader((out / "learning.csv").read_text().splitlines()))
+    assert [row["step"] for row in table] == [row["step"] for row in found.rows]
+    page = (out / "learning.html").read_text()
+    assert "dry friction in guide" in page
+    assert "masking error" in page
+    assert cli.main(["report", str(out), "--one-page"]) == 0
+    assert (out / "one_page.pdf").read_bytes().startswith(b"%PDF")
+    assert "h of the rig in 6 steps" in found.sentence
+    assert "one_page" in capsys.readouterr().out
+
+
+def test_what_is_finished_is_not_made_again(rubbing):
+    found, folder = rubbing
+
+    class Untouched(SimulatedPlant):
+        def configure(self, given):
+            raise AssertionError
+
+    plant = Untouched(Twin.load(str(folder / "rig.yaml")))
+    again = learn(
+        str(folder / "rig.yaml"), lambda: plant, settings(folder / "out", experiment=str(folder / "experiment.yaml"))
+    )
+    assert again.rows == found.rows
+
+
+def test_a_rig_that_is_killed_goes_on_to_the_same_end(tmp_path):
+    """The twin of the plant file itself, in which nothing is missing; killed in its excitation."""
+    plant, _, _ = written(RIGS["nothing"], tmp_path)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "masking", "rig", "learn", str(plant), "--seconds", "20", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        until = time.monotonic() + 120.0
+        while not (out / "steps" / "04-excitation" / "small").exists():
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        process.kill()
+    kept = (out / JOURNAL).read_bytes()
+    assert kept.count(b"\n") == 4
+    found = learn(str(plant), partial(SimulatedPlant, Twin.load(str(plant))), settings(out))
+    assert (out / JOURNAL).read_bytes().startswith(kept)
+    assert [row["step"] for row in found.rows] == ["self-test", "rest", "springs", "excitation", "discovery"]
+    assert found.rows[-1]["verdict"] == "none"
+    whole = learn(str(plant), partial(SimulatedPlant, Twin.load(str(plant))), settings(tmp_path / "whole"))
+    assert all(map(same, found.rows, whole.rows))
+    assert Twin.load(str(out / "plant.yaml")).values().tolist() == Twin.load(str(plant)).values().tolist()
+
+
+class Odd(SimulatedPlant):
+    """A twin that trips in its first runs, or does not answer its commands."""
+
+    def __init__(self, twin, spikes=0, deaf=False):
+        super().__init__(twin)
+        self.spikes, self.deaf = spikes, deaf
+
+    def readings(self):
+        found = super().readings()
+        if self.spikes and self._tick == 700:
+            self.spikes -= 1
+            found[0] = np.nan
+        return found
+
+    def step(self, command):
+        super().step(0.0 * command if self.deaf else command)
+
+
+def test_a_trip_by_chance_does_not_end_it(tmp_path):
+    plant, _, _ = written(RIGS["nothing"], tmp_path)
+    rig = calibration_excitation.Rig(
+        Twin.load(str(plant)), Odd(Twin.load(str(plant)), spikes=2), lockstep=True, retries=3, acknowledge=True
+    )
+    assert len(rig.record(np.zeros((1000, 1)), {})) == 1000
+    assert rig.trips == 2
+    rig = calibration_excitation.Rig(
+        Twin.load(str(plant)), Odd(Twin.load(str(plant)), spikes=9), lockstep=True, retries=3
+    )
+    with pytest.raises(MaskingError, match="SENSOR_NONFINITE"):
+        rig.record(np.zeros((1000, 1)), {})
+
+
+def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
+    plant, _, experiment = written(RIGS["nothing"], tmp_path)
+    rig, out = partial(SimulatedPlant, Twin.load(str(plant))), tmp_path / "out"
+
+    def refused(error, said, name=str(plant), **changes):
+        with pytest.raises(error, match=said):
+            learn(name, rig, settings(out, **changes))
+        assert not out.exists()
+
+    refused(
+        RecordError, r"0\.01 h are too few for one round, which takes 131 s of the rig: give --hours 0\.04", hours=0.01
+    )
+    refused(RecordError, "records of 5 s are too short; give at least 20 s", seconds=5.0)
+    refused(
+        RecordError, r"huygens_rig does not fit the rig .*rig\.yaml: the controller's model", experiment="huygens_rig"
+    )
+    refused(DeclarationError, "there is no experiment 'huygen'.*huygens", experiment="huygen")
+    (tmp_path / "still.yaml").write_text(json.dumps(CART_RUN | {"controller": {"rate": "500 Hz"}}))
+    refused(RecordError, "does not fit the rig .*homing", experiment=str(tmp_path / "still.yaml"))
+    refused(DeclarationError, "no plant 'no_rig'|no_rig", name="no_rig")
+    with pytest.raises(PlantError, match=r"the self-test refuses to arm: u.* is dead"):
+        learn(str(plant), lambda: Odd(Twin.load(str(plant)), deaf=True), settings(out))
+    with pytest.raises(PlantLostError, match="no plant answers at udp"):
+        learn(str(plant), lambda: UdpPlant("udp://127.0.0.1:9", patience=0.2), settings(tmp_path / "far"))
+    with pytest.raises(RecordError, match="holds what another rig has learned"):
+        learn(str(plant), rig, settings(out, experiment=str(experiment)))
