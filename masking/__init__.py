@@ -9,7 +9,7 @@ Four objects carry the package:
 
 Each verb of the command line is a function here: `catalogue` (its `list`), `show`, `check`, `run`, `report`,
 `recover`, `animate`, `compare`, `sweep`, `load_sweep`, `simulate`, `identify`, `measure`,
-`calibrate`, `discover`, `refine`, `stability`, `play`, `export`.
+`calibrate`, `learn`, `discover`, `refine`, `stability`, `play`, `export`.
 
     >>> import masking
     >>> recording = masking.run("duffing")

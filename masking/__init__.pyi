@@ -5,6 +5,7 @@ from .app.workflows.compare import compare as compare
 from .app.workflows.discover import discover as discover
 from .app.workflows.export import export as export
 from .app.workflows.identify import identify as identify
+from .app.workflows.learn import learn as learn
 from .app.workflows.measure import measure as measure
 from .app.workflows.play import play as play
 from .app.workflows.recover import recover as recover

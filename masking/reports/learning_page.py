@@ -17,7 +17,16 @@ from masking.reports.text import capital, listed
 STEM: Final = "learning"
 PAGE: Final = f"{STEM}.html"
 MOST: Final = 1e9  # times the noise that an error is said to be
-_COLUMNS: Final = ("step", "assumed", "measured", "before", "after", "cause", "odds", "seconds")
+_COLUMNS: Final = {
+    "step": "step",
+    "assumed": "assumed",
+    "measured": "measured",
+    "before": "error/noise",
+    "after": "after",
+    "cause": "cause",
+    "odds": "probabilities",
+    "seconds": "s",
+}
 Row = Mapping[str, Any]
 
 
@@ -82,18 +91,18 @@ def _cells(rows: Sequence[Row]) -> list[dict[str, Any]]:
     for row in rows:
         error = f"masking error {number(row['chi'], 3)}" if row.get("chi") is not None else ""
         measured = "; ".join(filter(None, (row.get("measured"), error, row.get("why"))))
-        made.append({name: row.get(name) for name in _COLUMNS} | {"measured": measured})
+        made.append({shown: row.get(name) for name, shown in _COLUMNS.items()} | {_COLUMNS["measured"]: measured})
     return made
 
 
-def text(said: str, rows: Sequence[Row], files: Mapping[str, Any]) -> str:
+def text(sentence_of: str, rows: Sequence[Row], files: Mapping[str, Any]) -> str:
     """What was found as text, a line for each step, and where the files lie."""
-    lines = [capital(said), *(f"  {row['step']}: {globals()['said'](row)}" for row in rows)]
+    lines = [capital(sentence_of), *(f"  {row['step']}: {said(row)}" for row in rows)]
     written = [f"{name}: {files[name]}" for name in ("plant", "experiment", "page") if name in files]
     return "\n".join([*lines, *written])
 
 
-def save(said: str, rows: Sequence[Row], numbers: Mapping[str, Any], folder: Path) -> Path:
+def save(sentence_of: str, rows: Sequence[Row], numbers: Mapping[str, Any], folder: Path) -> Path:
     """Write `learning.html`, `learning.csv` and `learning.json` into a folder; return the page.
 
     Raises a `RecordError` where a file cannot be written.
@@ -105,8 +114,9 @@ def save(said: str, rows: Sequence[Row], numbers: Mapping[str, Any], folder: Pat
     ]
     tiles += [Tile(f"masking error {row['step']}", number(row["chi"], 3)) for row in masked(rows) if row.get("chi")]
     sections = {
-        one_page.FOUND: [capital(said)],
+        one_page.FOUND: [capital(sentence_of)],
         one_page.SURE: [f"{capital(row['odds'])}." for row in found],
+        "Steps": [f"{capital(row['step'])}: {said(row)}." for row in rows],
         one_page.NEXT: [f"{row['why']}." for row in rows if "why" in row],
     }
     sheet = Sheet(
@@ -117,4 +127,6 @@ def save(said: str, rows: Sequence[Row], numbers: Mapping[str, Any], folder: Pat
         page=PAGE,
     )
     content = {**numbers, "sheet": plain(sheet)}
-    return batch_page.save(str(numbers["name"]), capital(said), _cells(rows), content, folder, stem=STEM, what="Steps")
+    return batch_page.save(
+        str(numbers["name"]), capital(sentence_of), _cells(rows), content, folder, stem=STEM, what="Steps"
+    )

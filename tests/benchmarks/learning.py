@@ -260,7 +260,10 @@ def main() -> None:
     found = []
     for name in chosen.rigs or RIGS:
         found.append(measured(name, chosen.kills))
-        print("  ".join(f"{key}: {x:.3g}" if isinstance(x, float) else f"{key}: {x}" for key, x in found[-1].items()))
+        print(
+            "  ".join(f"{key}: {x:.3g}" if isinstance(x, float) else f"{key}: {x}" for key, x in found[-1].items()),
+            flush=True,
+        )
         chosen.json.parent.mkdir(parents=True, exist_ok=True)
         chosen.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
 

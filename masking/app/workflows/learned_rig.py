@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from masking.app.workflows.identify import identify
 from masking.control.rig.twin import PlacedEffect, Twin
+from masking.errors import MaskingError
 from masking.inference.discovery.discovery_result import Discovery
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
@@ -30,7 +31,10 @@ def adopted(found: Discovery, folder: Path, records: Sequence[Path], plant: str)
     if max(after.values()) > _BETTER * max(before.values()):
         return None
     record, unseen = map(str, records)
-    identify(record, plant=plant, validation=[unseen], out=folder / "fit", overwrite=True)
+    try:
+        identify(record, plant=plant, validation=[unseen], out=folder / "fit", overwrite=True)
+    except MaskingError:
+        return None
     return folder / "fit" / discovery_files.PLANT
 
 

@@ -36,6 +36,7 @@ from masking.lab.runs import batch_plan
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.self_test import SIZE, self_test
 from masking.lab.runs.stopping import FAILED, INTERRUPTED
+from masking.model.declaration.quantities import percent
 from masking.reports import learning_page
 
 COMMANDS: Final = "commands.npy"
@@ -236,7 +237,7 @@ class Learner:
         }  # fmt: skip
 
     def _moved(self, record: Data, how: str) -> dict[str, Any]:
-        parts = [f"{far / most:.0%} of {what}" for what, (far, most) in reached(self.rig.twin, record).items()]
+        parts = [f"{percent(far / most)} of {what}" for what, (far, most) in reached(self.rig.twin, record).items()]
         held = "springs and dampers in the commands hold it; " if self.rig.holding else ""
         return {"assumed": f"{held}{how}", "measured": f"moved over {', '.join(parts) or 'its range'}"}
 

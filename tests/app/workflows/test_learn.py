@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from masking.app import cli
-from masking.app.workflows import calibration_excitation
+from masking.app.workflows import calibration_excitation, learned_rig, learning_steps
 from masking.app.workflows.learn import JOURNAL, learn
 from masking.app.workflows.rig_settings import RigLearning
 from masking.control.rig.twin import Twin
@@ -21,6 +23,7 @@ from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
+from masking.reports import learning_page, model_files
 from tests.benchmarks.learning import CART_RUN, RIGS, same, written
 
 
@@ -116,9 +119,87 @@ def test_a_rig_that_is_killed_goes_on_to_the_same_end(tmp_path):
     assert (out / JOURNAL).read_bytes().startswith(kept)
     assert [row["step"] for row in found.rows] == ["self-test", "rest", "springs", "excitation", "discovery"]
     assert found.rows[-1]["verdict"] == "none"
-    whole = learn(str(plant), partial(SimulatedPlant, Twin.load(str(plant))), settings(tmp_path / "whole"))
-    assert all(map(same, found.rows, whole.rows))
     assert Twin.load(str(out / "plant.yaml")).values().tolist() == Twin.load(str(plant)).values().tolist()
+
+
+class StoppedError(Exception):
+    """A crash."""
+
+
+@pytest.fixture
+def scripted(monkeypatch):
+    """Let discoveries say one after the other: either of two, one of them but not all, all."""
+    said = [
+        {"verdict": "ambiguous", "closed": True, "before": 9.0, "after": 1.5},
+        {"verdict": "named", "closed": False, "before": 9.0, "after": 3.0},
+        {"verdict": "named", "closed": True, "before": 3.0, "after": 1.0},
+    ]
+    asked = []
+
+    def discover(record, *, plant, validation, out, **_):
+        index = sum(path.is_dir() for path in Path(out).parent.glob("*-discovery"))
+        Path(out).mkdir(parents=True, exist_ok=True)
+        asked.append((Path(record).name, Path(validation).name, Path(plant).parent.name))
+        commands = 0.01 * np.sin(np.arange(800) / 20.0)[:, None]
+        coming = SimpleNamespace(commands=commands, separates=True)
+        return SimpleNamespace(**said[min(index, 2)], next_experiment=coming if not index else None)
+
+    def adopted(found, folder, records, plant):
+        twin = Twin.load(plant)
+        made = model_files.plant(twin, folder, {"model": "cart"}, (), twin.declaration.canonical()["effects"])
+        (folder / "plant.yaml").write_text(model_files.text(made))
+        return folder / "plant.yaml"
+
+    facts = {"cause": "a cause", "odds": "a cause 99 %", "measured": "", "assumed": ""}
+    monkeypatch.setattr(calibration_excitation, "RATE", 200.0)
+    monkeypatch.setattr(learning_steps, "discover", discover)
+    monkeypatch.setattr(learned_rig, "adopted", adopted)
+    monkeypatch.setattr(learning_page, "facts", lambda found: facts | {n: getattr(found, n) for n in said[0]})
+    return asked
+
+
+def test_it_parts_causes_goes_on_until_all_is_explained_and_survives_a_crash_between_any_two_steps(tmp_path, scripted):
+    plant, _, _ = written(RIGS["nothing"], tmp_path)
+    rig = partial(SimulatedPlant, Twin.load(str(plant)))
+    whole = learn(str(plant), rig, settings(tmp_path / "whole"))
+    begin = ["self-test", "rest", "springs", "excitation"]
+    rest = ["discovery", "experiment", "discovery", "record", "discovery"]
+    assert [row["step"] for row in whole.rows] == begin + rest
+    assert scripted == [
+        ("fit", "unseen", tmp_path.name),
+        ("06-experiment", "unseen", tmp_path.name),
+        ("08-record", "unseen", "07-discovery"),
+    ]
+    moved = Recording.load(tmp_path / "whole" / "steps" / "06-experiment")
+    assert np.abs(moved["input.u"]).max() == pytest.approx(0.01, rel=1e-3)
+
+    def crash(text):
+        if not text.startswith(("small", "fit", "unseen", "up to")):
+            raise StoppedError
+
+    crashes = 0
+    while True:
+        try:
+            again = learn(str(plant), rig, settings(tmp_path / "again", say=crash))
+        except StoppedError:
+            crashes += 1
+            continue
+        break
+    assert crashes == len(whole.rows)
+    assert all(map(same, again.rows, whole.rows))
+    assert Twin.load(str(tmp_path / "again" / "plant.yaml")).declaration.model == "cart"
+
+
+def test_the_hours_end_it(tmp_path, scripted):
+    plant, _, _ = written(RIGS["nothing"], tmp_path)
+    rig = partial(SimulatedPlant, Twin.load(str(plant)))
+    found = learn(str(plant), rig, settings(tmp_path / "out", hours=0.0415))
+    assert [row["step"] for row in found.rows][-3:] == ["discovery", "experiment", "discovery"]
+    assert found.rows[-1]["why"] == "the budget of 0.0415 h is used up"
+    assert "the budget of 0.0415 h is used up" in found.sentence
+    assert Twin.load(str(tmp_path / "out" / "plant.yaml")).delay == 1
+    more = learn(str(plant), rig, settings(tmp_path / "out", hours=1.0))
+    assert more.rows == found.rows  # what has ended has ended
 
 
 class Odd(SimulatedPlant):

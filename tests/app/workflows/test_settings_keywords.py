@@ -21,6 +21,7 @@ VERBS = (
         "discover",
         "export",
         "identify",
+        "learn",
         "measure",
         "recover",
         "refine",
