@@ -23,7 +23,15 @@ from masking.app.workflows.discover import discover
 from masking.app.workflows.rig_settings import RigLearning
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
-from masking.errors import MaskingError, PlantLostError, PlantRefusedError, RecordError
+from masking.errors import (
+    IntegrationError,
+    MaskingError,
+    PlantError,
+    PlantLostError,
+    PlantRefusedError,
+    RecordError,
+    SingularityError,
+)
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import PERIOD, reached
 from masking.inference.procedures.channels import Source
@@ -46,6 +54,7 @@ _LARGEST: Final = 0.4  # of the largest command: a pulse of the self-test
 _PULSES: Final = 2.0  # s that a self-test takes for each actuator
 PATIENCE: Final = 60.0  # s that a plant is waited for
 _AGAIN: Final = 1.0  # s between tries to reach it
+_TRIES: Final = 2  # of a run of the experiment that trips or fails
 _PARTED: Final = 3  # experiments at most to part the same causes
 _LESS: Final = 0.9  # of the error before: what is found is worth another round
 
@@ -212,14 +221,17 @@ class Learner:
         made = learned_rig.refined(self.experiment, self.folder) if is_last else self.experiment
         batch_plan.write(made, self.folder if is_last else place)
         wanted = Try(made, place, "", None, self.rig.lockstep, 1.0, PATIENCE, {})
-        try:
-            found = self._reached(partial(outcome, wanted, self.make))
-        except MaskingError as error:
-            found = {"end": FAILED, "why": str(error)}
-        if found["end"] == INTERRUPTED or found.get("cause") in batch_plan.PEOPLE:
-            raise MaskingError(f"the run was stopped by a person; start the same again to go on with {self.folder}")
+        for _ in range(_TRIES):
+            try:
+                found = self._reached(partial(outcome, wanted, self.make))
+            except (PlantError, SingularityError, IntegrationError) as error:
+                found = {"end": FAILED, "why": str(error)}
+            self.rig.used += self.costs["after"]
+            if found["end"] == INTERRUPTED or found.get("cause") in batch_plan.PEOPLE:
+                raise MaskingError(f"the run was stopped by a person; start the same again to go on with {self.folder}")
+            if found["end"] in batch_plan.PLANNED:
+                break
         chi = max((x for x in found.get("chi", {}).values() if np.isfinite(x)), default=None)
-        self.rig.used += self.costs["after"]
         row: dict[str, Any] = {"assumed": self._taken_for, "measured": found["end"], "chi": chi}
         row |= {"why": found["why"]} if "why" in found else {}
         return row | {"next": "" if is_last else "excitation"}
