@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from masking.compile.codegen import chattering, machine_code, module_store
 from masking.compile.codegen.event_jumps import Jumps
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
-from masking.compile.codegen.source import LOOSE, LOOSE_FROM, Module
+from masking.compile.codegen.source import FROM, Module
 from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
 from masking.compile.codegen.trajectory import Trajectory
 from masking.compile.numerics.arrays import Array
@@ -67,10 +67,13 @@ class Kernels:
 
     def _solver(self, method: str, tolerance: float) -> NativeFunction:
         """Integrator by a method, of the order that suits a tolerance."""
-        loose = f"solve_{method}{LOOSE}"
-        is_loose = tolerance >= LOOSE_FROM and loose in self.meta["functions"]
-        found: NativeFunction = getattr(self, loose if is_loose else f"solve_{method}")
-        return found
+        return next(self._solvers(method, tolerance))
+
+    def _solvers(self, method: str, tolerance: float) -> Iterator[NativeFunction]:
+        """Integrators by a method that suit a tolerance, from the fastest to the most precise."""
+        for ending, least in FROM.items():
+            if tolerance >= least and (name := f"solve_{method}{ending}") in self.meta["functions"]:
+                yield getattr(self, name)
 
     def by_signature(self, *signatures: str) -> dict[str, NativeFunction]:
         """Functions by their signatures, as `linked` takes them."""
@@ -192,14 +195,17 @@ class Kernels:
         p, out = np.ascontiguousarray(parameters), np.empty((len(y), len(times), y.shape[1]))
         begin, errors = float(times[0]), dict[int, str]()
         if "solve_in_lanes" in self.meta["functions"]:
-            found, solve = np.empty((len(y), 3)), self._solver("in_lanes", tolerance)
-            solve.prepare()  # before threads do
-
-            def part(first: int, last: int) -> None:
-                some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])
-                solve(begin, y[some], times, inputs, p[some], tolerance, found[some], rows)
-
-            machine_code.share(part, len(y), threads)
+            found = np.full((len(y), 3), np.nan)
+            for solve in self._solvers("in_lanes", tolerance):  # what one is not precise enough for, the next makes
+                left = np.flatnonzero(found[:, 0] != REACHED)
+                if len(left) == len(y):
+                    y[:] = states
+                    _share(solve, (begin, y, times, inputs, p, tolerance, found, out), threads)
+                elif len(left):
+                    given = begin, np.array(states[left], dtype=float), times, inputs, p[left], tolerance
+                    ends, made = found[left], out[left]
+                    _share(solve, (*given, ends, made), threads)
+                    found[left], out[left] = ends, made
         else:
             solve = self._solver(self.meta["method"], tolerance)
             found = solve.each(len(y), begin, y, times, inputs, p, tolerance, 0.0, out, threads=threads)
@@ -233,6 +239,18 @@ class Kernels:
         """Cause of a status, in words, where no input gives what is wanted; '' where that is not the cause."""
         cause = self.meta.get("unsolved") if status == NOT_FINITE and np.isfinite(state).all() else ""
         return f"{cause}: the rig cannot do what is wanted of it" if cause else ""
+
+
+def _share(solve: NativeFunction, given: tuple[Any, ...], threads: int) -> None:
+    """Let threads share the runs of an integrator in lanes."""
+    begin, y, times, inputs, p, tolerance, found, out = given
+    solve.prepare()  # before threads do
+
+    def part(first: int, last: int) -> None:
+        some, rows = slice(first, last), out[first:last].reshape(-1, y.shape[1])
+        solve(begin, y[some], times, inputs, p[some], tolerance, found[some], rows)
+
+    machine_code.share(part, len(y), min(threads, len(y)))
 
 
 def every(truths: NDArray[np.bool_]) -> bool:

@@ -43,6 +43,9 @@ ATAN_OF_CENTRES: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
 ATAN_OF_CENTRES += ((4.63647609000806093515e-01, 2.26987774529616870924e-17),)
 ATAN_OF_CENTRES += ((7.85398163397448278999e-01, 3.06161699786838301793e-17),)
 ATAN_OF_CENTRES += ((9.82793723247329054082e-01, 1.39033110312309984516e-17),)
+# Minimax polynomials of log2(1 + f) to sqrt(2) and sqrt(1/2), and of 2^x to |x| = 1/2.
+ROUGH_LOG2 = (4.764e-05, 1.4416386, -0.7259153, 0.5188850, -0.3264623)
+ROUGH_EXP2 = (0.9999245, 0.6931053, 0.2426400, 0.0560058)
 HALF_TURN = (3.14159265358979311600, 1.22464679914735317720e-16)
 
 Apply = Callable[..., str]
@@ -107,6 +110,19 @@ def logarithm(apply: Apply, number: Number, x: str) -> str:
     none = apply("where", apply("lt", x, number(0.0)), number(math.nan), number(-math.inf))
     found = apply("where", apply("lt", number(0.0), x), found, none)
     return apply("where", apply("lt", x, number(math.inf)), found, x)
+
+
+def rough_log2(apply: Apply, number: Number, x: str) -> str:
+    """Log2 x of a normal x, right to 1e-4; arguments as those of `sine_and_cosine`."""
+    series = _polynomial(apply, number, apply("sub", apply("significand", x), number(1.0)), ROUGH_LOG2)
+    return apply("add", apply("exponent", x), series)
+
+
+def rough_exp2(apply: Apply, number: Number, x: str) -> str:
+    """2^x, right to a part of 1e-4, for |x| < 126; arguments as those of `sine_and_cosine`."""
+    whole = apply("floor", apply("add", x, number(0.5)))
+    series = _polynomial(apply, number, apply("sub", x, whole), ROUGH_EXP2)
+    return apply("mul", apply("power_of_two", whole), series)
 
 
 def tangent(apply: Apply, number: Number, x: str) -> str:

@@ -153,6 +153,7 @@ RULES: dict[str, tuple[tuple[Callable[..., bool], Callable[..., Node]], ...]] = 
         (lambda g, a, b: g.is_number(a, -1.0), lambda g, a, b: g.apply("neg", b)),  # -1 b = -b
         (lambda g, a, b: g.is_number(b, -1.0), lambda g, a, b: g.apply("neg", a)),  # a -1 = -a
     ),
+    "single": ((lambda g, a: g.is_number(a) or g.operations[a][0] == "single", lambda g, a: a),),
     "div": ((lambda g, a, b: g.is_number(b, 1.0) or g.is_number(a, 0.0), lambda g, a, b: a),),  # a / 1 = a, 0 / b = 0
 }
 

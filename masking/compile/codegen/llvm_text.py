@@ -1,14 +1,15 @@
 """Graph nodes printed as functions of LLVM code, without any liberty in floating point but what is asked for.
 
 A function has one value of each node, or one in each of several lanes, which are computed side by side: there a value
-is a vector, and an element of an array is a row of such.
+is a vector, and an element of an array is a row of such. Values are in double precision but for what `single` rounds:
+an operation on such and on numbers is in single precision, too.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +19,15 @@ from masking.compile.codegen.printers import arguments, needed
 
 # Sums of products in a free order, and quotients by products with the inverse.
 FREE = "contract reassoc nsz arcp"
+KEPT = "contract nsz arcp"  # the same with sums in their order
 FUSED = "contract"  # a product and a sum in one, rounded once
 PAIR = ("sin", "cos")
 OWN: Mapping[str, Callable[..., Any]] = {
     **dict.fromkeys(PAIR, elementary.sine_and_cosine),
     "exp": elementary.exponential,
     "log": elementary.logarithm,
+    "rough_log2": elementary.rough_log2,
+    "rough_exp2": elementary.rough_exp2,
     "tan": elementary.tangent,
     "sinh": elementary.hyperbolic_sine,
     "cosh": elementary.hyperbolic_cosine,
@@ -33,8 +37,13 @@ OWN: Mapping[str, Callable[..., Any]] = {
     "atan": elementary.arc_tangent,
     "atan2": elementary.arc_tangent_of_two,
 }
-FRACTION, BIAS = 52, 1023  # bits of a number's fraction, and what its exponent is stored with
-(ROOT_HALF,) = struct.unpack("<q", struct.pack("<d", 0.5**0.5))
+SINGLE, DOUBLE = "float", "double"
+BLOCK = 600  # lines, after which results are surely written
+# Of a number: the whole number of its size, the bits of its fraction, what its exponent is stored with, and sqrt(1/2).
+BITS = {
+    SINGLE: ("i32", 23, 127, struct.unpack("<i", struct.pack("<f", 0.5**0.5))[0]),
+    DOUBLE: ("i64", 52, 1023, struct.unpack("<q", struct.pack("<d", 0.5**0.5))[0]),
+}
 INFIX = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 COMPARED = {"lt": "olt", "le": "ole"}
 INTRINSICS = {"abs": "fabs"} | {f: f for f in ("sqrt", "sin", "cos", "exp", "log", "floor", "pow")}
@@ -65,11 +74,15 @@ def parameters(types: Mapping[str, str]) -> list[str]:
     return found
 
 
-def function(symbol: str, made: Expressions, free: str = "", lanes: int = 1) -> str:
-    """Definition of a function that computes nodes: it reads all that it needs, and then writes results."""
-    body, returns = Body(made.types, free, lanes), made.returns
+def function(symbol: str, made: Expressions, free: str = "", lanes: int = 1, singles: Container[str] = ()) -> str:
+    """Definition of a function that computes nodes: it reads all that it needs, and then writes results.
+
+    Elements of the arrays `singles` are in single precision.
+    """
+    body, returns = Body(made.types, free, lanes, singles), made.returns
     body.compute(made.graph, made.results, made.loads, [] if returns is None else [returns])
     body.lines.append("ret void" if returns is None else f"ret double {body.values[returns]}")
+    body.lines += ["never:", "ret void"] if body.blocks else []
     return body.definition(symbol, "void" if returns is None else "double")
 
 
@@ -123,7 +136,7 @@ def definition(text: str, symbol: str) -> str:
 
 def declarations(text: str) -> str:
     """Declarations of all functions of mathematics that LLVM code calls."""
-    called = sorted(set(re.findall(r"call [a-z ]*(double|<\d+ x double>) @([\w.]+)\(([^)]*)\)", text)))
+    called = sorted(set(re.findall(r"call [a-z ]*(double|<\d+ x (?:double|float)>) @([\w.]+)\(([^)]*)\)", text)))
     found = {name: f"declare {kind} @{name}({', '.join([kind] * given.count(kind))})" for kind, name, given in called}
     return "\n".join(text for name, text in found.items() if name.startswith("llvm.") or name in LIBRARY)
 
@@ -136,17 +149,23 @@ def number(value: float) -> str:
 class Body:
     """The lines of a function on their way, and the values that they compute."""
 
-    def __init__(self, types: Mapping[str, str], free: str, lanes: int) -> None:
-        self.types, self.free, self.lanes = types, f"{free} " if free else "", lanes
-        self.type, self.truth = ("double", "i1") if lanes == 1 else (f"<{lanes} x double>", f"<{lanes} x i1>")
-        self.lines: list[str] = []
+    def __init__(self, types: Mapping[str, str], free: str, lanes: int, singles: Container[str] = ()) -> None:
+        self.types, self.free, self.lanes, self.singles = types, f"{free} " if free else "", lanes, singles
+        self.type, self.truth = self._of(DOUBLE), self._of("i1")  # `type` is that of the operation at hand
+        self.lines, self.blocks = list[str](), list[str]()
         self.values: dict[Node, str] = {}
+        self._types: dict[str, str] = {}  # of values that are not in double precision
         self._known: dict[tuple[str, ...], str] = {}  # functions of our own, by their names and arguments
         self._count = 0
 
     def compute(self, graph: Graph, results: Results, loads: Mapping[str, str], more: Sequence[Node] = ()) -> None:
-        """Compute nodes of a graph, which are known afterwards, and then write the results."""
-        self.values = {}
+        """Compute nodes of a graph, which are known afterwards, and then write the results; in lanes, each at once.
+
+        measured: written at the end, the results of many lanes take a tenth of the time.
+        """
+        self.values, targets = {}, dict[Node, list[str]]()
+        for target, node in results:
+            targets.setdefault(node, []).append(target)
         for node in needed(graph, [*(node for _, node in results), *more]):
             name, *rest = graph.operations[node]
             if name == "symbol":
@@ -155,12 +174,25 @@ class Body:
                 self.values[node] = self.number(float(rest[0]))
             else:
                 self.values[node] = self.apply(str(name), [self.values[a] for a in arguments(graph, node)])
-        self.store((target, self.values[node]) for target, node in results)
+            if self.lanes > 1 and node in targets:
+                self.store((target, self.values[node]) for target in targets[node])
+                self._end_block()
+        if self.lanes == 1:
+            self.store((target, self.values[node]) for target, node in results)
 
     def store(self, values: Iterable[tuple[str, str]]) -> None:
         """Write values into elements of arrays."""
         for target, value in values:
-            self.lines.append(f"store {self.type} {value}, ptr {self.element(target)}, align {ALIGNED}")
+            kind = self._stored(target)
+            self.lines.append(f"store {kind} {self._as(kind, value)}, ptr {self.element(target)}, align {ALIGNED}")
+
+    def _end_block(self) -> None:
+        """End a long block of lines by a branch that LLVM cannot foresee: it writes results at the end of a block."""
+        if len(self.lines) > (len(self.blocks) + 1) * BLOCK:
+            self.blocks.append(f"next.{len(self.blocks)}")
+            one = self.new('call i64 asm "", "=r,0"(i64 1)')
+            go = self.new(f"icmp eq i64 {one}, 1")
+            self.lines += [f"br i1 {go}, label %{self.blocks[-1]}, label %never", f"{self.blocks[-1]}:"]
 
     def definition(self, symbol: str, kind: str) -> str:
         """Definition of the function, which returns a type."""
@@ -179,23 +211,67 @@ class Body:
         """Argument, an element of an array, or a number."""
         if self.types.get(text) == "float":
             return f"%{text}"
-        return self.new(f"load {self.type}, ptr {self.element(text)}, align {ALIGNED}")
+        kind = self._stored(text)
+        return self._typed(kind, self.new(f"load {kind}, ptr {self.element(text)}, align {ALIGNED}"))
 
     def number(self, value: float) -> str:
-        """Constant, the same in all lanes."""
-        return number(value) if self.lanes == 1 else f"<{', '.join([f'double {number(value)}'] * self.lanes)}>"
+        """Constant of the type of the operation at hand, the same in all lanes."""
+        if self.type != self._of(DOUBLE):
+            (value,) = struct.unpack("<f", struct.pack("<f", value))
+        kind = self.type.partition(" x ")[2].rstrip(">")
+        made = number(value) if self.lanes == 1 else f"<{', '.join([f'{kind} {number(value)}'] * self.lanes)}>"
+        return self._typed(self.type, made)
+
+    def _of(self, kind: str) -> str:
+        """Type of a value whose element in each lane has a type."""
+        return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
+
+    def _stored(self, text: str) -> str:
+        """Type of an element of an array."""
+        return self._of(SINGLE if text.partition("[")[0] in self.singles else DOUBLE)
+
+    def _typed(self, kind: str, value: str) -> str:
+        """Value, whose type is noted."""
+        if kind != self._of(DOUBLE):
+            self._types[value] = kind
+        return value
+
+    def _as(self, kind: str, value: str) -> str:
+        """Value in another precision."""
+        before = self._types.get(value, self._of(DOUBLE))
+        if before == kind:
+            return value
+        if (kind, value) not in self._known:
+            name = "fptrunc" if kind == self._of(SINGLE) else "fpext"
+            self._known[kind, value] = self._typed(kind, self.new(f"{name} {before} {value} to {kind}"))
+        return self._known[kind, value]
 
     def element(self, text: str) -> str:
         """Address of an element, such as `y[3]` or `c[2, 0]`."""
         name, _, inner = text.rstrip("]").partition("[")
         first, *rest = (int(index) for index in inner.split(","))
+        kind = self._stored(text)
         if not rest:
-            return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {first}")
+            return self.new(f"getelementptr {kind}, ptr %{name}, i64 {first}")
         row = self.new(f"mul i64 %{name}.1, {first}")
-        return self.new(f"getelementptr {self.type}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
+        return self.new(f"getelementptr {kind}, ptr %{name}, i64 {self.new(f'add i64 {row}, {rest[0]}')}")
 
     def apply(self, name: str, given: Sequence[str]) -> str:
         """Value of an operation on values."""
+        if name in {"single", "double"}:
+            return self._as(self._of(SINGLE if name == "single" else DOUBLE), given[0])
+        first = int(name == "where")  # a truth has no precision
+        varying = {self._types.get(x, self._of(DOUBLE)) for x in given[first:] if x.startswith("%")}
+        before = self.type
+        if varying:
+            self.type = varying.pop() if len(varying) == 1 else self._of(DOUBLE)
+        found = self._applied(name, [*given[:first], *(self._as(self.type, x) for x in given[first:])])
+        if name not in COMPARED:
+            self._typed(self.type, found)
+        self.type = before
+        return found
+
+    def _applied(self, name: str, given: Sequence[str]) -> str:
         x, zero, one = given[0], self.number(0.0), self.number(1.0)
         match name:
             case "add" | "sub" | "mul" | "div":
@@ -226,7 +302,8 @@ class Body:
         if name in OWN and self.lanes > 1:
             return self._own(name, given)
         if name in INTRINSICS:
-            kind = "f64" if self.lanes == 1 else f"v{self.lanes}f64"
+            size = f"f{32 if self.type == self._of(SINGLE) else 64}"
+            kind = size if self.lanes == 1 else f"v{self.lanes}{size}"
             return self._called(f"llvm.{INTRINSICS[name]}.{kind}", self.type, given)
         if self.lanes == 1:
             return self._called(name, "double", given)
@@ -249,20 +326,21 @@ class Body:
 
     def _bits(self, name: str, x: str) -> str:
         """2^x of a whole number x; or the exponent of x, or its significand in [sqrt(1/2), sqrt(2))."""
-        whole = self.type.replace("double", "i64")
+        element, fraction, bias, root_half = BITS[SINGLE if self.type == self._of(SINGLE) else DOUBLE]
+        whole = self._of(element)
 
         def constant(value: int) -> str:
-            return f"{value}" if self.lanes == 1 else f"<{', '.join([f'i64 {value}'] * self.lanes)}>"
+            return f"{value}" if self.lanes == 1 else f"<{', '.join([f'{element} {value}'] * self.lanes)}>"
 
         if name == "power_of_two":
-            raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(BIAS)}")
-            shifted = self.new(f"shl {whole} {raised}, {constant(FRACTION)}")
+            raised = self.new(f"add {whole} {self.new(f'fptosi {self.type} {x} to {whole}')}, {constant(bias)}")
+            shifted = self.new(f"shl {whole} {raised}, {constant(fraction)}")
             return self.new(f"bitcast {whole} {shifted} to {self.type}")
         bits = self.new(f"bitcast {self.type} {x} to {whole}")
-        above = self.new(f"sub {whole} {bits}, {constant(ROOT_HALF)}")
+        above = self.new(f"sub {whole} {bits}, {constant(root_half)}")
         if name == "exponent":
-            return self.new(f"sitofp {whole} {self.new(f'ashr {whole} {above}, {constant(FRACTION)}')} to {self.type}")
-        power = self.new(f"and {whole} {above}, {constant(-(2**FRACTION))}")
+            return self.new(f"sitofp {whole} {self.new(f'ashr {whole} {above}, {constant(fraction)}')} to {self.type}")
+        power = self.new(f"and {whole} {above}, {constant(-(2**fraction))}")
         return self.new(f"bitcast {whole} {self.new(f'sub {whole} {bits}, {power}')} to {self.type}")
 
     def _called(self, name: str, kind: str, given: Sequence[str]) -> str:

@@ -16,20 +16,25 @@ A module is made of two kinds of functions. Both say the types of their argument
 from __future__ import annotations
 
 import ast
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
-from masking.compile.codegen import llvm_text, machine_code, structs, taylor_loops
+from masking.compile.codegen import lane_steps, llvm_text, machine_code, structs, taylor_loops
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Expressions, Results
 from masking.compile.codegen.printers import Language, needed
-from masking.compile.codegen.taylor_coefficients import coefficients, polynomials, step_terms
+from masking.compile.codegen.taylor_coefficients import Mixed, coefficients, factored, with_common_factors
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.numerics.rig_sizes import LANES
 
-LOOSE, LOOSE_FROM = "_loose", 1e-9
+# Endings of the names of functions, and the tolerances from which on they suffice.
+LOOSE, COARSE = "_loose", "_coarse"
+FROM: Mapping[str, float] = {COARSE: 1e-7, LOOSE: 1e-9, "": 0.0}
+SINGLE_PART = 1.0 / 200.0  # of the tolerance: measured, the rounding of hundreds of steps then stays below their errors
 # measured: the work of a step grows with the square of the order, so that dynamics of many products want a lower order.
 # Duffing oscillators (4 products) are fastest at 18 from errors of 1e-6 to 1e-12, where 14 takes 5 to 17 % longer;
 # pendula (15) at 10 for errors from 1e-9 on, and at 12 for smaller ones.
@@ -60,9 +65,31 @@ from masking.compile.numerics.compilation import compiled
 def taylor_orders(products: int) -> Mapping[str, int]:
     """Orders of the Taylor series for dynamics with this number of products of series.
 
-    They are by the ending of the names of their functions: `LOOSE` for tolerances from `LOOSE_FROM` on.
+    They are by the ending of the names of their functions: `LOOSE` for tolerances from `FROM[LOOSE]` on.
     """
     return TAYLOR_ORDERS[products > MOST_PRODUCTS_OF_HIGH_ORDER]
+
+
+class LaneOrder(NamedTuple):
+    """Taylor series of runs side by side: the ending of the names of their functions, and what these are made for."""
+
+    ending: str
+    order: int
+    doubles: int  # number of orders in double precision, from 0 on; those above are in single precision
+    lanes: int
+
+
+def lane_orders(products: int) -> Iterator[LaneOrder]:
+    """Orders for dynamics with this number of products of series, as `taylor_orders` gives them.
+
+    From a tolerance on, terms of higher orders are so small that their rounding to single precision does not count.
+    """
+    orders = taylor_orders(products)
+    yield LaneOrder("", orders[""], orders[""] + 1, LANES)
+    order = orders.get(LOOSE, orders[""])
+    for ending in (LOOSE, COARSE):
+        doubles = math.ceil(order * (1.0 + math.log(2.0**24 * SINGLE_PART) / math.log(FROM[ending])))
+        yield LaneOrder(ending, order, doubles, 2 * LANES)
 
 
 @dataclass(frozen=True)
@@ -108,6 +135,7 @@ class Module:
         *,
         free: str = "",
         lanes: int = 1,
+        singles: Container[str] = (),
     ) -> None:
         """Add a function that computes nodes.
 
@@ -120,12 +148,13 @@ class Module:
             free: the liberties that are taken with floating point.
             lanes: number of values side by side; of more than one each argument is a `Matrix` with as many columns,
                 whose rows are its elements, and nothing is returned.
+            singles: arguments whose elements are in single precision.
         """
         name, types = _read(signature)
         made = self.parts[name] = Expressions(types, graph, results, loads, returns)
         whole = [f"{one}.shape[1] == {lanes}" for one in types] if lanes > 1 else []
         self._export(name, types, "None" if returns is None else "float", requires=whole)
-        self.definitions[name] = llvm_text.function(machine_code.symbol(name), made, free, lanes)
+        self.definitions[name] = llvm_text.function(machine_code.symbol(name), made, free, lanes, singles)
 
     def add_choice(
         self, signature: str, zeros: Sequence[str], cases: Sequence[tuple[Graph, Results, Mapping[str, str]]]
@@ -157,12 +186,8 @@ class Module:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` up to an order k of state i.
 
         `orders` are by the ending of the names of the functions, which all stand for the same series.
-        For several runs, a column each, `lane_coefficients(t, y, u, p, c, health)` does so, where c[k n + i] is a row;
-        `lane_terms(c, tolerance, terms)` writes what `codegen.taylor_coefficients.step_terms` gives, a row each, and
-        `lane_states(x, c, y)` the states at the times x from there. `health` is what `coefficients` returns.
         """
-        every = coefficients(graph, states, derivatives, time, max(orders.values()))
-        size, loads_of_lanes = len(states), {**loads, str(graph.operations[time][1]): "t[0]"}
+        every = coefficients(graph, states, factored(graph, derivatives), time=time, order=max(orders.values()))
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
         free = llvm_text.FREE
@@ -170,17 +195,63 @@ class Module:
             rows = every[: order + 1]
             results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
             self.add(f"coefficients{ending}(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
-            results = [(f"c[{k * size + i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
-            signature = in_lanes(f"lane_coefficients{ending}", "t", "y", "u", "p", "c", "health")
-            self.add(signature, graph, [*results, ("health[0]", health)], loads_of_lanes, free=free, lanes=LANES)
-            steps = Graph()
-            given = [[steps.symbol(f"c[{k * size + i}]", varying=True) for i in range(size)] for k in range(order + 1)]
-            terms = step_terms(steps, given, steps.symbol("tolerance[0]", varying=True))
-            results = [(f"terms[{i}]", node) for i, node in enumerate(terms)]
-            self.add(in_lanes(f"lane_terms{ending}", "c", "tolerance", "terms"), steps, results, {}, lanes=LANES)
-            found = polynomials(steps, given, steps.symbol("x[0]", varying=True))
-            results, signature = [(f"y[{i}]", node) for i, node in enumerate(found)], f"lane_states{ending}"
-            self.add(in_lanes(signature, "x", "c", "y"), steps, results, {}, free=llvm_text.FUSED, lanes=LANES)
+
+    def add_lanes(
+        self,
+        graph: Graph,
+        states: Sequence[Node],
+        derivatives: Sequence[Node],
+        *,
+        time: Node,
+        health: Node,
+        loads: Mapping[str, str],
+        made: LaneOrder,
+    ) -> int:
+        """Add what steps of several runs side by side take, a column each; return the number of rows that do not vary.
+
+        * `lane_held(u, p, h, r)` writes what does not vary, in double precision and in single;
+        * `lane_coefficients(given, y, h, r, c, s)` Taylor coefficients of state i of the orders k that are double,
+          c[k n + i], and of those above, s[(k - doubles) n + i]; and the health and the rounding of `given`, whose rows
+          are those of `lane_steps.GIVEN`;
+        * `lane_step(given, c, s, found)` what `lane_steps.step` gives, a row each;
+        * `lane_states(x, c, s, y)` the states at times x from there, in the unit of coefficients;
+        * `lane_advance(found, given, c, s, y)` the states after the step, and what is other in `given`.
+        """
+        order, doubles, size = made.order, made.doubles, len(states)
+        rows_of = {name: f"given[{i}]" for i, name in enumerate(lane_steps.GIVEN)}
+        read = {**loads, **rows_of, str(graph.operations[time][1]): rows_of["t"]}
+
+        def add(name: str, arguments: str, one: Graph, found: Results, free: str = llvm_text.FUSED) -> None:
+            signature = in_lanes(f"lane_{name}{made.ending}", *arguments.split())
+            self.add(signature, one, found, read, free=free, lanes=made.lanes, singles={"s", "r"})
+
+        *derivatives, health = with_common_factors(graph, factored(graph, [*derivatives, health]))
+        is_mixed = doubles <= order
+        mixed = Mixed(graph.symbol("unit", varying=True) if is_mixed else graph.number(1.0), doubles)
+        rows = coefficients(graph, states, derivatives, time=time, order=order, mixed=mixed)
+        names = [f"c[{i}]" for i in range(doubles * size)] + [f"s[{i}]" for i in range((order + 1 - doubles) * size)]
+        results = dict(zip([*names, rows_of["health"]], [*chain(*rows), health], strict=True))
+        if is_mixed:
+            results[rows_of["rounding"]] = lane_steps.rounding(graph, rows[doubles])
+        nodes, held = lane_steps.held(graph, [*results.values()])
+        add("held", "u p h r", graph, [*held.items()])
+        # measured: in a free order, several sums of products become one, in which each product waits for another.
+        add("coefficients", "given y h r c s", graph, [*zip(results, nodes, strict=True)], llvm_text.KEPT)
+        steps = Graph()
+        given = {name: steps.symbol(name, varying=True) for name in lane_steps.GIVEN}
+        flat = [steps.symbol(name, varying=True) for name in names]
+        rows = [flat[k * size : (k + 1) * size] for k in range(order + 1)]
+        found = lane_steps.step(steps, rows, given, doubles)
+        add("step", "given c s found", steps, [(f"found[{i}]", node) for i, node in enumerate(found)], "")
+        for name, arguments, x in (("states", "x c s y", "x[0]"), ("advance", "found given c s y", "found[0]")):
+            after = lane_steps.states(steps, rows, steps.symbol(x, varying=True), doubles)
+            written = [(f"y[{i}]", node) for i, node in enumerate(after)]
+            if name == "advance":
+                reached, unit = (steps.symbol(f"found[{i}]", varying=True) for i in (1, 3))
+                count = steps.add(given["steps"], steps.number(1.0))
+                written += [(rows_of["t"], reached), (rows_of["unit"], unit), (rows_of["steps"], count)]
+            add(name, arguments, steps, written)
+        return len(held)
 
     def add_coefficients_in_loops(self, loops: Loops, *, loads: Mapping[str, str], orders: Mapping[str, int]) -> None:
         """Add `coefficients` as `add_coefficients` does, but in loops; `c` has `loops.width` columns."""

@@ -100,6 +100,7 @@ class Sizes:
         return count, max(self.estimate, self.inputs, self.actuators, 3 * self.balanced + 2, switched)
 
 
-def lane_work(order: int, size: int, inputs: int, parameters: int, lanes: int) -> tuple[int, int]:
-    """Shape of the work space of `masking.compile.numerics.lanes`."""
-    return 13 + (order - order // 2 - 2) // 2 + (order + 3) * size + inputs + parameters, lanes
+def lane_work(doubles: int, singles: int, size: int, *others: int) -> tuple[int, int]:
+    """Shape of the work space of `masking.compile.numerics.lanes`, by the numbers that the kernel is made of."""
+    inputs, parameters, held, lanes = others
+    return 19 + (doubles + singles + 2) * size + inputs + parameters + 2 * held, lanes

@@ -18,7 +18,8 @@ from typing import NamedTuple
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import Accuracy
-from masking.compile.numerics.runge_kutta import SMALLEST_STEP, copy, embedded_steps, no_event
+from masking.compile.numerics.runge_kutta import copy, embedded_steps, no_event
+from masking.compile.numerics.stop_codes import SMALLEST_STEP
 
 STEPS = 4096  # that are kept: as many as fit into the longest delay
 KINKS = 9  # derivatives of the solution in which the kink at the initial time comes back

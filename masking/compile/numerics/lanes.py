@@ -14,37 +14,44 @@ from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.kernel_arguments import Reached
 from masking.compile.numerics.runge_kutta import copy
-from masking.compile.numerics.stop_codes import REACHED
-from masking.compile.numerics.taylor_integrator import ALL_BUT_ROUNDING, obstacle, shortened
+from masking.compile.numerics.stop_codes import ALL_BUT_ROUNDING, NOT_PRECISE, REACHED, SMALLEST_STEP
+from masking.compile.numerics.taylor_integrator import obstacle
+
+SMALLER_UNIT = 1.0 / 1024.0  # where coefficients are beyond the range of single precision
 
 
 def taylor(
+    hold: Kernel,
     coefficients: Kernel,
-    measure: Kernel,
+    step: Kernel,
     evaluate: Kernel,
-    order: int,
+    advance: Kernel,
+    doubles: int,
+    singles: int,
     size: int,
     inputs: int,
     parameters: int,
+    held: int,
     lanes: int,
 ) -> Kernel:
     """Make the integrator of many runs, with the steps of `masking.compile.numerics.taylor_integrator`.
 
-    `coefficients(t, y, u, p, c, health)` writes Taylor coefficients up to `order`, `measure(c, tolerance, terms)` what
-    `codegen.taylor_coefficients.step_terms` gives, and `evaluate(x, c, y)` the states at times x from where they hold,
-    for as many runs side by side as there are `lanes`, a column each.
+    The functions are those of `codegen.source.Module.add_lanes`, for as many runs side by side as there are `lanes`, a
+    column each; `doubles` and `singles` are the numbers of orders of coefficients in double and single precision.
 
     Returns `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but
-    for each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says.
+    for each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says. A run for
+    which single precision is not enough ends with `NOT_PRECISE`.
     """
-    smaller_orders = (order - order // 2 - 2) // 2
-    first_terms = 10
-    first_c = first_terms + 3 + smaller_orders
-    first_y = first_c + (order + 1) * size
+    first_found = 14
+    first_c = first_found + 5
+    first_s = first_c + doubles * size
+    first_y = first_s + singles * size
     first_sampled = first_y + size
     first_u = first_sampled + size
     first_p = first_u + inputs
-    end_p = first_p + parameters
+    first_held = first_p + parameters
+    first_rounded = first_held + held
 
     @compiled
     def fill(lane, run, y, p, state, values):
@@ -52,15 +59,6 @@ def taylor(
             state[i, lane] = y[run, i]
         for i in range(parameters):
             values[i, lane] = p[run, i]
-
-    @compiled
-    def length(terms, lane, part):
-        if not math.isfinite(terms[0, lane]):
-            return math.nan
-        radius = terms[2, lane] / part
-        for i in range(smaller_orders):
-            radius = shortened(radius, order // 2 + 2 + 2 * i, terms[3 + i, lane], terms[1, lane])
-        return part * radius
 
     @compiled
     def leave(lane, status, reached, steps, number, state, ends, y):
@@ -81,78 +79,106 @@ def taylor(
     ) -> None:
         ends, states = out
         m, runs = times.size, y.shape[0]
-        now, x, health, wanted, terms = work[0:1], work[1:2], work[2:3], work[3:4], work[first_terms:first_c]
-        first, number, sample, steps, reached, row = work[4], work[5], work[6], work[7], work[8], work[9]
-        c, state, sampled = work[first_c:first_y], work[first_y:first_sampled], work[first_sampled:first_u]
-        given, values = work[first_u:first_p], work[first_p:end_p]
+        given, x, found = work[0:10], work[10:11], work[first_found:first_c]  # as in `codegen.lane_steps`
+        now, until, due, unit, wanted, log_wanted = work[0], work[1], work[2], work[3], work[4], work[5]
+        health, first, steps = work[6], work[8], work[9]
+        number, sample, row = work[11], work[12], work[13]
+        part, reached, looks, ahead, is_rough = found[0], found[1], found[2], found[3], found[4]
+        c, s, state = work[first_c:first_s], work[first_s:first_y], work[first_y:first_sampled]
+        sampled, driven, values = work[first_sampled:first_u], work[first_u:first_p], work[first_p:first_held]
+        fixed, rounded = work[first_held:first_rounded], work[first_rounded : first_rounded + held]
         end = times[m - 1]
         direction = 1.0 if end >= t else -1.0
-        part = tolerance ** (1.0 / order)
         begun = 0
         while begun < m and times[begun] == t:
             for run in range(runs):
                 copy(y[run], states[run * m + begun], size)
             begun += 1
-        for lane in range(lanes):  # one without a run has a copy of the first
+        for lane in range(lanes):  # one without a run has a copy of the first, and stands still
             fill(lane, 0, y, p, state, values)
-            now[0, lane], wanted[0, lane], number[lane] = t, tolerance, -1.0
+            now[lane], until[lane], due[lane], unit[lane], number[lane] = t, t, t, end - t, -1.0
+            wanted[lane], log_wanted[lane], first[lane], steps[lane] = tolerance, math.log(tolerance), math.nan, 0.0
             for i in range(inputs):
-                given[i, lane] = u[i]
+                driven[i, lane] = u[i]
         following, active = 0, 0
         if begun == m:
             for run in range(runs):
                 ends[run, 0], ends[run, 1], ends[run, 2] = REACHED, t, 0.0
             following = runs
+        hold(driven, values, fixed, rounded)
         while True:
-            for lane in range(lanes):
-                if number[lane] < 0.0 and following < runs:
-                    fill(lane, following, y, p, state, values)
-                    now[0, lane], number[lane], sample[lane], steps[lane] = t, following, begun, 0.0
-                    following += 1
-                    active += 1
+            if active < lanes and following < runs:
+                for lane in range(lanes):
+                    if number[lane] < 0.0 and following < runs:
+                        fill(lane, following, y, p, state, values)
+                        now[lane], until[lane], due[lane], unit[lane] = t, end, times[begun], end - t
+                        number[lane], sample[lane], steps[lane], first[lane] = following, begun, 0.0, math.nan
+                        following += 1
+                        active += 1
+                hold(driven, values, fixed, rounded)
             if active == 0:
                 return
-            coefficients(now, state, given, values, c, health)
-            measure(c, wanted, terms)
+            coefficients(given, state, fixed, rounded, c, s)
+            step(given, c, s, found)
+            looked = 0
             for lane in range(lanes):
-                if number[lane] < 0.0:
-                    continue
-                if steps[lane] == 0.0:
-                    first[lane] = health[0, lane]
-                h = length(terms, lane, part)
-                remaining = abs(end - now[0, lane])
-                status = obstacle(now[0, lane], h, remaining, health[0, lane], first[lane], steps[lane])
-                if status != REACHED:
-                    leave(lane, status, now[0, lane], steps, number, state, ends, y)
-                    active -= 1
-                    continue
-                steps[lane] += 1.0
-                is_last = h >= remaining * ALL_BUT_ROUNDING
-                reached[lane] = end if is_last else now[0, lane] + direction * h
-            due = True
-            while due:
-                due = False
+                looked |= int(looks[lane])
+            if looked:
+                is_due = False
                 for lane in range(lanes):
-                    x[0, lane], row[lane] = 0.0, -1.0
-                    j = int(sample[lane])
-                    if number[lane] >= 0.0 and j < m and (times[j] - reached[lane]) * direction <= 0.0:
-                        x[0, lane], row[lane] = times[j] - now[0, lane], number[lane] * m + j
-                        sample[lane] += 1.0
-                        due = True
-                if due:
-                    evaluate(x, c, sampled)
+                    if looks[lane] == 0.0:
+                        continue
+                    at, h, remaining = now[lane], abs(ahead[lane]), abs(end - now[lane])
+                    if number[lane] < 0.0:
+                        reached[lane], part[lane] = at, 0.0
+                        continue
+                    if singles > 0 and h == 0.0 and abs(unit[lane]) > SMALLEST_STEP * max(abs(at), 1e-3 * remaining):
+                        reached[lane], part[lane], ahead[lane] = at, 0.0, unit[lane] * SMALLER_UNIT
+                        steps[lane] -= 1.0
+                        continue
+                    if steps[lane] == 0.0:
+                        first[lane] = health[lane]
+                    h = h if h > 0.0 else math.nan
+                    status = obstacle(at, h, remaining, health[lane], first[lane], steps[lane])
+                    if status == REACHED and is_rough[lane] > 0.0:
+                        status = NOT_PRECISE
+                    if status != REACHED:
+                        leave(lane, status, at, steps, number, state, ends, y)
+                        until[lane], reached[lane], part[lane] = at, at, 0.0
+                        active -= 1
+                        continue
+                    if h >= remaining * ALL_BUT_ROUNDING:
+                        reached[lane], part[lane] = end, end - at
+                        if singles > 0:
+                            part[lane] /= unit[lane]
+                    is_due |= (due[lane] - reached[lane]) * direction <= 0.0
+                while is_due:
+                    is_due = False
                     for lane in range(lanes):
-                        if row[lane] >= 0.0:
-                            for i in range(size):
-                                states[int(row[lane]), i] = sampled[i, lane]
-            for lane in range(lanes):  # one without a run stands still
-                x[0, lane] = reached[lane] - now[0, lane] if number[lane] >= 0.0 else 0.0
-            evaluate(x, c, state)
-            for lane in range(lanes):
-                if number[lane] >= 0.0:
-                    now[0, lane] = reached[lane]
-                    if sample[lane] >= m:
+                        row[lane] = -1.0
+                        if number[lane] >= 0.0 and sample[lane] < m and (due[lane] - reached[lane]) * direction <= 0.0:
+                            j = int(sample[lane])
+                            x[0, lane], row[lane] = due[lane] - now[lane], number[lane] * m + j
+                            if singles > 0:
+                                x[0, lane] /= unit[lane]
+                            sample[lane] += 1.0
+                            due[lane] = times[min(j + 1, m - 1)]
+                            is_due = True
+                    if is_due:
+                        evaluate(x, c, s, sampled)
+                        for lane in range(lanes):
+                            if row[lane] >= 0.0:
+                                for i in range(size):
+                                    states[int(row[lane]), i] = sampled[i, lane]
+            advance(found, given, c, s, state)
+            if looked:
+                for lane in range(lanes):
+                    if part[lane] == 0.0:  # coefficients may be no numbers
+                        for i in range(size):
+                            state[i, lane] = c[i, lane]
+                    if number[lane] >= 0.0 and sample[lane] >= m:
                         leave(lane, REACHED, reached[lane], steps, number, state, ends, y)
+                        until[lane] = now[lane]
                         active -= 1
 
     return solve

@@ -26,16 +26,15 @@ from masking.compile.numerics.stop_codes import (
     NOT_FINITE,
     REACHED,
     SINGULAR,
+    SINGULAR_PART,
+    SMALLEST_STEP,
     STEPS_AT_ONCE,
     TOO_MANY_STEPS,
     TOO_SMALL_STEP,
 )
 
-# A matrix counts as singular where its health has fallen to this part of its first value.
-SINGULAR_PART = 1e-9
 # Where the health vanishes like the root of the time left, steps vanish before it has fallen that far.
 NEARLY_SINGULAR_PART = 1e-6
-SMALLEST_STEP = 1e-14
 OF_STATE = -1  # in the place of a number of states: that of the state
 SHORT_STEP = 1e-6  # part of the time; errors of longer ones are larger than those of rounding
 ROUNDED = 1e-15  # part of a time, or of the largest state so far, that rounding on the way may make

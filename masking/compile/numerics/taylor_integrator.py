@@ -12,17 +12,17 @@ import math
 from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Accuracy
-from masking.compile.numerics.runge_kutta import NEARLY_SINGULAR_PART, SMALLEST_STEP, copy, fault
+from masking.compile.numerics.runge_kutta import NEARLY_SINGULAR_PART, copy, fault
 from masking.compile.numerics.stop_codes import (
+    ALL_BUT_ROUNDING,
     MOST_STEPS,
     NOT_FINITE,
     REACHED,
     SINGULAR,
+    SMALLEST_STEP,
     TOO_MANY_STEPS,
     TOO_SMALL_STEP,
 )
-
-ALL_BUT_ROUNDING = 1.0 - 1e-12  # a step of this part of what remains is the last
 
 
 @inlined

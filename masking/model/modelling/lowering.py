@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
-from masking.compile.codegen.source import LARGEST_TAYLOR_COST, LEAST_SIDE_BY_SIDE, Module, taylor_orders
+from masking.compile.codegen.source import LARGEST_TAYLOR_COST, LEAST_SIDE_BY_SIDE, Module, lane_orders, taylor_orders
 from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
-from masking.compile.numerics.rig_sizes import LANES
 from masking.lazy_imports import delayed, events, lanes, runge_kutta, taylor_integrator
 from masking.lazy_imports import sympy as sp
 from masking.model.modelling.affine_equations import curved
@@ -159,10 +158,13 @@ def module(equations: Equations) -> Module:
             made = (taylor_integrator.taylor, f"coefficients{ending}", order, size)
             width = size if loops is None else loops.width
             module.add_factory(f"solve_taylor{ending}", *made, work=(order + 1, width))
-            if loops is None:
-                counts = (order, size, inputs, len(s.p), LANES)
-                linked = (f"lane_{name}{ending}" for name in ("coefficients", "terms", "states"))
-                module.add_factory(f"solve_in_lanes{ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))
+        for one in lane_orders(products) if loops is None else ():
+            held = module.add_lanes(
+                graph, states, derivatives, time=time, health=lowered.health, loads=joined, made=one
+            )
+            counts = (one.doubles, one.order + 1 - one.doubles, size, inputs, len(s.p), held, one.lanes)
+            linked = [f"lane_{name}{one.ending}" for name in ("held", "coefficients", "step", "states", "advance")]
+            module.add_factory(f"solve_in_lanes{one.ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))
     added = Added(time, derivatives, lowered.lagged, lowered.delays, lowered.conditions, equations.events.targets)
     add_runge_kutta(module, graph, added, joined, (size, inputs))
     return module

@@ -27,7 +27,7 @@ from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.graph_values import values_of
 from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.taylor_coefficients import degree, factored, is_analytic
+from masking.compile.codegen.taylor_coefficients import degree, factored, is_analytic, with_common_factors
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.trusted_files import write_whole
 from masking.compile.numerics import runge_kutta
@@ -206,6 +206,40 @@ def test_a_function_in_lanes_is_right_to_a_few_units_in_the_last_place(name):
     assert np.all(errors <= units * np.spacing(np.abs(expected[finite])) + least)
 
 
+def test_values_rounded_to_single_precision_are_computed_with_in_it():
+    """To the last bit as numpy does; beside numbers in double precision they are such, too."""
+    x, y = np.float64(1.0) / np.arange(3.0, 3.0 + LANES), np.linspace(-2.0, 3.0, LANES)
+    graph = Graph()
+    single = [graph.apply("single", graph.symbol(name, varying=True)) for name in "xy"]
+    a, b = graph.mul(single[0], graph.number(0.1)), graph.sub(*single)
+    nodes = [
+        a,
+        graph.div(a, b),
+        graph.apply("max", a, b),
+        graph.apply("abs", b),
+        graph.apply("where", graph.apply("lt", a, b), a, b),
+    ]
+    nodes += [graph.add(graph.symbol("x", varying=True), a), graph.apply("double", a)]
+    nodes += [graph.apply(name, graph.apply("abs", b)) for name in ("rough_log2", "rough_exp2")]
+
+    def build():
+        made, results = Module("test", {}), [(f"out[{i}]", node) for i, node in enumerate(nodes)]
+        results += [("s[1]", b)]
+        signature = "f(v: Matrix, out: Matrix, s: Matrix)"
+        made.add(signature, graph, results, {"x": "v[0]", "y": "v[1]"}, lanes=LANES, singles={"s"})
+        return made
+
+    out, s = np.empty((len(nodes), LANES)), np.empty((2, LANES))
+    module_store.load(module_store.key({"test": "single"}), build).function("f")(np.stack([x, y]), out, s)
+    p, q = np.float32(x), np.float32(y)
+    a, b = p * np.float32(0.1), p - q
+    expected = [a, a / b, np.maximum(a, b), np.abs(b), np.where(a < b, a, b), x + a, a]
+    assert np.array_equal(out[:7], np.array(expected, dtype=float))
+    assert np.array_equal(s.view(np.float32).ravel()[LANES : 2 * LANES], b)
+    assert np.abs(out[7] - np.log2(np.abs(b))).max() < 1e-4
+    assert np.abs(out[8] / np.exp2(np.abs(b)) - 1.0).max() < 1e-4
+
+
 def test_names_of_arguments_are_free():
     def build():
         made, graph = Module("test", {}), Graph()
@@ -378,6 +412,19 @@ FACTORED = {
         lambda g, a, b, c, x, y: g.add(g.div(g.number(1.0), g.mul(a, x)), c),
         lambda g, a, b, c, x, y: g.add(g.mul(g.div(g.number(1.0), a), g.div(g.number(1.0), x)), c),
     ),
+    "a x y^2 + b sin(x) y - c x y - sin(x)": (
+        lambda g, a, b, c, x, y: g.sub(
+            g.sub(g.add(g.mul(a, g.mul(x, g.mul(y, y))), g.mul(b, g.mul(y, g.apply("sin", x)))), g.mul(c, g.mul(x, y))),
+            g.apply("sin", x),
+        ),
+        lambda g, a, b, c, x, y: g.sub(
+            g.mul(y, g.add(g.mul(x, g.sub(g.mul(a, y), c)), g.mul(b, g.apply("sin", x)))), g.apply("sin", x)
+        ),
+    ),
+    "x + a x": (
+        lambda g, a, b, c, x, y: g.add(x, g.mul(a, g.mul(x, y))),
+        lambda g, a, b, c, x, y: g.mul(x, g.add(g.number(1.0), g.mul(a, y))),
+    ),
 }
 
 
@@ -388,7 +435,7 @@ def test_factors_that_do_not_vary_leave_products(written, expected):
     rules = {name: getattr(operator, name) for name in ("add", "sub", "mul", "neg")}
     rules |= {"div": operator.truediv, "sin": math.sin, "number": float, "square": lambda x: x * x}
     given = written(graph, *symbols)
-    (found,) = factored(graph, [given])
+    (found,) = with_common_factors(graph, factored(graph, [given]))
     assert found == expected(graph, *symbols)
     values = dict(zip(symbols, (2.0, -3.0, 5.0, 0.7, 1.9), strict=True))
     assert values_of(graph, [found], values, rules, "value")[0] == pytest.approx(

@@ -58,6 +58,52 @@ def test_a_run_depends_on_its_own_values_alone(huygens):
     assert np.array_equal(states(every, 3), expected)
 
 
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9])
+@pytest.mark.parametrize("rate", [1e-9, 1.0, 1e12])
+def test_rounding_to_single_precision_stays_below_the_tolerance(declared, rate, tolerance):
+    """In any units: x'' = -w^2 (x + 2 x^3/a^2) has the energy v^2 + w^2 (x^2 + x^4/a^2)."""
+    model = declared(coordinates={"x": {}}, parameters={"w": 1, "a": 1}, equations={"x''": "-w**2*(x + 2*x**3/a**2)"})
+    times, size, w = np.linspace(0.0, 10.0 / rate, 3), np.geomspace(1e-7, 1e25, 19), np.full(19, rate)
+    start = size * np.linspace(0.5, 2.0, 19)
+
+    def simulated(runs, accuracy=tolerance):
+        ensemble = {"x": start[runs], "w": w[runs], "a": size[runs]}
+        given = {"initial": {"x'": 0.0}, "inputs": None, "tolerance": accuracy}
+        return ensembles.simulate(model, times, ensemble, **given)
+
+    found, exact = simulated(np.arange(19)), simulated(np.arange(19), 1e-13)
+    assert not found.errors
+    x, v = found["x"] / size[:, None], found["x'"] / size[:, None] / rate
+    energy = v**2 + x**2 + x**4
+    assert np.abs(energy / energy[:, :1] - 1.0).max() < 300.0 * tolerance
+    for run in range(19):  # those which need double precision beside those which do not
+        assert np.array_equal(simulated(np.array([run])).states[0], found.states[run])
+    ones = [model.with_parameters(w=rate, a=a) for a in size]
+    given = {"tolerance": tolerance}
+    alone = [one.simulate(times, {"x": x, "x'": 0.0}, **given)["x"] for one, x in zip(ones, start, strict=True)]
+    errors = [(np.abs(x - exact["x"]) / size[:, None]).max() for x in (found["x"], np.array(alone))]
+    assert errors[0] <= 2.0 * errors[1] + 2.0 * tolerance
+
+
+@pytest.mark.parametrize(
+    ("equation", "values"),
+    [
+        ("-k*x**3/m", {"k": 1e150, "m": 1e150}),
+        ("-k*(x + x**3)/(m + k*x**2)*(m/k)", {"k": 1e10, "m": 1e45}),
+        ("-k*(x + x**3)/(m + k*x**2)*(m/k)", {"k": 1e-20, "m": 1e-20}),
+        ("-((x + k)**3 - k**3 - m*x*k)/(3*k**2)", {"k": 1e4, "m": 3.0}),
+        ("-k*1e-30*m/(1 + x**2)*sin(x)", {"k": 1e-25, "m": 1e55}),
+    ],
+)
+def test_what_single_precision_cannot_hold_or_cancels_is_computed_in_double(declared, equation, values):
+    model = declared(coordinates={"x": {}}, parameters=values, equations={"x''": equation})
+    ensemble = {"x": np.linspace(0.2, 1.0, 17), "x'": np.zeros(17)}
+    exact = model.simulate(TIMES, ensemble=ensemble, tolerance=1e-12)
+    for tolerance in (1e-6, 1e-8):
+        found = model.simulate(TIMES, ensemble=ensemble, tolerance=tolerance)
+        assert np.abs(found.states - exact.states).max() < 20.0 * tolerance
+
+
 def test_scales_that_depend_on_what_varies_and_events_are_followed_too():
     model = load_model("duffing_si").dimensionless()
     scale = next(
