@@ -28,21 +28,20 @@ def rounding(graph: Graph, nodes: Sequence[Node]) -> Node:
     """Largest of nodes in single precision, had all terms of sums the same sign: their rounding is a part of that.
 
     Numbers that are rounded to single precision count as no smaller than `SMALLEST_SINGLE`, so that what is too small
-    for it counts, too; where one is too large for it, the result is infinite.
+    for it counts, too. Where one is too large for it, the result is infinite: also a divisor, which would hide it.
     """
-    sizes, leaves = dict[Node, Node](), list[Node]()
+    sizes, divisors = dict[Node, Node](), list[Node]()
     for node in needed(graph, nodes):
         name, given = str(graph.operations[node][0]), arguments(graph, node)
         if name == "number":
             sizes[node] = graph.number(abs(float(graph.operations[node][1])))
         elif name == "single":
             sizes[node] = graph.apply("max", graph.apply("abs", node), graph.number(SMALLEST_SINGLE))
-            leaves.append(sizes[node])
         elif all(a in sizes for a in given) and given:
             parts = [sizes[a] for a in given]
             sizes[node] = graph.total(parts) if name in {"neg", "add", "sub"} else graph.apply(name, *parts)
-    rest = graph.mul(_largest(graph, leaves), graph.number(2.0**-126))
-    return graph.add(_largest(graph, [sizes[node] for node in nodes]), rest)
+            divisors += [graph.mul(part, graph.number(SMALLEST_SINGLE**2)) for part in parts[1:] if name == "div"]
+    return _largest(graph, [*(sizes[node] for node in nodes), *divisors])
 
 
 def held(graph: Graph, nodes: Sequence[Node]) -> tuple[list[Node], dict[str, Node]]:
