@@ -346,5 +346,5 @@ class _Unrolled(Recurrences):
         if x != y or ends != last:
             return total(range(ends, k - last + 1))
         half = total(range(ends, (k + 1) // 2))
-        twice = graph.add(half, half)
+        twice = graph.add(half, half) if self.is_in_order else graph.mul(graph.number(2.0), half)
         return twice if k % 2 else graph.add(twice, term(k // 2))
