@@ -105,8 +105,8 @@ def _rivals(found: Discovery) -> list[tuple[str, str, str, str]]:
     return [*every, ("None of these", probability_text(none), "", "")]
 
 
-def summary(found: Discovery, files: Files | None) -> str:
-    """Finding and files in a few lines for the terminal."""
+def summary(found: Discovery, files: Files | None = None) -> str:
+    """Finding and files, if there are any, in a few lines for the terminal."""
     said = [discovery_text.sentence(found), discovery_text.unexplained(found), *discovery_text.weights(found)]
     said += [discovery_text.probability_sentence(found), *discovery_text.location(found)]
     lines = [f"{sentence}." for sentence in (*said, discovery_text.intervals(found)) if sentence]

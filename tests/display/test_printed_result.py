@@ -13,6 +13,7 @@ import pytest
 from matplotlib.mathtext import MathTextParser
 
 import masking
+from masking.app import cli
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import Controller
 from masking.control.rig.twin import Twin
@@ -117,6 +118,17 @@ def test_results_of_verbs_are_read_in_a_line_each(tmp_path):
     assert repr(bad).endswith(f" (and {len(bad.problems) - 1} more)>")
     assert repr(masking.catalogue()).startswith("<Catalogue models ")
     assert repr(masking.show("van_der_pol")) == str(masking.show("van_der_pol"))
+
+
+def test_a_run_prints_what_its_verb_prints_and_a_part_of_it_its_own(capsys, tmp_path):
+    cli.main(["run", "duffing", "--out", str(tmp_path)])
+    *printed, times, _ = capsys.readouterr().out.splitlines()
+    *said, own_times = str(run := masking.run("duffing")).splitlines()
+    assert printed == said
+    assert times.split()[0] == own_times.split()[0] == "time"
+    assert "\n" not in repr(run)
+    assert str(run.between(0.0, 100.0)).splitlines()[0] != said[0]
+    assert str(Recording.load(tmp_path)) == repr(run)  # which no verb has given a text
 
 
 def test_a_comparison_is_read_in_a_line():

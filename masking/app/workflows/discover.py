@@ -56,4 +56,4 @@ def discover(record: str | Path, settings: Discover) -> Discovery:
         found = discovery.discover(twin, given.record, given.validation, named, tell=settings.tell)
         if settings.out is not None:
             discovery_page.save(found, settings.out, given.origin)
-        return found
+        return replace(found, text=discovery_page.summary)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from masking.app.workflows.output_folders import RUN, beside, own_folder
@@ -46,7 +47,7 @@ def run(
         made = record(wanted, out, budget, progress)
         if out is not None:
             save(made, Path(out))
-    return made
+    return replace(made, text=run_report.summary)
 
 
 def record(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -132,6 +132,10 @@ class Discovery(Explained):
     withheld: Withheld | None = None  # what was found before, but is worse on unseen data than as declared
     grades: tuple[Grade, ...] = ()  # of each effect of the explanation
     unit: UnitDoubt | None = None  # that of a channel which is probably another; the record is converted then
+    text: Callable[[Discovery], str] = repr  # makes what `print` shows, which the verb discover gives it
+
+    def __str__(self) -> str:
+        return self.text(self)
 
     def __repr__(self) -> str:
         causes = ", ".join(f"{one.name} in {one.on}" if one.on else one.name for one in self.effects)

@@ -14,7 +14,7 @@ A long recording stays on disk: `between` reads a part of it, `chunks` one part 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -49,12 +49,17 @@ class Recording:
     recording that would take more than 256 MiB stay on disk when it is loaded, and are checked when they are read.
     `manifest` holds whatever JSON can hold; numpy scalars and arrays become numbers and lists when it is saved, and
     numbers that JSON lacks become the texts "inf", "-inf" and "nan", which `float()` reads back.
-    `notes` are sentences about how it was read, which the report repeats; they are not saved.
+    `notes` are sentences about how it was read, which the report repeats; they are not saved. `text` makes what `print`
+    shows, which the verb run gives it.
     """
 
     columns: Mapping[str, NDArray[np.float64]]
     manifest: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    text: Callable[[Recording], str] = repr
+
+    def __str__(self) -> str:
+        return self.text(self)
 
     def __post_init__(self) -> None:
         if isinstance(self.columns, StoredColumns):

@@ -222,7 +222,9 @@ def test_overwriting_leaves_nothing_of_an_earlier_discovery(discovered, folder, 
 def test_one_page_says_what_the_terminal_says(discovered, folder, name):
     found, told = discovered(name)
     made = masking.report(folder / "found" / name, folder / "sheets" / name, one_page=True)
-    summary = discovery_page.summary(found, None)
+    summary = discovery_page.summary(found)
+    assert str(found) == summary
+    assert repr(found).startswith("<Discovery: ")
     assert made.summary == told["sheet"]["title"]
     assert made.path.read_bytes().startswith(b"%PDF-")
     for paragraph in (text for every in told["sheet"]["sections"].values() for text in every):
