@@ -15,12 +15,12 @@ from scipy import stats as stats
 from masking.compile.numerics import compilation as compilation
 from masking.compile.numerics import delayed as delayed
 from masking.compile.numerics import events as events
-from masking.compile.numerics import fault_detection as fault_detection
 from masking.compile.numerics import kalman_kernels as kalman_kernels
 from masking.compile.numerics import known_motion as known_motion
 from masking.compile.numerics import lanes as lanes
 from masking.compile.numerics import motion_sensitivities as motion_sensitivities
 from masking.compile.numerics import runge_kutta as runge_kutta
+from masking.compile.numerics import safety_kernels as safety_kernels
 from masking.compile.numerics import sampled_loop as sampled_loop
 from masking.compile.numerics import single_step as single_step
 from masking.compile.numerics import taylor_integrator as taylor_integrator

@@ -16,8 +16,8 @@ from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Transform
 from masking.control.law import Controller
+from masking.control.transform import Transform
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.lazy_imports import sampled_loop
 from masking.model.declaration import dimensions, schema, units

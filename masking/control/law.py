@@ -33,10 +33,12 @@ from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Cancellation, DesiredDynamics, Transform, decouple, dot, product
+from masking.control.cancellation import Cancellation, decouple
+from masking.control.desired_dynamics import DesiredDynamics
 from masking.control.homing import Ends, Homing
 from masking.control.input_curves import Branch, InputCurves
 from masking.control.relative_degree import Derivatives, relative_degrees, remainder
+from masking.control.transform import Transform, dot, product
 from masking.errors import ModelError
 from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema

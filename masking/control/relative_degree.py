@@ -16,7 +16,7 @@ from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.codegen.tangent import along, copied, derivatives
 from masking.compile.numerics.arrays import Array
-from masking.control.blocks import Transform
+from masking.control.transform import Transform
 from masking.errors import ActuationError, ModelError
 from masking.lazy_imports import sympy as sp
 from masking.model.modelling.lowering import LoweredEquations

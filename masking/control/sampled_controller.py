@@ -23,12 +23,12 @@ from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Si
 from masking.compile.numerics.kernel_arguments import Parts
 from masking.compile.numerics.newton import STEP, jacobian
 from masking.control import whole_rig
-from masking.control.blocks import dot
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.homing import Homing
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan, check_told
+from masking.control.transform import dot
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
 from masking.lazy_imports import sampled_loop, single_step

@@ -17,7 +17,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, TIME
 from masking.compile.numerics.kernel_arguments import Unit
 from masking.compile.numerics.stop_codes import SINGULAR
-from masking.control.blocks import INVERTIBLE
+from masking.control.cancellation import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.sampled_controller import SampledController
 from masking.errors import CommandError, PlantMismatchError

@@ -26,8 +26,8 @@ from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.compile.numerics.newton import STEP, equilibrium, jacobian, root
-from masking.control.blocks import Transform
 from masking.control.relative_degree import Derivatives, remainder
+from masking.control.transform import Transform
 from masking.display.json_text import plain
 from masking.display.printed_result import Printed
 from masking.errors import ModelError, RootError

@@ -2,7 +2,7 @@
 
 Safety has one door. `plants.safety_chain` checks each reading and each command, by the limits that `runs.safety_limits`
 takes from a plant file; no command is written but behind it: by `runs.realtime` in a run, by `plants.serve` (through
-`plants.command_guard`) for whoever drives a served plant. Before a plant is armed, `runs.self_test` tries it, and
+`plants.served_plant_guard`) for whoever drives a served plant. Before a plant is armed, `runs.self_test` tries it, and
 `plants.arming` asks its operator. Where the process that drives it is killed, `plants.last_word` has the last word.
 
 In: an experiment, a plant or its address, files.

@@ -27,9 +27,9 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import MaskingError
 from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_stages import discover
-from masking.inference.discovery.rules import RULES, DecisionRules
 from masking.inference.estimation.identification_data import Data
 from tests.app.workflows.test_discover_components import MODELS
 from tests.benchmarks import components

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from masking.inference.discovery import verdict
-from masking.inference.discovery.rules import RULES
+from masking.inference.discovery.decision_rules import RULES
 from tests.benchmarks import rules
 from tests.benchmarks.watched import Watched, WatchedRules
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.decision_rules import DecisionRules
 
 Key = Hashable
 

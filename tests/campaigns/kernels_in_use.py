@@ -19,7 +19,7 @@ from masking.control.rig.twin import Twin
 from masking.inference.discovery import compiled_laws, smoothing
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.motion_features import Kept, MotionFeatures, Thinning
-from masking.inference.discovery.prior import prior_of
+from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.extended_kalman import FilterSettings, extended_kalman
 from masking.inference.estimation.identification_data import Data

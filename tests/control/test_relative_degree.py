@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import cumulative_simpson, solve_ivp
 
 from masking import Experiment
-from masking.control.blocks import Transform
 from masking.control.law import Controller
 from masking.control.relative_degree import relative_degrees
+from masking.control.transform import Transform
 from masking.errors import ActuationError, DeclarationError, ModelError
 from masking.model.declaration import schema
 from masking.model.modelling.model import Model

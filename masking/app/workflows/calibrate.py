@@ -16,7 +16,7 @@ from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
 from masking.errors import ModelError
-from masking.inference.discovery import prior
+from masking.inference.discovery import parameter_prior
 from masking.inference.estimation.fit import fit, independent
 from masking.inference.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
 from masking.lab.plants import adapters
@@ -141,14 +141,15 @@ def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
 def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
     """Models to fit, from the simplest to the whole plant file, with their parameters."""
     base = twin.as_model()
-    yield _Candidate("the model alone", base, prior.uncertain(base))
+    yield _Candidate("the model alone", base, parameter_prior.uncertain(base))
     if model is not None:
         base = twin.as_model(model)
-        yield _Candidate(str(model), base, prior.uncertain(base))
+        yield _Candidate(str(model), base, parameter_prior.uncertain(base))
     used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.entry.calibrated}
     if used:
         known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
         changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
         whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
         more = [f"{e.label}_{name}" for e in whole.effects for name in e.entry.calibrated if e.enabled]
-        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, (*prior.uncertain(whole), *more))
+        uncertain = (*parameter_prior.uncertain(whole), *more)
+        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, uncertain)

@@ -10,7 +10,7 @@ import numpy as np
 
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
-from masking.inference.discovery import prior
+from masking.inference.discovery import parameter_prior
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
 from masking.lab.records.input_hold import RecordForm
@@ -137,7 +137,7 @@ def parameters(twin: Twin, names: Sequence[str]) -> tuple[str, ...]:
         if name not in known:
             message = f"the equations of {twin.base.name} hold no parameter '{name}'"
             raise DeclarationError(Problem(None, "parameters", message, nearest(name, known)))
-    return tuple(names) or prior.uncertain(twin)
+    return tuple(names) or parameter_prior.uncertain(twin)
 
 
 def _sensors(base: ModelDeclaration) -> dict[str, Sensor]:

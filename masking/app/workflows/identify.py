@@ -13,7 +13,7 @@ from masking.app.workflows import discovery_inputs
 from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import showing
 from masking.errors import DeclarationError, IntegrationError, Problem, RecordError, nearest
-from masking.inference.discovery import prior
+from masking.inference.discovery import parameter_prior
 from masking.inference.estimation import extended_kalman, unit_check
 from masking.inference.estimation import fit as fits
 from masking.inference.estimation.identification_data import Data
@@ -77,7 +77,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
     _check_method(given, len(records))
     with own_folder(given.out, one_page.FIT, "model.yaml", "plant.yaml", overwrite=given.overwrite):
         twin = discovery_inputs.rig(given.model, given.plant)
-        names = given.parameters or prior.uncertain(twin)
+        names = given.parameters or parameter_prior.uncertain(twin)
         train, held_out = (
             [Data.read(path, twin, **given.reading) for path in paths] for paths in (records, given.validation)
         )

@@ -1,4 +1,7 @@
-"""The verb sweep: many runs of an experiment, or of its virtual system by itself, as rows of a table."""
+"""The verb sweep: many runs of an experiment, or of its virtual system by itself, as rows of a table.
+
+Rows that are on disk are done: an interrupted sweep goes on with the others (`lab.records.table_chunks`).
+"""
 
 from __future__ import annotations
 

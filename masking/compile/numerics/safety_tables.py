@@ -1,4 +1,4 @@
-"""Columns of the tables that kernels of `numerics.fault_detection` read and write, and numbers of what they find."""
+"""Columns of the tables that kernels of `numerics.safety_kernels` read and write, and numbers of what they find."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from masking.inference.discovery import verdict
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.discovery.verdict import Key, Law
 from masking.model.declaration.expression import Expression
 from masking.model.effects import Effect

@@ -11,6 +11,7 @@ from masking.compile.numerics.arrays import Array
 from masking.display import fragments, symbols
 from masking.display.json_text import Result, plain
 from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.decision_rules import DecisionRules
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.held_out import Withheld
@@ -18,7 +19,6 @@ from masking.inference.discovery.latent_force import Explained
 from masking.inference.discovery.localisation import Localisation, ResidualWhiteness, localise
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.units_after_search import far_off
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.discovery.verdict import Key, at_noise_floor, is_closed

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from masking.errors import DeclarationError, Problem
-from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 
 TOLERANCE = 0.01  # relative standard deviation of a parameter that declares none
 

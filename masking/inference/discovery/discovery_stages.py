@@ -34,7 +34,7 @@ from masking.inference.discovery.grading import with_grades
 from masking.inference.discovery.ground import Tell, silent
 from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
-from masking.inference.discovery.prior import train_validation_split, uncertain
+from masking.inference.discovery.parameter_prior import train_validation_split, uncertain
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.readings import Reading
 from masking.inference.discovery.screening import Screen

@@ -11,13 +11,13 @@ from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate, candidates, spans
 from masking.inference.discovery.composites import are_composite
+from masking.inference.discovery.decision_rules import DecisionRules
 from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.folded_readings import unfolded
 from masking.inference.discovery.motion_features import Kept
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.rules import DecisionRules
 from masking.inference.discovery.screening import Score, Screen
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Key

@@ -23,9 +23,9 @@ from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.decision_rules import RULES
 from masking.inference.discovery.fitting import Begun, Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.rules import RULES
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records.input_hold import Hold
 from masking.lab.signals import multisines

@@ -14,9 +14,9 @@ from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps,
 from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance, Equations
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.discovery.discrepancy import independent
-from masking.inference.discovery.prior import Prior
-from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.parameter_prior import Prior
 from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import Data, is_first_order

@@ -20,7 +20,7 @@ from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import ahead
 from masking.inference.discovery.ground import Ground
-from masking.inference.discovery.prior import prior_of
+from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.reading_noise import noise_of
 from masking.inference.discovery.smoothing import centred

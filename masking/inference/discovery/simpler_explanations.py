@@ -1,4 +1,7 @@
-"""Simpler explanations: special cases of a richer one, which begin from its values."""
+"""Simpler explanations: special cases of a richer one, which begin from its values.
+
+The dictionary says which effects are special cases of which (`nested`); `Explanation.score` says which wins.
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from masking.compile.numerics.arrays import Array
-from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.decision_rules import DecisionRules
 from masking.lab.records.noise import ALIKE
 
 Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]

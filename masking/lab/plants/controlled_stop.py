@@ -1,6 +1,6 @@
 """Controlled stop: what is commanded between the end of a run and zero, since zero does not brake.
 
-`runs.realtime` goes on with it in place of the controller, and `command_guard` in place of whoever drives a served
+`runs.realtime` goes on with it in place of the controller, and `served_plant_guard` in place of whoever drives a served
 plant, within the same limits and rates. Only sound readings brake: after a cause that distrusts sensors, actuators,
 time or the plant, and after a second cause, commands are zero.
 """

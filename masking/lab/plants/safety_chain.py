@@ -1,9 +1,10 @@
-"""Safety chain: checks each reading and clamps each command of a run, by kernels of `numerics.fault_detection`.
+"""Safety chain: checks each reading and clamps each command of a run, by kernels of `numerics.safety_kernels`.
 
-Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `command_guard` in a server.
-In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the controller has
-answered: is the command finite, clamped, not too fast, not too warm. The first cause trips the chain: from then on
-every command is zero, or that of expiry where samples do not come, until a new chain is made for the next run.
+Its `Rules` come from `runs.safety_limits`; `runs.realtime` runs it beside a controller, `served_plant_guard` in a
+server. In each tick: are the readings plausible, is the rig within its limits, does it answer; then, once the
+controller has answered: is the command finite, clamped, not too fast, not too warm. The first cause trips the chain:
+from then on every command is zero, or that of expiry where samples do not come, until a new chain is made for the next
+run.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from masking.compile.numerics.controller_sizes import LARGEST, TIME
 from masking.compile.numerics.kernel_arguments import Guarded, Watched
 from masking.display.printed_result import Printed
 from masking.errors import PlantMismatchError
-from masking.lazy_imports import fault_detection
+from masking.lazy_imports import safety_kernels
 
 OFF: Final = 8.0  # standard deviations of its noise that a reading may be off
 BUCKETS: Final = 200  # of the time over which a power is a mean: it may exceed its limit by a part of 1/200
@@ -214,7 +215,7 @@ def unknown(sensors: int) -> Array:
 @cache
 def kernels() -> Kernels:
     """`watch` and `guard`, compiled once for all rigs; from the cache on disk where they are."""
-    return linked("safety", lambda: {"watch": (fault_detection.watch,), "guard": (fault_detection.guard,)}, {}, (2, 64))
+    return linked("safety", lambda: {"watch": (safety_kernels.watch,), "guard": (safety_kernels.guard,)}, {}, (2, 64))
 
 
 @final

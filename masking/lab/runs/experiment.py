@@ -13,7 +13,6 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.control import coordinate_match
-from masking.control.blocks import Transform
 from masking.control.closed_loop import ClosedLoop
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.known_instruments import Instruments, branches
@@ -23,6 +22,7 @@ from masking.control.rig import assumed_rig
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import LawStep, SampledStep
+from masking.control.transform import Transform
 from masking.control.twin_loop import SampledLoop
 from masking.control.zero_dynamics import Held
 from masking.errors import DeclarationError, ModelError, Problem

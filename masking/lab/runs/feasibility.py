@@ -19,7 +19,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER, TIME
-from masking.control.blocks import INVERTIBLE
+from masking.control.cancellation import INVERTIBLE
 from masking.control.closed_loop import ClosedLoop
 from masking.control.zero_dynamics import ZeroDynamics
 from masking.display.printed_result import Printed

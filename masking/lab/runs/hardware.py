@@ -19,13 +19,13 @@ from masking.errors import MaskingError, ModelError, PlantRefusedError
 from masking.lab.plants import adapters
 from masking.lab.plants.address import scheme_of
 from masking.lab.plants.arming import HOW, Arming
-from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.operating_system import Stop
 from masking.lab.plants.remote import RemotePlant
 from masking.lab.plants.safety_chain import Chain
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.serve import serve as serve_plant
+from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.records import stream as streams

@@ -2,7 +2,8 @@
 
 In each tick: read the sensors, look whether they are plausible and the rig within its limits, step the controller,
 refuse what is not finite, clamp to the limits, write. What is between reading and writing is the chain of
-`masking.lab.plants.safety_chain`: no command reaches the plant but through it.
+`masking.lab.plants.safety_chain`: no command reaches the plant but through it. It
+says, too, how many late ticks end a run.
 """
 
 from __future__ import annotations

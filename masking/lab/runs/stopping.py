@@ -17,7 +17,7 @@ from masking.analysis.synchronisation.detector import PHASES
 from masking.compile.codegen.compiled_functions import Kernels
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
-from masking.control.blocks import INVERTIBLE
+from masking.control.cancellation import INVERTIBLE
 from masking.errors import IntegrationError, ModelError
 from masking.model.declaration.schema import Stop
 from masking.model.modelling.model import Model

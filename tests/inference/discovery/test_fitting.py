@@ -15,8 +15,8 @@ from masking.inference.discovery.candidates import candidates, spans
 from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, occam
 from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.places import opened, places
-from masking.inference.discovery.prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.simpler_explanations import simpler_explanations

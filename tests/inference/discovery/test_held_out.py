@@ -8,9 +8,9 @@ import pytest
 import masking
 from masking.inference.discovery import fitting, unseen_data
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.decision_rules import RULES
 from masking.inference.discovery.excluded_laws import is_excluded
-from masking.inference.discovery.prior import prior_of, train_validation_split
-from masking.inference.discovery.rules import RULES
+from masking.inference.discovery.parameter_prior import prior_of, train_validation_split
 from masking.inference.discovery.verdict import is_worse
 from masking.inference.estimation.identification_data import Data
 from masking.reports import discovery_text

@@ -11,7 +11,7 @@ from masking.inference.discovery.augmented_model import AugmentedModel, EffectIn
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.discovery_stages import discover
 from masking.inference.discovery.instrument_errors import GAIN, with_imperfections
-from masking.inference.discovery.prior import prior_of
+from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
 from masking.model.effects import GAINS_AND_ZEROS

@@ -15,7 +15,7 @@ from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.candidates import candidates, spans
 from masking.inference.discovery.pairs_of_causes import pairs
-from masking.inference.discovery.prior import prior_of
+from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.smoothing import centred, smooth

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from masking.inference.discovery import rules as module
+from masking.inference.discovery import decision_rules as module
 from masking.inference.discovery import verdict
-from masking.inference.discovery.rules import DecisionRules
+from masking.inference.discovery.decision_rules import DecisionRules
 from masking.inference.discovery.verdict import Law, Scored
 from masking.lab.records.noise import white_noise
 

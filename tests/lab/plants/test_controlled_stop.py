@@ -14,9 +14,9 @@ from masking.compile.numerics import safety_tables
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, EmergencyStopError, ModelError, PlantLostError
-from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.safety_chain import Cause
+from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.recording import Recording

@@ -24,10 +24,10 @@ from masking.errors import CommandError, PlantLostError, PlantRefusedError, Reco
 from masking.lab.plants import adapters, wire
 from masking.lab.plants.arming import Arming
 from masking.lab.plants.authentication import Key
-from masking.lab.plants.command_guard import PlantLimits
 from masking.lab.plants.interface import Sample, Settings
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.serve import Serving
+from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.trip_memory import TripMemory

@@ -1,5 +1,6 @@
 """Prior of the rig's parameters: normal distributions with bounds; and the split of a record in two.
 
+The prior of a cause is `effect_evidence` of `decision_rules`.
 Source: MacKay (2003), Information Theory, Inference, and Learning Algorithms, chapter 28, for priors of models.
 """
 
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.rules import RULES, DecisionRules
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.estimation.identification_data import Data
 
 
