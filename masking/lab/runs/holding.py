@@ -54,10 +54,10 @@ class Holding:
         frequency = 2.0 * math.pi * _FREQUENCY
         pushed = np.abs(driven) @ known.limits()[:, LARGEST]
         for what, limit in known.plant.limits.coordinates.items():
-            if what.text in known.model.coordinates:
+            i = known.model.coordinates.index(what.text) if what.text in known.model.coordinates else -1
+            if i >= 0 and np.abs(free[i]).max() > _EXACT * np.abs(free).max():
                 far = limit.max * known.factors[limit.unit]
-                at = pushed[known.model.coordinates.index(what.text)]
-                frequency = min(frequency, _STRONG * math.sqrt(at / far))
+                frequency = min(frequency, _STRONG * math.sqrt(pushed[i] / far))
         if known.delay:
             frequency = min(frequency, _LAG * rate / known.delay)
         span = max(1, round(_LAG * rate / frequency))

@@ -67,6 +67,26 @@ def test_a_force_that_never_ends_moves_a_free_shaft_by_what_the_virtual_spring_g
     assert made["input.i"][-500:].mean() == pytest.approx(-pushed, rel=0.02)  # what holds it is recorded
 
 
+def test_a_limit_of_what_no_actuator_pushes_does_not_weaken_what_is_held(tmp_path):
+    """Beside the shaft is a mass on its own spring, with a limit."""
+    beside = MODEL["equations"] | {"m*y'' + k*y": "0"}
+    more = MODEL["parameters"] | {"m": {"value": 1, "unit": "kg"}, "k": {"value": 100, "unit": "N/m"}}
+    places = MODEL["coordinates"] | {"y": {"unit": "m"}}
+    (tmp_path / "both.yaml").write_text(
+        json.dumps(MODEL | {"name": "both", "coordinates": places, "parameters": more, "equations": beside})
+    )
+    gauge = {"measures": "y", "gain": {"value": 1, "unit": "m/m"}, "unit": "m", "meaning": "gauge"}
+    limits = PLANT["limits"] | {"coordinates": PLANT["limits"]["coordinates"] | {"y": {"max": 0.1, "unit": "m"}}}
+    sensors = PLANT["sensors"] | {"gauge": gauge}
+    (tmp_path / "both_rig.yaml").write_text(
+        json.dumps(PLANT | {"model": "both.yaml", "sensors": sensors, "limits": limits})
+    )
+    alone, both = (Instruments.of(x) for x in (drive(tmp_path), Twin.load(tmp_path / "both_rig.yaml")))
+    held, wanted = Holding.of(both, 1000.0, PERIOD), Holding.of(alone, 1000.0, PERIOD)
+    for shift in (0.0, 0.2):
+        assert held.step(np.array([shift, 0.05])) == pytest.approx(wanted.step(np.array([shift])))
+
+
 def test_a_shaft_that_nothing_holds_passes_its_self_test(tmp_path):
     twin = drive(tmp_path)
     found = self_test(twin, SimulatedPlant(twin, 3), lockstep=True)
