@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import MaskingError, PlantError, PlantLostError, PlantRefusedError, RecordError
+from masking.errors import EmergencyStopError, MaskingError, PlantError, PlantLostError, PlantRefusedError, RecordError
 from masking.lab.plants import adapters
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Plant, Settings
@@ -67,7 +67,8 @@ def main(arguments: list[str] | None = None) -> int:
         wanted: Try = pickle.load(file)  # noqa: S301  (a file without a name, that its parent wrote)
     began = time.monotonic()
     try:
-        found = outcome(wanted, partial(_plant, wanted))
+        with Operator() as operator:
+            found = outcome(wanted, partial(_plant, wanted), operator)
     except PlantLostError as error:
         is_there = stream.is_in(wanted.folder)
         found = {"end": FAILED if is_there else batch_plan.UNREACHABLE, "why": str(error)}
@@ -84,26 +85,28 @@ def _plant(wanted: Try) -> Plant:
     return adapters.connect(address, wanted.key) if address else SimulatedPlant(made.twin, made.declaration.seed)
 
 
-def outcome(wanted: Try, plant: Callable[[], Plant]) -> dict[str, Any]:
+def outcome(wanted: Try, plant: Callable[[], Plant], operator: Operator) -> dict[str, Any]:
     """Make a try on a plant, of which each call gives one, and save its recording; return what became of it.
 
     A MaskingError where nothing was recorded: a PlantError where the rig does not rest or the plant is lost or refuses.
     """
     made, folder, lockstep = wanted.experiment, wanted.folder, wanted.lockstep or wanted.address is None
     kept: list[Recording] = []
-    with Operator() as operator:
-        try:
-            zero = _at_rest(wanted, plant(), lockstep=lockstep, operator=operator)
-            settings = hardware.RunSettings(
-                lockstep=lockstep, acknowledge=True, keep=kept.append, stream=folder, operator=operator
-            )
-            kept.append(hardware.run(made, plant(), settings))
-        except MaskingError as error:
-            if kept and isinstance(error, PlantError):
-                return _saved(made, kept[0], folder) | {"why": str(error), "zero": zero}
-            if kept or operator.trip is None or operator.trip.cause in _LOST:
-                raise
-            return {"end": TRIPPED, "why": str(operator.trip), "cause": operator.trip.cause.name}  # before the release
+    operator.trip = None
+    try:
+        zero = _at_rest(wanted, plant(), lockstep=lockstep, operator=operator)
+        settings = hardware.RunSettings(
+            lockstep=lockstep, acknowledge=True, keep=kept.append, stream=folder, operator=operator
+        )
+        kept.append(hardware.run(made, plant(), settings))
+    except MaskingError as error:
+        if kept and isinstance(error, PlantError):
+            return _saved(made, kept[0], folder) | {"why": str(error), "zero": zero}
+        if isinstance(error, EmergencyStopError):
+            return {"end": TRIPPED, "why": str(error), "cause": Cause.ESTOP.name}
+        if kept or operator.trip is None or operator.trip.cause in _LOST:
+            raise
+        return {"end": TRIPPED, "why": str(operator.trip), "cause": operator.trip.cause.name}  # before the release
     return _saved(made, kept[0], folder) | {"zero": zero}
 
 

@@ -27,13 +27,13 @@ from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
 from masking.lab.plants.interface import Plant, Settings
-from masking.lab.plants.safety_chain import Cause, Chain, Rules
+from masking.lab.plants.safety_chain import Cause, Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import MANIFEST, Recording
 from masking.lab.runs import safety_limits
 from masking.lab.runs.batch_plan import PEOPLE
 from masking.lab.runs.holding import Holding
-from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
+from masking.lab.runs.realtime import Hooks, Look, RigRun, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED
 from masking.lab.signals import Multisine, minimise_crest
 
@@ -53,7 +53,6 @@ _FOUND = ("size", "part")  # settings that the rig itself determines
 _DIGITS = 9  # of a number that shows whether a twin is the same
 
 Say = Callable[[str], None]
-Look = Callable[[Chain, int], None]
 Progress = Callable[[float], None]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +14,7 @@ from typing import Any, Final
 
 from masking.app.workflows import calibration_excitation as excitation
 from masking.app.workflows import learning_steps
+from masking.app.workflows.output_folders import check_folder, refuse_earlier
 from masking.app.workflows.rig_settings import RigLearning
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
@@ -31,6 +34,7 @@ from masking.reports import learning_page
 from masking.reports.discovery_files import PLANT
 
 JOURNAL: Final = "learn.journal"
+_ANOTHER: Final = "name another folder with --out (in Python, out=)"
 RETRIES: Final = 3  # after a trip that is not by the motion
 
 
@@ -86,24 +90,32 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
         PlantError: the self-test refuses the rig, or it is not reached, refuses, or has other channels.
         MaskingError: a person has stopped it, or the rig trips again and again.
     """
-    twin, folder = Twin.load(plant), Path(settings.out)
+    twin, folder = Twin.load(plant), check_folder(settings.out)
     twin.validate()
     experiment = None if settings.experiment is None else _experiment(settings.experiment, plant)
     costs = learning_steps.costs(twin, experiment, settings)
     rate, say = experiment.sampled.rate if experiment else excitation.RATE, settings.say or (lambda text: None)
     driven = excitation.Rig(twin, rig(), rate, settings.lockstep, say, acknowledge=True, retries=RETRIES)
     known = _identity(twin, experiment, settings)
-    with OwnedFolder(folder), Journal(folder / JOURNAL) as journal, Operator() as operator:
+    with OwnedFolder(folder), contextlib.ExitStack() as way_out:
+        if not (folder / JOURNAL).exists():
+            refuse_earlier(
+                folder, PLANT, batch_plan.EXPERIMENT, learning_page.PAGE, learning_steps.STEPS, remedy=_ANOTHER
+            )
+        journal, operator = way_out.enter_context(Journal(folder / JOURNAL)), way_out.enter_context(Operator())
+        operator.switch.publish(name="learning", plant=twin.declaration.name, since=time.time())
         driven.look = operator.look
         if journal.entries and journal.entries[0].get("plan") != known:
             raise RecordError(
                 f"{folder} holds what another rig has learned: the plant file, the experiment or the settings are "
-                "others; name another folder with --out"
+                "others, or one of both is a twin; name another folder with --out"
             )
         patience = learning_steps.PATIENCE if journal.entries else 0.0
         if not journal.entries:
             journal.add(event="learn", plan=known, name=twin.declaration.name)
-        made = learning_steps.Learner(plant, rig, settings, folder, journal, driven, experiment, costs, patience)
+        made = learning_steps.Learner(
+            plant, rig, settings, folder, journal, driven, operator, experiment, costs, patience
+        )
         for number, row in enumerate(made.rows, 2):
             foreign_json.check(row, learning_steps.Entry, f"entry {number} of the journal")
         made.work()
@@ -115,6 +127,7 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
 def _identity(twin: Twin, experiment: Experiment | None, settings: RigLearning) -> str:
     """Hash of all that makes the steps what they are; the hours may be changed before it is gone on with."""
     content: list[Any] = [twin.declaration.canonical(), twin.base.canonical(), settings.seconds, settings.tolerance]
+    content.append(settings.at is None)  # a twin, of which a rig must not take over what was found
     if experiment:
         content.append(manifest.content(experiment.assembly, experiment.virtual, {})["declarations"])
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()

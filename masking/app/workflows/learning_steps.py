@@ -32,6 +32,7 @@ from masking.errors import (
     RecordError,
     SingularityError,
 )
+from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import PERIOD, reached
 from masking.inference.procedures.channels import Source
@@ -42,12 +43,14 @@ from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan
 from masking.lab.runs.experiment import Experiment
+from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.self_test import SIZE, self_test
 from masking.lab.runs.stopping import FAILED, INTERRUPTED
 from masking.model.declaration.quantities import percent
 from masking.reports import learning_page
 
 COMMANDS: Final = "commands.npy"
+STEPS: Final = "steps"  # folder of what each step leaves
 _REST: Final = 5.0  # s of sensors at rest
 _RAMP: Final = 60.0  # s of a slow push
 _LARGEST: Final = 0.4  # of the largest command: a pulse of the self-test
@@ -62,18 +65,23 @@ T = TypeVar("T")
 
 
 def costs(twin: Twin, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
-    """Seconds of the rig that each step takes; a RecordError where there are too few for one round."""
+    """Seconds of the rig that each step takes; a RecordError where there are too few for one round.
+
+    A DeclarationError where the tolerance is none.
+    """
     run, one = 0.0, settings.seconds + excitation.REST
     if experiment:
         run = experiment.sampled.before / experiment.sampled.rate
         run += experiment.declaration.duration * experiment.time_scale
-    if settings.seconds < PERIOD:
-        raise RecordError(f"records of {settings.seconds:g} s are too short; give at least {PERIOD:g} s")
+    if not PERIOD <= settings.seconds < np.inf:
+        length = "too short" if settings.seconds < PERIOD else "no records"
+        raise RecordError(f"records of {settings.seconds:g} s are {length}; give at least {PERIOD:g} s")
+    DiscoverySettings(tolerance=settings.tolerance)
     each = len(twin.actuators)
     once = {"self-test": _PULSES * each, "rest": _REST, "springs": (_RAMP + excitation.REST) * each}
     once |= {"before": run, "excitation": 3.0 * one}
     needed = sum(once.values()) + run
-    if needed > 3600.0 * settings.hours:
+    if not needed <= 3600.0 * settings.hours:
         raise RecordError(
             f"{settings.hours:g} h are too few for one round, which takes {needed:.0f} s of the rig: give "
             f"--hours {np.ceil(needed / 36.0) / 100.0:g} or more, or shorter records with --seconds"
@@ -102,6 +110,7 @@ class Learner:
     folder: Path
     journal: Journal
     rig: excitation.Rig
+    operator: Operator
     experiment: Experiment | None
     costs: Mapping[str, float]  # s of the rig that each step takes
     patience: float  # s that the plant is waited for
@@ -126,7 +135,7 @@ class Learner:
         }  # fmt: skip
         name = self.rows[-1]["next"] if self.rows else "self-test"
         while name:
-            place = self.folder / "steps" / f"{len(self.rows) + 1:02}-{name}"
+            place = self.folder / STEPS / f"{len(self.rows) + 1:02}-{name}"
             if self.settings.tell:
                 self.settings.tell(name, min(0.9, 0.1 * len(self.rows)))
             before, began = self.rig.used, time.monotonic()
@@ -147,14 +156,15 @@ class Learner:
 
     def _reached(self, call: Callable[[], T]) -> T:
         """What a call gives once the plant is reached, which is waited for."""
-        until = time.monotonic() + self.patience
+        until = None
         while True:
             try:
                 found = call()
                 self.patience = PATIENCE  # it was there
                 return found
             except (PlantLostError, PlantRefusedError) as error:
-                if time.monotonic() > until:
+                until = time.monotonic() + self.patience if until is None else until
+                if time.monotonic() >= until:
                     raise
                 self.rig.say(f"the plant is waited for: {error}")
                 time.sleep(_AGAIN)
@@ -168,7 +178,9 @@ class Learner:
         del place
         size, rig = SIZE, self.rig
         while True:
-            test = partial(self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, acknowledge=True)
+            test = partial(
+                self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, acknowledge=True, look=rig.look
+            )
             found = self._reached(test)
             rig.used += self.costs["self-test"]
             clear = {one.actuator for one in found.answers if one.is_clear}
@@ -223,7 +235,7 @@ class Learner:
         wanted = Try(made, place, "", None, self.rig.lockstep, 1.0, PATIENCE, {})
         for _ in range(_TRIES):
             try:
-                found = self._reached(partial(outcome, wanted, self.make))
+                found = self._reached(partial(outcome, wanted, self.make, self.operator))
             except (PlantError, SingularityError, IntegrationError) as error:
                 found = {"end": FAILED, "why": str(error)}
             self.rig.used += self.costs["after"]
@@ -272,7 +284,7 @@ class Learner:
 
     def _part(self, place: Path) -> dict[str, Any]:
         """Make the experiment that parts the two likeliest causes."""
-        commands = np.load(self.folder / "steps" / f"{len(self.rows):02}-discovery" / COMMANDS)
+        commands = np.load(self.folder / STEPS / f"{len(self.rows):02}-discovery" / COMMANDS)
         return self._followed(commands, place, "the experiment that parts the likeliest two")
 
     def _record(self, place: Path) -> dict[str, Any]:

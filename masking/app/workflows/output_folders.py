@@ -47,9 +47,15 @@ def own_folder(out: str | Path | None, *files: str, overwrite: bool = True) -> I
         return
     path = check_folder(out)
     with OwnedFolder(path):
-        held = [name for name in files if (path / name).exists()]
-        if stream.MANIFEST in held and not overwrite:
-            raise RecordError(f"{path} holds the stream of a run that did not end in order; {stream.MEND.format(path)}")
-        if held and not overwrite:
-            raise RecordError(f"{path} holds an earlier result, {held[0]}; {_REMEDY}")
+        if not overwrite:
+            refuse_earlier(path, *files)
         yield
+
+
+def refuse_earlier(folder: Path, *files: str, remedy: str = _REMEDY) -> None:
+    """Refuse a folder that holds one of some files of a result, or the stream of a run, by a `RecordError`."""
+    held = [name for name in files if (folder / name).exists()]
+    if stream.MANIFEST in held:
+        raise RecordError(f"{folder} holds the stream of a run that did not end in order; {stream.MEND.format(folder)}")
+    if held:
+        raise RecordError(f"{folder} holds an earlier result, {held[0]}; {remedy}")

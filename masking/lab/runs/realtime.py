@@ -34,6 +34,7 @@ from masking.lab.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPP
 
 Step = Callable[[int, Array], Array]
 Row: TypeAlias = "memoryview[float]"
+Look = Callable[[Chain, int], None]
 # The first columns of a row: unit and meaning of each, by its name.
 LOOP: Final = {
     "tick": {"unit": "1", "meaning": "tick of the plant's clock"},
@@ -85,7 +86,7 @@ class Hooks:
     stop: Stop | None = None  # looked at before each tick; the run ends where it is true
     emergency: Stop | None = None  # likewise; the run then trips
     # called with the safety chain, which it may stop, and the tick of each sample
-    look: Callable[[Chain, int], None] | None = None
+    look: Look | None = None
     # called with the record once the plant is at zero, also before an error is raised
     on_end: Callable[[RigRun], None] | None = None
 

@@ -27,7 +27,7 @@ from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules, Trip
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.runs import safety_limits
-from masking.lab.runs.realtime import Hooks, check_channels, run_rig
+from masking.lab.runs.realtime import Hooks, Look, check_channels, run_rig
 from masking.model.declaration.schema import EffectChange
 
 SIZE: Final = 0.05  # of the largest command
@@ -104,11 +104,13 @@ def self_test(
     rate: float = RATE,
     lockstep: bool = False,
     acknowledge: bool = False,
+    look: Look | None = None,
 ) -> SelfTest:
     """Pulse each actuator in turn, and compare what the sensors read with what those of the twin do.
 
     The plant is at rest and not active; it is deactivated on every way out. A pulse is a part of at most 1, `size`, of
-    the largest command. `acknowledge` says that somebody has looked at why the plant tripped in the last run.
+    the largest command. `acknowledge` says that somebody has looked at why the plant tripped in the last run;
+    `look` is called with the safety chain, which it may stop, and the tick of each sample.
 
     A ModelError where an actuator has no largest command, a PlantMismatchError where the plant has other channels or
     the size is none, a PlantError where it is lost or refuses, and a MaskingError where the test was interrupted.
@@ -126,7 +128,7 @@ def self_test(
         while seconds * rate > 2.0 and part_moved(held, predicted) > _MOVED:
             seconds *= 0.5
             predicted = _predicted(ideal, held, j, seconds)
-        read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge)
+        read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge, look=look)
         if trip is not None:
             return SelfTest(tuple(answers), (f"{twin.actuators[j]}: {trip}",))
         answers += _answers(twin, j, predicted, read)
@@ -174,7 +176,7 @@ class _Pulse:
         return self.command
 
     def run(
-        self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False
+        self, plant: Plant, twin: Twin | None, *, lockstep: bool, acknowledge: bool = False, look: Look | None = None
     ) -> tuple[Array, Trip | None]:
         """Readings before and after the pulse (samples, sensors), once a real rig is at rest again."""
         rate, rest = self.rules.rate, 0 if twin is None else round(_REST * self.rules.rate)
@@ -187,7 +189,7 @@ class _Pulse:
 
         ran = run_rig(
             self.step, plant, Settings(rate, lockstep=lockstep, acknowledge=acknowledge), samples=self.stop + rest,
-            limits=self.rules, hooks=Hooks(accept, stop=lambda: self.is_over),
+            limits=self.rules, hooks=Hooks(accept, stop=lambda: self.is_over, look=look),
         )  # fmt: skip
         every = np.arange(self.stop)
         if ran.trip is None and len(ran.sensors) < self.stop:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 import time
@@ -17,11 +18,12 @@ from masking.app.workflows import calibration_excitation, learned_rig, learning_
 from masking.app.workflows.learn import JOURNAL, learn
 from masking.app.workflows.rig_settings import RigLearning
 from masking.control.rig.twin import Twin
-from masking.errors import DeclarationError, MaskingError, PlantError, PlantLostError, RecordError
+from masking.errors import DeclarationError, EmergencyStopError, MaskingError, PlantError, PlantLostError, RecordError
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
+from masking.lab.records.stop_switch import Presser, switches
 from masking.lab.runs.experiment import Experiment
 from masking.reports import learning_page, model_files
 from tests.benchmarks.learning import CART_RUN, RIGS, same, written
@@ -246,7 +248,16 @@ def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
     refused(
         RecordError, r"0\.01 h are too few for one round, which takes 131 s of the rig: give --hours 0\.04", hours=0.01
     )
+    refused(RecordError, "nan h are too few for one round", hours=float("nan"))
     refused(RecordError, "records of 5 s are too short; give at least 20 s", seconds=5.0)
+    refused(RecordError, "records of nan s are no records; give at least 20 s", seconds=float("nan"))
+    refused(RecordError, "records of inf s are no records", seconds=float("inf"), hours=float("inf"))
+    refused(DeclarationError, "the tolerance is nan; give a part between 0 and 1", tolerance=float("nan"))
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "plant.yaml").write_text("mine")
+    with pytest.raises(RecordError, match=r"own holds an earlier result, plant\.yaml; name another folder"):
+        learn(str(plant), rig, settings(tmp_path / "own"))
+    assert [path.name for path in (tmp_path / "own").iterdir()] == ["plant.yaml"]
     refused(
         RecordError, r"huygens_rig does not fit the rig .*rig\.yaml: the controller's model", experiment="huygens_rig"
     )
@@ -260,3 +271,38 @@ def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
         learn(str(plant), lambda: UdpPlant("udp://127.0.0.1:9", patience=0.2), settings(tmp_path / "far"))
     with pytest.raises(RecordError, match="holds what another rig has learned"):
         learn(str(plant), rig, settings(out, experiment=str(experiment)))
+    with pytest.raises(RecordError, match="or one of both is a twin"):
+        learn(str(plant), rig, settings(out, at="udp://127.0.0.1:9"))
+
+
+class Pressed(SimulatedPlant):
+    """A rig whose own emergency stop is pressed."""
+
+    def activate(self):
+        raise EmergencyStopError("the emergency stop of the rig is pressed")
+
+
+def test_a_person_who_stops_it_ends_it_in_the_next_step(tmp_path):
+    plant, _, experiment = written(RIGS["nothing"], tmp_path)
+    twin, made = Twin.load(str(plant)), []
+
+    def ended(said, kind=SimulatedPlant, pressed=""):
+        def press(name, _):
+            for switch in switches():
+                if name == pressed and switch.process == os.getpid():
+                    switch.press(Presser.COMMAND_LINE)
+
+        def rig():
+            made.append(kind(twin))
+            return made[-1]
+
+        with pytest.raises(MaskingError, match=said):
+            learn(str(plant), rig, settings(tmp_path / "out", experiment=str(experiment), tell=press))
+
+    ended("self-test refuses .*ESTOP: .* pressed from the command line", pressed="self-test")
+    ended("recording was tripped .*ESTOP", pressed="rest")
+    ended("stopped by a person", pressed="before")
+    made.clear()
+    ended("stopped by a person", kind=Pressed)
+    assert len(made) == 2  # one to be excited, and one for a run, which is not tried again
+    assert [row["next"] for row in rows(tmp_path / "out")][-1] == "before"
