@@ -23,7 +23,7 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import Progress, TwinRun, run_twin
 from masking.lab.runs.parted_motion import noted
-from masking.lab.runs.remedies import PARAMETERS, SAMPLING, differing_parameters, remedies, with_rig_parameters
+from masking.lab.runs.remedies import PARAMETERS, SAMPLING, Remedy, differing_parameters, remedies, with_rig_parameters
 from masking.model.declaration import schema
 from masking.model.effects import DELAY, FAMILIES, SATURATION
 
@@ -299,14 +299,21 @@ class _Bench:
         """
         for remedy in remedies(self.experiment, row.cause, row.effects, known):
             if remedy.words not in tried:
-                changed = _Bench(remedy.made())
-                tried[remedy.words] = changed.row("", frozenset(), (), "", lambda _: None)[0]
-            if tried[remedy.words].rms <= _WORTH * whole.rms:
+                tried[remedy.words] = self._changed(remedy)
+            if tried[remedy.words].rms <= _WORTH * whole.rms and math.isfinite(tried[remedy.words].rms):
                 return replace(row, remedy=remedy.words, remedied=tried[remedy.words].rms)
         twin = self.experiment.twin
         placed = [e for e in twin.effects if e.path.partition(".")[2] in row.effects and e.enabled and e.entry.remedy]
         helps = dict.fromkeys((e.entry.remedy, e.at) for e in placed)
         return replace(row, remedy="; ".join(f"{at}: {text}" if at else text for text, at in helps))
+
+    def _changed(self, remedy: Remedy) -> Row:
+        """Row of the run with a change; its chi is infinite where the change is refused, or the run cannot go on."""
+        try:
+            changed = _Bench(remedy.made())
+        except MaskingError as error:
+            return Row("", (), dict.fromkeys(self.experiment.virtual.coordinates, math.inf), note=str(error))
+        return changed.row("", frozenset(), (), "", lambda _: None)[0]
 
     def run(self, without: frozenset[str], progress: Progress) -> TwinRun:
         """Run the experiment without some causes, recorded at the instants at which it is recorded as it is."""

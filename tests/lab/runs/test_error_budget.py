@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from masking.lab.runs import error_budget as budgets
 from masking.lab.runs.error_budget import ALL, NOTHING, SAMPLING, Budget, Row, budget, predict
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import run_twin
+from masking.lab.runs.remedies import Remedy
 from masking.model.effects import EFFECTS, FAMILIES
 from masking.reports.run_report import summary, warnings
 
@@ -154,6 +156,27 @@ def row(cause: str, chi: float) -> Row:
 )  # fmt: skip
 def test_the_sentence(rows, rest, said):
     assert Budget(row(NOTHING, 0.031), tuple(rows), row(ALL, rest), 1000.0).sentence == said
+
+
+def test_a_change_that_is_refused_or_with_which_the_run_stops_as_well_is_no_remedy(found, monkeypatch):
+    experiment, bench = found[0], budgets._Bench(found[0])  # a run that stops by itself takes seconds
+
+    def refused():
+        raise ModelError("the model has that already")
+
+    for made in (refused, lambda: replace(experiment)):
+        monkeypatch.setattr(budgets, "remedies", lambda *_, made=made: [Remedy("a change", made)])
+        with monkeypatch.context() as patch:
+            patch.setattr(budgets._Bench, "run", stopped)
+            whole = bench.row(NOTHING, frozenset(), (), "", lambda _: None)[0]
+            assert whole.rms == math.inf
+            found_row = bench.remedied(whole, whole, False, {})
+        assert found_row.remedied is None
+        assert found_row.remedy == ""
+
+
+def stopped(*_):
+    raise IntegrationError("the step became too small")
 
 
 def test_a_run_tells_its_budget_unless_it_is_not_wanted(tmp_path):
