@@ -18,7 +18,7 @@ import numpy as np
 
 from masking.analysis.stability.lyapunov_exponent import INTERVALS, Exponent, exponent_along
 from masking.compile.numerics.arrays import Array
-from masking.errors import IntegrationError, ModelError
+from masking.errors import MaskingError
 from masking.model.modelling.model import Model
 
 _FURTHER: Final = 9  # times the length of the record, after which a motion that attracts has been reached
@@ -119,7 +119,7 @@ def parting(model: Model, times: Array, made: Array, wanted: Array) -> Parting:
             return Parting()
         is_same = end.is_near(reached, 10.0 * _SAME * size)
         return Parting() if is_same and end.kind == "rest" else Parting(None, end, reached, is_same)
-    except (IntegrationError, ModelError):
+    except MaskingError:  # of a model with delays or events, and of motions that cannot be followed
         return Parting()
 
 

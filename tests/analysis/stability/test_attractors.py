@@ -123,3 +123,11 @@ def test_a_motion_that_has_not_settled_where_it_would_is_not_named(models):
     wanted, made = (simulated("wells", start, times) for start in ((1.8, 0.0), (2.0, 0.0)))
     made[-400:, 0] += 0.5  # held aside by something else
     assert parting(models["wells"], times, made, wanted).as_dict({"x": 1.0}) == {}
+
+
+def test_motions_whose_further_course_meets_a_singular_mass_are_not_named(tmp_path):
+    path = tmp_path / "singular.yaml"
+    path.write_text('name: singular\ncoordinates: {x: {}}\nequations: {"(2 - x)*x\'\'": "1 - x\'/10"}\n')
+    times = np.linspace(0.0, 0.5, 101)
+    states = np.column_stack([times**2 / 4.0, times / 2.0])
+    assert parting(load_model(path), times, 2.0 * states, states) == Parting()
