@@ -68,7 +68,10 @@ def write(folder: Path, plant: Path, rate: float) -> Path:
         made["sensors"][name]["gain"] = gain | {"value": model_files.rounded(gain["value"] * known[name]["gain"])}
     factors = {name: known[name]["gain"] for name in twin.actuators if known[name]["gain"] != 1.0}
     if factors:
-        wires: dict[str, Any] = made.get("allocation") or {name: name for name in twin.base.inputs}
+        if not made.get("actuators"):  # each input is one
+            made["actuators"] = {name: one.model_dump(exclude_defaults=True) for name, one in twin.base.inputs.items()}
+            made["allocation"] = {name: name for name in twin.base.inputs}
+        wires: dict[str, Any] = made["allocation"]
         made["allocation"] = {name: _scaled(str(text), factors) for name, text in wires.items()}
     path = folder / discovery_files.PLANT
     html.write({path: model_files.text(made)})

@@ -17,6 +17,7 @@ from masking.app import cli
 from masking.app.workflows import calibration_excitation, learned_rig, learning_steps
 from masking.app.workflows.learn import JOURNAL, learn
 from masking.app.workflows.rig_settings import RigLearning
+from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, EmergencyStopError, MaskingError, PlantError, PlantLostError, RecordError
 from masking.lab.plants.simulated import SimulatedPlant
@@ -25,8 +26,9 @@ from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.records.stop_switch import Presser, switches
 from masking.lab.runs.experiment import Experiment
+from masking.model.declaration import registry
 from masking.reports import learning_page, model_files
-from tests.benchmarks.learning import CART_RUN, RIGS, same, written
+from tests.benchmarks.learning import CART, CART_RUN, RIGS, same, written
 
 
 def settings(out, **changes):
@@ -122,6 +124,28 @@ def test_a_rig_that_is_killed_goes_on_to_the_same_end(tmp_path):
     assert [row["step"] for row in found.rows] == ["self-test", "rest", "springs", "excitation", "discovery"]
     assert found.rows[-1]["verdict"] == "none"
     assert Twin.load(str(out / "plant.yaml")).values().tolist() == Twin.load(str(plant)).values().tolist()
+
+
+@pytest.mark.parametrize(
+    ("kind", "at", "given"),
+    [
+        ("actuator_gain", "u", {"e": 0.1}),
+        ("sensor_gain", "encoder", {"e": 0.1}),
+        ("sensor_delay", "encoder", {"tau": 3e-3}),
+    ],
+)
+def test_what_was_found_of_instruments_is_what_a_controller_knows_of_them(tmp_path, kind, at, given):
+    found = tmp_path / "found.yaml"
+    found.write_text(
+        json.dumps(CART | {"effects": CART["effects"] | {"e": {"effect": kind, "at": at, "parameters": given}}})
+    )
+    path = learned_rig.write(tmp_path, found, 1000.0)
+    registry.check_plant_file(path)
+    before, after = (Instruments.of(Twin.load(file)) for file in (found, path))
+    assert after.allocation / before.allocation == pytest.approx(1.1 if kind == "actuator_gain" else 1.0)
+    assert after.gains() / before.gains() == pytest.approx(1.1 if kind == "sensor_gain" else 1.0)
+    assert after.delay - before.delay == (3 if kind == "sensor_delay" else 0)
+    assert not [one for one in Twin.load(path).effects if one.kind == kind]
 
 
 class StoppedError(Exception):
