@@ -170,7 +170,7 @@ def holding(folder, **files):
 @pytest.mark.parametrize(
     ("files", "said"),
     [
-        ({}, "is no result; name a folder that holds recording.parquet, discovery.json or fit.json"),
+        ({}, "is no result; name a folder that holds recording.parquet, discovery.json, fit.json or learning.json"),
         ({"discovery": "{}", "fit": "{}"}, "holds several results; name one of them: "),
         ({"fit": "{"}, "fit.json is no JSON: "),
         ({"fit": "[1]"}, "must be an object, not [1]; name a file that this version of masking wrote"),

@@ -15,7 +15,6 @@ from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
-from masking.errors import ModelError
 from masking.inference.discovery import parameter_prior
 from masking.inference.estimation.fit import fit, independent
 from masking.inference.procedures.calibration_findings import NAMES, PERIOD, Calibration, Stage
@@ -92,15 +91,13 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
 
     Raises:
         RecordError: the folder cannot be written, or holds an earlier result.
-        ModelError: the plant file has no limits to stay within.
+        ModelError: the plant file has no limits to stay within, or records are too short.
         PlantError: the plant is lost, refuses, or has other channels.
         MaskingError: a recording was interrupted.
         RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
     """
     seconds, lockstep, progress = settings.seconds, settings.lockstep, settings.progress or (lambda part: None)
-    if seconds < PERIOD:
-        message = f"records of {seconds:g} s are shorter than the excitation's period"
-        raise ModelError(f"{message}; give at least {PERIOD:g} s")
+    calibration_excitation.check_length(seconds)
     with own_folder(settings.out, NUMBERS, overwrite=settings.overwrite):
         twin.validate()
         folder, tell = Path(settings.out), settings.say or (lambda text: None)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +23,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
-from masking.errors import MaskingError, RecordError
+from masking.errors import MaskingError, ModelError, RecordError
 from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
@@ -141,6 +142,13 @@ class Rig:
         ran = run_rig(step, self.plant, settings, samples=len(commands), limits=rules, hooks=hooks)
         self.used += len(ran.index) / self.rate
         return ran
+
+
+def check_length(seconds: float) -> None:
+    """Refuse records that are shorter than a period of the excitation, or never end, with a `ModelError`."""
+    if not PERIOD <= seconds < math.inf:
+        kind = "shorter than the excitation's period" if seconds < PERIOD else "no records"
+        raise ModelError(f"records of {seconds:g} s are {kind}; give at least {PERIOD:g} s")
 
 
 def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Records:

@@ -84,7 +84,7 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
         settings: all but its address and its key.
 
     Raises:
-        ModelError: the plant file has no limits to stay within.
+        ModelError: the plant file has no limits to stay within or no sensors, or records are too short.
         DeclarationError: the experiment does not fit the plant file, or a file is wrong.
         RecordError: the hours are too few for one round, or the folder holds something else or cannot be written.
         PlantError: the self-test refuses the rig, or it is not reached, refuses, or has other channels.
@@ -111,10 +111,9 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
                 "others, or one of both is a twin; name another folder with --out"
             )
         patience = learning_steps.PATIENCE if journal.entries else 0.0
-        if not journal.entries:
-            journal.add(event="learn", plan=known, name=twin.declaration.name)
+        first = {"plan": known, "name": twin.declaration.name}
         made = learning_steps.Learner(
-            plant, rig, settings, folder, journal, driven, operator, experiment, costs, patience
+            plant, rig, settings, folder, journal, first, driven, operator, experiment, costs, patience
         )
         for number, row in enumerate(made.rows, 2):
             foreign_json.check(row, learning_steps.Entry, f"entry {number} of the journal")

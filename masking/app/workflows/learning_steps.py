@@ -34,7 +34,7 @@ from masking.errors import (
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
-from masking.inference.procedures.calibration_findings import PERIOD, reached
+from masking.inference.procedures.calibration_findings import reached
 from masking.inference.procedures.channels import Source
 from masking.inference.procedures.measurement import springs
 from masking.lab import signals
@@ -67,15 +67,13 @@ T = TypeVar("T")
 def costs(twin: Twin, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
     """Seconds of the rig that each step takes; a RecordError where there are too few for one round.
 
-    A DeclarationError where the tolerance is none.
+    A ModelError where records are too short, and a DeclarationError where the tolerance is none.
     """
     run, one = 0.0, settings.seconds + excitation.REST
     if experiment:
         run = experiment.sampled.before / experiment.sampled.rate
         run += experiment.declaration.duration * experiment.time_scale
-    if not PERIOD <= settings.seconds < np.inf:
-        length = "too short" if settings.seconds < PERIOD else "no records"
-        raise RecordError(f"records of {settings.seconds:g} s are {length}; give at least {PERIOD:g} s")
+    excitation.check_length(settings.seconds)
     DiscoverySettings(tolerance=settings.tolerance)
     each = len(twin.actuators)
     once = {"self-test": _PULSES * each, "rest": _REST, "springs": (_RAMP + excitation.REST) * each}
@@ -109,6 +107,7 @@ class Learner:
     settings: RigLearning
     folder: Path
     journal: Journal
+    first: Mapping[str, Any]  # entry of the journal, which it begins with once a step is done
     rig: excitation.Rig
     operator: Operator
     experiment: Experiment | None
@@ -150,6 +149,8 @@ class Learner:
                 written = self.folder / row["plant"] if "plant" in row else Path(self.current)
                 learned_rig.write(self.folder, written, self.rig.rate)
                 row["next"] = "after" if self.experiment else ""
+            if not self.journal.entries:
+                self.journal.add(event="learn", **self.first)
             self.journal.add(event="end", step=name, **row)
             self.rig.say(f"{name}: {learning_page.said(row)}")
             name = row["next"]

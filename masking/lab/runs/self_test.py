@@ -22,7 +22,7 @@ from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result
 from masking.display.printed_result import Printed
-from masking.errors import MaskingError, PlantError, PlantMismatchError
+from masking.errors import MaskingError, ModelError, PlantError, PlantMismatchError
 from masking.lab.plants.interface import Plant, Settings
 from masking.lab.plants.safety_chain import Rules, Trip
 from masking.lab.plants.simulated import SimulatedPlant
@@ -112,11 +112,14 @@ def self_test(
     the largest command. `acknowledge` says that somebody has looked at why the plant tripped in the last run;
     `look` is called with the safety chain, which it may stop, and the tick of each sample.
 
-    A ModelError where an actuator has no largest command, a PlantMismatchError where the plant has other channels or
-    the size is none, a PlantError where it is lost or refuses, and a MaskingError where the test was interrupted.
+    A ModelError where an actuator has no largest command, or there is no sensor, a PlantMismatchError where the plant
+    has other channels or the size is none, a PlantError where it is lost or refuses, and a MaskingError where the test
+    was interrupted.
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
+    if not twin.sensors:
+        raise ModelError(f"{twin.declaration.name}: no sensor shows what an actuator does; declare some under sensors")
     rules = safety_limits.rules(Instruments.of(twin), rate, twin)
     held = replace(safety_limits.without_model(rules), commands=rules.commands.copy())  # answers are compared here
     held.commands[:, LARGEST] *= size

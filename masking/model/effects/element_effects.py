@@ -232,7 +232,7 @@ ELEMENTS: tuple[Effect, ...] = (
             "zeta": EffectParameter("1", "its damping ratio", (0.0, 1.0), 0.02, None, NOT_NEGATIVE),
         },
         cause="a cable, a bracket or a sensor that sways, a floor or a table that yields, a liquid that sloshes",
-        remedy="clamp it",
+        remedy="clamp what sways",
         source="Den Hartog (1985), Mechanical Vibrations, section 3.2",
         states={
             "z": EffectState("w - d_rate", "D", "stretch of its spring", "1e3"),
@@ -413,7 +413,7 @@ ELEMENTS: tuple[Effect, ...] = (
             "r": EffectParameter("D", "displacement per radian", (1e-4, 1.0), 1e-2, None, POSITIVE, _TURNS),
         },
         cause="a mass off the axis, magnets that cog, a thread that runs out",
-        remedy="balance it",
+        remedy="balance what turns",
         source="Rijlaarsdam (2008), (8.4): nu^2 sin(theta)",
         nested=("hardening_spring",),
     ),

@@ -295,3 +295,6 @@ def test_records_shorter_than_a_period_are_refused(tmp_path):
     twin = Twin.load("linear_rig")
     with pytest.raises(ModelError, match="records of 5 s are shorter than the excitation's period; give at least 20 s"):
         calibrate(twin, SimulatedPlant(twin), settings(tmp_path / "out", seconds=5.0))
+    for length in (float("nan"), float("inf")):
+        with pytest.raises(ModelError, match="are no records; give at least 20 s"):
+            calibrate(twin, SimulatedPlant(twin), settings(tmp_path / "out", seconds=length))

@@ -19,7 +19,15 @@ from masking.app.workflows.learn import JOURNAL, learn
 from masking.app.workflows.rig_settings import RigLearning
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
-from masking.errors import DeclarationError, EmergencyStopError, MaskingError, PlantError, PlantLostError, RecordError
+from masking.errors import (
+    DeclarationError,
+    EmergencyStopError,
+    MaskingError,
+    ModelError,
+    PlantError,
+    PlantLostError,
+    RecordError,
+)
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.journal import Journal
@@ -273,9 +281,9 @@ def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
         RecordError, r"0\.01 h are too few for one round, which takes 131 s of the rig: give --hours 0\.04", hours=0.01
     )
     refused(RecordError, "nan h are too few for one round", hours=float("nan"))
-    refused(RecordError, "records of 5 s are too short; give at least 20 s", seconds=5.0)
-    refused(RecordError, "records of nan s are no records; give at least 20 s", seconds=float("nan"))
-    refused(RecordError, "records of inf s are no records", seconds=float("inf"), hours=float("inf"))
+    refused(ModelError, "records of 5 s are shorter than the excitation's period; give at least 20 s", seconds=5.0)
+    refused(ModelError, "records of nan s are no records; give at least 20 s", seconds=float("nan"))
+    refused(ModelError, "records of inf s are no records", seconds=float("inf"), hours=float("inf"))
     refused(DeclarationError, "the tolerance is nan; give a part between 0 and 1", tolerance=float("nan"))
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "plant.yaml").write_text("mine")
@@ -293,10 +301,15 @@ def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
         learn(str(plant), lambda: Odd(Twin.load(str(plant)), deaf=True), settings(out))
     with pytest.raises(PlantLostError, match="no plant answers at udp"):
         learn(str(plant), lambda: UdpPlant("udp://127.0.0.1:9", patience=0.2), settings(tmp_path / "far"))
+    assert (out / JOURNAL).read_bytes() == b""  # once the plant file is corrected, the same command does
+    unread = tmp_path / "unread.yaml"
+    unread.write_text(json.dumps({name: x for name, x in CART.items() if name not in {"sensors", "effects"}}))
+    with pytest.raises(ModelError, match="cart: no sensor shows what an actuator does"):
+        learn(str(unread), partial(SimulatedPlant, Twin.load(unread)), settings(out))
+    with Journal(out / JOURNAL) as journal:
+        journal.add(event="learn", plan="another")
     with pytest.raises(RecordError, match="holds what another rig has learned"):
         learn(str(plant), rig, settings(out, experiment=str(experiment)))
-    with pytest.raises(RecordError, match="or one of both is a twin"):
-        learn(str(plant), rig, settings(out, at="udp://127.0.0.1:9"))
 
 
 class Pressed(SimulatedPlant):
@@ -326,6 +339,12 @@ def test_a_person_who_stops_it_ends_it_in_the_next_step(tmp_path):
     ended("self-test refuses .*ESTOP: .* pressed from the command line", pressed="self-test")
     ended("recording was tripped .*ESTOP", pressed="rest")
     ended("stopped by a person", pressed="before")
+    with pytest.raises(RecordError, match="or one of both is a twin"):
+        learn(
+            str(plant),
+            partial(SimulatedPlant, twin),
+            settings(tmp_path / "out", experiment=str(experiment), at="udp://127.0.0.1:9"),
+        )
     made.clear()
     ended("stopped by a person", kind=Pressed)
     assert len(made) == 2  # one to be excited, and one for a run, which is not tried again
