@@ -237,6 +237,8 @@ class Learner:
         for _ in range(_TRIES):
             try:
                 found = self._reached(partial(outcome, wanted, self.make, self.operator))
+            except (PlantLostError, PlantRefusedError):  # nothing is known of the run: it is made by the next start
+                raise
             except (PlantError, SingularityError, IntegrationError) as error:
                 found = {"end": FAILED, "why": str(error)}
             self.rig.used += self.costs["after"]

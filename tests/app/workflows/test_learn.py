@@ -319,7 +319,7 @@ class Pressed(SimulatedPlant):
         raise EmergencyStopError("the emergency stop of the rig is pressed")
 
 
-def test_a_person_who_stops_it_ends_it_in_the_next_step(tmp_path):
+def test_a_person_who_stops_it_ends_it_in_the_next_step_and_so_does_a_plant_that_stays_away(tmp_path, monkeypatch):
     plant, _, experiment = written(RIGS["nothing"], tmp_path)
     twin, made = Twin.load(str(plant)), []
 
@@ -348,4 +348,6 @@ def test_a_person_who_stops_it_ends_it_in_the_next_step(tmp_path):
     made.clear()
     ended("stopped by a person", kind=Pressed)
     assert len(made) == 2  # one to be excited, and one for a run, which is not tried again
+    monkeypatch.setattr(learning_steps, "PATIENCE", 0.1)
+    ended("no plant answers at udp", kind=lambda _: UdpPlant("udp://127.0.0.1:9", patience=0.2))
     assert [row["next"] for row in rows(tmp_path / "out")][-1] == "before"
