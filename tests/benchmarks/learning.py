@@ -167,7 +167,7 @@ def learned(command: Sequence[str], kills: int, generator: random.Random) -> tup
                 process.wait(generator.uniform(4.0, 25.0) if made < kills else None)
             except subprocess.TimeoutExpired:
                 process.kill()
-                made += 1
+                command, made = [*command, "--acknowledge"], made + 1
                 continue
             assert process.returncode == 0, f"exit status {process.returncode}: {' '.join(command)}"
             return made, time.monotonic() - began

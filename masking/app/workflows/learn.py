@@ -95,7 +95,9 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
     experiment = None if settings.experiment is None else _experiment(settings.experiment, plant)
     costs = learning_steps.costs(twin, experiment, settings)
     rate, say = experiment.sampled.rate if experiment else excitation.RATE, settings.say or (lambda text: None)
-    driven = excitation.Rig(twin, rig(), rate, settings.lockstep, say, acknowledge=True, retries=RETRIES)
+    driven = excitation.Rig(
+        twin, rig(), rate, settings.lockstep, say, acknowledge=settings.acknowledge, retries=RETRIES
+    )
     known = _identity(twin, experiment, settings)
     with OwnedFolder(folder), contextlib.ExitStack() as way_out:
         if not (folder / JOURNAL).exists():
@@ -105,6 +107,7 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
         journal, operator = way_out.enter_context(Journal(folder / JOURNAL)), way_out.enter_context(Operator())
         operator.switch.publish(name="learning", plant=twin.declaration.name, since=time.time())
         driven.look = operator.look
+        driven.acknowledge |= bool(journal.entries)  # that of a trip after the first step
         if journal.entries and journal.entries[0].get("plan") != known:
             raise RecordError(
                 f"{folder} holds what another rig has learned: the plant file, the experiment or the settings are "

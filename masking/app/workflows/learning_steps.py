@@ -179,9 +179,8 @@ class Learner:
         del place
         size, rig = SIZE, self.rig
         while True:
-            test = partial(
-                self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, acknowledge=True, look=rig.look
-            )
+            test = partial(self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, look=rig.look)
+            test = partial(test, acknowledge=rig.acknowledge)
             found = self._reached(test)
             rig.used += self.costs["self-test"]
             clear = {one.actuator for one in found.answers if one.is_clear}

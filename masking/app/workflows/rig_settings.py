@@ -122,6 +122,7 @@ class RigLearning:
         seconds: length of each record.
         tolerance: relative standard deviation of a parameter that declares none, before anything is recorded.
         lockstep: each side waits for the other; no clock.
+        acknowledge: why the plant tripped before was looked at; a first start is refused without.
         out: folder of the records and of the result; one that holds the same, not yet finished, is gone on with.
         say: called with a sentence for each step.
         tell: called with the step under way, and the fraction done.
@@ -134,6 +135,7 @@ class RigLearning:
     seconds: float = 2.0 * PERIOD
     tolerance: float = TOLERANCE
     lockstep: bool = False
+    acknowledge: bool = False
     out: str | Path
     say: Callable[[str], None] | None = None
     tell: Tell | None = None
