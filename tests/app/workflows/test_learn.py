@@ -26,6 +26,7 @@ from masking.errors import (
     ModelError,
     PlantError,
     PlantLostError,
+    PlantRefusedError,
     RecordError,
 )
 from masking.lab.plants.simulated import SimulatedPlant
@@ -266,6 +267,24 @@ def test_a_trip_by_chance_does_not_end_it(tmp_path):
     )
     with pytest.raises(MaskingError, match="SENSOR_NONFINITE"):
         rig.record(np.zeros((1000, 1)), {})
+
+
+class Tripped(SimulatedPlant):
+    """A twin that has tripped in a session before."""
+
+    def configure(self, settings):
+        if not settings.acknowledge:
+            raise PlantRefusedError("the plant tripped in its last session; start once with --acknowledge")
+        return super().configure(settings)
+
+
+def test_a_trip_from_before_is_acknowledged_by_a_person_alone(tmp_path, scripted):
+    plant, _, _ = written(RIGS["nothing"], tmp_path)
+    rig, out = partial(Tripped, Twin.load(str(plant))), tmp_path / "out"
+    with pytest.raises(PlantRefusedError, match="--acknowledge"):
+        learn(str(plant), rig, settings(out))
+    found = learn(str(plant), rig, settings(out, hours=0.0415, acknowledge=True))
+    assert found.rows[0]["step"] == "self-test"
 
 
 def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
