@@ -44,7 +44,7 @@ def with_spring() -> Twin:
 
 
 def discovered() -> Discovery:
-    """Return what the linear model with the measured spring lacks."""
+    """Return what the linear model with the measured spring does not explain."""
     return discover(with_spring(), record(), None, DiscoverySettings(parameters=FREE))
 
 

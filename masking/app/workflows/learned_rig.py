@@ -43,11 +43,8 @@ def write(folder: Path, plant: Path, rate: float) -> Path:
 
     Gains are those of sensors and actuators, and a dead time that all of them have is one of whole samples in the loop.
     """
-    twin = Twin.load(str(plant))
-    found, known = (
-        list[PlacedEffect](),
-        {name: {"gain": 1.0, "delay": 0.0} for name in (*twin.sensors, *twin.actuators)},
-    )
+    twin, found = Twin.load(str(plant)), list[PlacedEffect]()
+    known = {name: {"gain": 1.0, "delay": 0.0} for name in (*twin.sensors, *twin.actuators)}
     for one in twin.effects if plant.is_relative_to(folder) else ():
         if one.kind in _GAINS and one.enabled:
             found.append(one)

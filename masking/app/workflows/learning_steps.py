@@ -179,9 +179,12 @@ class Learner:
         del place
         size, rig = SIZE, self.rig
         while True:
-            test = partial(self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, look=rig.look)
-            test = partial(test, acknowledge=rig.acknowledge)
-            found = self._reached(test)
+            found = self._reached(
+                partial(
+                    self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, acknowledge=rig.acknowledge,
+                    look=rig.look,
+                )
+            )  # fmt: skip
             rig.used += self.costs["self-test"]
             clear = {one.actuator for one in found.answers if one.is_clear}
             if len(clear) == len(rig.twin.actuators) or size >= _LARGEST or not found.answers:

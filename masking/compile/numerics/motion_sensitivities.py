@@ -35,7 +35,7 @@ from masking.compile.numerics.arrays import Kernel, Matrix, Vector
 from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
-from masking.compile.numerics.runge_kutta import OF_STATE, classical_step, held_late
+from masking.compile.numerics.runge_kutta import OF_STATE, classical_step, held_late, part_at
 from masking.compile.numerics.vectors import add_products, cleared
 
 # Of a record whose normal equations are summed up, for n states, `sensors`, `channels` and columns, in work space that
@@ -215,7 +215,7 @@ def driven_step(flow: Kernel) -> Kernel:
     def slope(t, stage, y, drives, moving, rate):
         begin, end, now = drives
         given, stages, work = moving
-        c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        c = part_at(stage)
         for i in range(now.size):
             now[i] = begin[i] + c * (end[i] - begin[i])
         of_stage = slice(stage * y.size, (stage + 1) * y.size)

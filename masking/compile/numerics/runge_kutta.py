@@ -281,6 +281,12 @@ def embedded_steps(
     return solve
 
 
+@inlined
+def part_at(stage):
+    """Part of a step of the classical Runge-Kutta method at which a stage is, 0 to 3."""
+    return 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+
+
 def classical_step(slope: Kernel, size: int) -> Kernel:
     """Make one step of the classical Runge-Kutta method.
 
@@ -298,7 +304,7 @@ def classical_step(slope: Kernel, size: int) -> Kernel:
     def advance(t, y, u, p, h, k, state):
         n = y.size if size == OF_STATE else size
         for stage in range(4):
-            c = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+            c = part_at(stage)
             for i in range(n):
                 state[i] = y[i] + (c * h * k[stage - 1, i] if stage > 0 else 0.0)
             slope(t + c * h, stage, state, u, p, k[stage])

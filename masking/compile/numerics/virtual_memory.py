@@ -18,7 +18,7 @@ from masking.compile.numerics.arrays import Kernel, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.compile.numerics.events import jumps
-from masking.compile.numerics.runge_kutta import classical_step, copy
+from masking.compile.numerics.runge_kutta import classical_step, copy, part_at
 
 EVENTS = 8  # in one of these
 HALVINGS = 16  # of one of these, to find an event
@@ -119,7 +119,7 @@ def follow_memory(remember: Kernel, recall: Kernel, conditions: Kernel, sizes: S
     def slope(t, stage, z, motion, piece, dz):
         y = piece.y
         if stage != 2:  # which is where the stage before is
-            place(motion, piece.x + (0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)) * piece.part, y)
+            place(motion, piece.x + part_at(stage) * piece.part, y)
             recall(t, y, piece.past)
         for i in range(first, last):
             y[i] = z[i - first]

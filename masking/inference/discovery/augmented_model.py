@@ -447,10 +447,8 @@ class AugmentedModel:
         law = self.laws[name].reduced(given)
         if not law.states:
             return laws.along(law, course, dt, given, [list(given)[i] for i in by])
-        features, values = (
-            np.empty((len(course.x), 1 + len(by))),
-            np.array([*given.values(), *np.zeros(MOST_PARAMETERS)]),
-        )
+        features = np.empty((len(course.x), 1 + len(by)))
+        values = np.array([*given.values(), *np.zeros(MOST_PARAMETERS)])
         parameters = np.array([*by, 0], dtype=np.int64)  # of none, nothing is read
         span, number = Pieces(len(course.x), dt, laws.pieces(*course, dt)), list(self._with_states).index(name)
         self.kernels.along(span, number, course, parameters, values, features)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -185,9 +185,11 @@ def budget(experiment: Experiment, progress: Progress | None = None) -> Budget:
     whole, run_as_it_is = row(NOTHING, (), ())
     known = bench.known(found, run_as_it_is) if run_as_it_is else frozenset()
     rows, felt = list[Row](), set[str]()
+    is_pushed = any(source.is_live for source in experiment.declaration.inputs.values())
+    motion = bench.wanted(run_as_it_is) if is_pushed and run_as_it_is else None
     for cause, effects in found.items():
         made, run = row(cause, [cause], effects, _KNOWN_NOTE if cause in known else "")
-        if run is not None and run_as_it_is is not None and bench.is_felt(run_as_it_is, run):
+        if run is not None and motion is not None and bench.is_felt(motion, run):
             felt.add(cause)
             continue
         is_worse = not made.note and made.rms * _WORTH > whole.rms
@@ -284,13 +286,18 @@ class _Bench:
         chi = {name: value if math.isfinite(value) else math.inf for name, value in found.items()}
         return Row(cause, effects, chi, note=note), run
 
-    def is_felt(self, whole: TwinRun, without: TwinRun) -> bool:
-        """Whether a cause moves the virtual system itself: a push that is felt is no error, but its excitation."""
-        if not any(source.is_live for source in self.experiment.declaration.inputs.values()):
-            return False
-        names = [f"ideal.{name}" for name in self.experiment.virtual.coordinates]
-        whole_columns, columns = (self.experiment.columns(run)[0].columns for run in (whole, without))
-        return max(masking_error(columns[name], whole_columns[name]) for name in names) > _FELT
+    def wanted(self, run: TwinRun) -> list[Array]:
+        """Wanted motion beside a run, a series for each virtual coordinate."""
+        columns = self.experiment.columns(run)[0].columns
+        return [columns[f"ideal.{name}"] for name in self.experiment.virtual.coordinates]
+
+    def is_felt(self, motion: Sequence[Array], without: TwinRun) -> bool:
+        """Whether a cause moves the virtual system itself: a push that is felt is no error, but its excitation.
+
+        `motion` is the one that is wanted with the cause, `without` the run without it.
+        """
+        pairs = zip(self.wanted(without), motion, strict=True)
+        return max(masking_error(other, own) for other, own in pairs) > _FELT
 
     def remedied(self, row: Row, whole: Row, known: bool, tried: dict[str, Row]) -> Row:
         """Row with the first change that brings the error down, as a run shows, or else with what helps on the rig.
