@@ -14,6 +14,7 @@ from masking.compile.numerics.newton import STEP, equilibrium, jacobian
 from masking.control.input_curves import Branch, InputCurves
 from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.control.rig.allocation import allocation
+from masking.control.rig.sensor_errors import SensorError
 from masking.control.rig.twin import Twin
 from masking.errors import ActuationError, ModelError, RootError
 from masking.model.declaration import schema
@@ -34,6 +35,7 @@ class Instruments:
     # slope (k, n) of what the controller drives by the coordinates at rest; by default it drives each
     driven: Array | None = None
     per_unit: Array | float = 1.0  # input per unit of what it does (m,)
+    errors: tuple[SensorError, ...] = ()  # of sensors that are known, in the order in which a reading passes them
 
     def __post_init__(self) -> None:
         wrapping = [name for name, sensor in self.plant.sensors.items() if sensor.wraps]
@@ -185,10 +187,9 @@ class Instruments:
         found = np.empty((len(self.sensors), len(names)))
         place = dict(zip(names, [*self.model.first_place, *np.zeros(len(self.model.coordinates))], strict=True))
         values = self.model.parameter_values() | place
-        for k, (sensor, gain) in enumerate(zip(self.plant.sensors.values(), self.gains(), strict=True)):
-            for i, (name, step) in enumerate(zip(names, steps, strict=True)):
-                up, down = (self.measured(sensor, values | {name: place[name] + by}) for by in (step, -step))
-                found[k, i] = gain * (up - down) / (2.0 * step)
+        for i, (name, step) in enumerate(zip(names, steps, strict=True)):
+            up, down = (self._readings(values | {name: place[name] + by}) for by in (step, -step))
+            found[:, i] = (up - down) / (2.0 * step)
         return found
 
     def positions(self, readings: Array, near: Array | None = None) -> Array:
@@ -206,8 +207,14 @@ class Instruments:
         """Readings (sensors,) of a rig at rest at coordinates (n,)."""
         names = self.model.coordinates
         at = self.model.parameter_values() | {f"{c}'": 0.0 for c in names} | dict(zip(names, q, strict=True))
+        return self._readings(at)
+
+    def _readings(self, values: Mapping[str, float]) -> Array:
         pairs = zip(self.gains(), self.plant.sensors.values(), strict=True)
-        return np.array([gain * self.measured(sensor, at) for gain, sensor in pairs])
+        found = {name: gain * self.measured(s, values) for name, (gain, s) in zip(self.sensors, pairs, strict=True)}
+        for error in self.errors:
+            found[error.sensor] = error.reading(found[error.sensor])
+        return np.array(list(found.values()))
 
     def measured(self, sensor: Sensor, values: Mapping[str, float]) -> float:
         """Measured value of a rig at rest, in SI units; outputs are those without further forces."""

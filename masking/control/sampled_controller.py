@@ -28,6 +28,7 @@ from masking.control.homing import Homing
 from masking.control.known_instruments import Instruments
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols
 from masking.control.observer import SLOWEST, Differences, Observer, Plan, WholePlan, check_told
+from masking.control.rig.sensor_errors import known_readings
 from masking.control.transform import dot
 from masking.control.virtual_inputs import NOTHING, Feed
 from masking.errors import ModelError
@@ -169,6 +170,12 @@ class SampledController:
         Those count where the noise is measured at rest. A ModelError where it is faster than the sampling allows, or
         the noise or a limit is not known.
         """
+        if self.instruments.errors and not self.has_model:
+            raise ModelError(
+                f"controller.effects: differences of positions undo no errors of sensors ("
+                f"{', '.join(e.entry.name for e in self.instruments.errors)}); take 'observer: disturbance', or leave "
+                "them out"
+            )
         offset = self.sizes.states - 2 * self.sizes.coordinates
         found = [self.observer.gain(self.plan, offset)]
         with contextlib.suppress(ModelError):  # too much noise for any observer
@@ -260,19 +267,23 @@ class SampledController:
         parts = [self.controller.values(), known.gains(), known.allocation_inverse.ravel(), known.allocation.ravel()]
         if self.homing:
             parts += [self.end if start is None else start, self.end, np.array([self.homing])]
+        if known.errors:
+            parts += [*(np.array(error.values) for error in known.errors), np.array([-self.before / self.rate])]
         return np.concatenate([*parts, self.feed.tail()])
 
     def structure(self) -> dict[str, object]:
         """All that the compiled step depends on, apart from values."""
+        known = self.instruments
         return {
             "controller": self.controller.structure(),
-            "sensors": [s.measures.text for s in self.instruments.plant.sensors.values()],
-            "actuators": list(self.instruments.actuators),
+            "sensors": [s.measures.text for s in known.plant.sensors.values()],
+            "actuators": list(known.actuators),
             "has_model": self.has_model,
             "order": self.observer.order,
             "homing": bool(self.homing),
             "rest": bool(self.rest),
             **({"feed": self.feed.structure()} if self.feed else {}),
+            **({"errors": [[e.sensor, e.entry.structure()] for e in errors]} if (errors := known.errors) else {}),
             "kept": self._kept,
             "memory_steps": self._memory_steps,
             "estimates_forces": self._estimates_forces,
@@ -358,7 +369,7 @@ class SampledController:
         expected, noise = self.instruments.readings(q), self.plan.noise
         weights = np.divide(1.0, noise**2, out=np.zeros_like(noise), where=noise > 0.0)
         begun = (expected, weights, *np.zeros((2, len(expected))), -np.ones(len(expected)))
-        return np.concatenate([[-self.homing, part], np.ravel(begun, order="F")])
+        return np.concatenate([[-self.homing, part, -self.before / self.rate], np.ravel(begun, order="F")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,7 +437,10 @@ class _Lowered:
         for symbol, more in zip(s.a, unmodelled, strict=False):  # accelerometers feel what the model lacks
             model.symbols[symbol] = self.graph.add(model.symbols[symbol], more)
         measured = [model.lower(equations.measured(x.measures)) for x in instruments.plant.sensors.values()]
-        self.readings = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
+        true = [self.graph.mul(g, m) for g, m in zip(gains, measured, strict=True)]
+        self.readings = known_readings(
+            instruments.errors, self.graph, dict(zip(instruments.sensors, true, strict=True)), self._parameters, time
+        )
         acting = controller.curves.solved(self.graph, at, u, p.branches)
         self.commands = [dot(self.graph, row, acting) for row in allocation]
         self.inputs = controller.curves.forces(self.graph, at, [dot(self.graph, row, out) for row in wires])

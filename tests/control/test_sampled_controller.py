@@ -583,17 +583,20 @@ def test_a_moving_initial_state_is_refused_where_readings_are_all_that_is_known(
 
 
 @pytest.mark.parametrize(("times", "level"), [(0.5, 0), (1.0, 0), (1.9, 1), (8.0, 3), (1000.0, 6)])
-def test_noise_and_offset_are_measured_at_rest(times, level):
-    """Of 4000 readings that are drawn, with seven levels of noise, each twice the one before."""
+@pytest.mark.parametrize("drift", [0.0, 0.3])
+def test_noise_and_offset_are_measured_at_rest(times, level, drift):
+    """Of 4000 readings that are drawn, with seven levels of noise, each twice the one before, and a known drift."""
     kernel = called(sampling.stand_still(Sizes(1, 2, 1, 1, 2, offsets=2)))
     deviation, expected = np.array([0.01, 2.0]), np.array([1.0, -3.0])
     readings = np.random.default_rng(0).normal([1.2, 7.0], deviation * [times, 0.5], (4000, 2))
-    standing = np.concatenate([[4.0, 0.002], *([e, d**-2, 0, 0, -1] for e, d in zip(expected, deviation, strict=True))])
+    sensors = ([e, d**-2, 0, 0, -1] for e, d in zip(expected, deviation, strict=True))
+    standing = np.concatenate([[4.0, 0.002, 0.0], *sensors])
     for i, reading in enumerate(readings):
-        seen = expected.copy()
-        found = kernel(1e-3 * i, reading, standing, seen, 7)
+        shift = drift * np.array([1e-3 * i, 0.0])
+        seen = expected + shift
+        found = kernel(1e-3 * i, reading + shift, standing, seen, expected, 7)
     assert found == level
-    np.testing.assert_allclose(standing[4::5], [0.2, 10.0], atol=0.1 * max(0.01 * times, 1.0))
-    np.testing.assert_allclose(standing[6::5], [times**2, 0.25], rtol=0.2)
-    np.testing.assert_allclose(seen, expected + standing[4::5])
-    assert kernel(5.0, readings[0] + 99.0, standing, expected.copy(), 7) == level, "measured at rest alone"
+    np.testing.assert_allclose(standing[5::5], [0.2, 10.0], atol=0.1 * max(0.01 * times, 1.0))
+    np.testing.assert_allclose(standing[7::5], [times**2, 0.25], rtol=0.2)
+    np.testing.assert_allclose(seen, expected + shift + standing[5::5])
+    assert kernel(5.0, readings[0] + 99.0, standing, expected.copy(), expected, 7) == level, "measured at rest alone"

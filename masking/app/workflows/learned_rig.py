@@ -86,7 +86,10 @@ def _scaled(text: str, factors: dict[str, float]) -> str:
 
 
 def refined(experiment: Experiment, folder: Path) -> Experiment:
-    """Experiment on the plant file in a folder, whose model its controller has."""
+    """Experiment on the plant file in a folder, whose controller has its model and the errors of its sensors."""
     made = Experiment(registry.assemble(experiment.declaration, str(folder / discovery_files.PLANT)))
     settings = made.declaration.controller.model_dump(mode="json", exclude_defaults=True)
-    return made.changed(controller={name: x for name, x in settings.items() if name not in {"model", "parameters"}})
+    kept = {name: x for name, x in settings.items() if name not in {"model", "parameters"}}
+    wrong = [e for e in made.twin.effects if e.entry.where == "sensor" and e.entry.is_held_by_controller and e.enabled]
+    known = {e.path.removeprefix("effects."): True for e in wrong}
+    return made.changed(controller={**kept, "effects": {**kept.get("effects", {}), **known}} if known else kept)

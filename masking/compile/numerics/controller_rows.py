@@ -10,6 +10,7 @@ EARLY, MIDDLE, LATE, EARLY_PART, MIDDLE_PART, LATE_PART, DESIRED = range(5, 12)
 AHEAD, INPUTS, SLOPES, STAGE, EXPECTED = 12, 13, 14, 18, 19
 # Between steps: rates at the middle of a sample, those without inputs and by others, and the state that is wanted.
 MIDDLE_RATES, FREE_RATES, PUSHED, SMOOTH = *range(SLOPES, SLOPES + 3), STAGE
+AT_FIRST = SLOPES  # before a step: readings of the estimate at the time of the first reading
 SENSED, DEMANDED, APPLIED = range(20, 23)  # of the rig
 # Rates of the state at the beginning and the end of a sample; the balance's motion and its momentum.
 EARLY_RATES, LATE_RATES, BALANCED, MOMENTUM = range(23, 27)

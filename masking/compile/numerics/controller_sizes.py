@@ -71,7 +71,7 @@ class Sizes:
     @property
     def rest(self) -> slice:
         """Where what is measured at rest is, as `sampled_loop.stand_still` says."""
-        return slice(self.balance.stop, self.balance.stop + (5 * self.offsets + 2 if self.offsets else 0))
+        return slice(self.balance.stop, self.balance.stop + (5 * self.offsets + 3 if self.offsets else 0))
 
     @property
     def past(self) -> slice:

@@ -152,24 +152,26 @@ def observe_past(follow: Kernel, notice: Kernel, recall: Kernel, sizes: Sizes) -
 
 
 def stand_still(sizes: Sizes) -> Kernel:
-    """Make `stand(t, s, standing, expected, levels) -> level`, what is measured of the sensors at rest before homing.
+    """Make `stand(t, s, standing, expected, first, levels) -> level`, what is measured of the sensors at rest.
 
-    Their offsets follow what they read beyond the model's rest position, their noise the differences of readings. The
-    level says how many times it is that for which the observer is designed, as a power of 2 below `levels`. `standing`
-    holds the time at which the rest ends, the part of a difference that a sample corrects, and of each sensor the
-    reading at rest without offset, the inverse of its variance, the offset, the last reading, and the variance in parts
-    of the one that was expected, which is negative before the first reading.
+    Before homing, their offsets follow what they read beyond the model's rest position, their noise the differences of
+    readings. Where the same place would have given `first` at the first reading, a known drift is no offset. The level
+    says how many times the noise is that for which the observer is designed, as a power of 2 below `levels`. `standing`
+    holds the time at which the rest ends, the part of a difference that a sample corrects, the time of the first
+    reading, and of each sensor the reading at rest without offset, the inverse of its variance, the offset, the last
+    reading, and the variance in parts of the one that was expected, which is negative before the first reading.
     """
     count, louder = sizes.offsets, LOUDER**2
 
     @compiled
-    def stand(t, s, standing, expected, levels):
+    def stand(t, s, standing, expected, first, levels):
         level, loudest = 0, 0.0
         for j in range(count):
-            k = 2 + 5 * j
+            k = 3 + 5 * j
             if t < standing[0]:
                 step = s[j] - standing[k + 3]
-                standing[k + 2] += standing[1] * (s[j] - standing[k] - standing[k + 2])
+                still = standing[k] + expected[j] - first[j]
+                standing[k + 2] += standing[1] * (s[j] - still - standing[k + 2])
                 if standing[k + 4] < 0.0:
                     standing[k + 4] = 0.0
                 else:
@@ -223,7 +225,9 @@ def control_with_model(parts: Parts, sizes: Sizes) -> Kernel:
         ahead, u, expected = work[rows.AHEAD], work[rows.INPUTS][:m], work[rows.EXPECTED]
         acts, standing, past = t + delay * h, x[rest.start : rest.stop], x[then.start : then.stop]
         measure(t, z, p, expected)
-        first = length * stand(t, s, standing, expected, gain.shape[0] // length)
+        if offsets > 0 and t < standing[0]:
+            measure(standing[2], z, p, work[rows.AT_FIRST])
+        first = length * stand(t, s, standing, expected, work[rows.AT_FIRST], gain.shape[0] // length)
         for i in range(length):
             for j in range(s.size):
                 z[i] += gain[first + i, j] * (s[j] - expected[j])

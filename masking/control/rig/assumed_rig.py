@@ -20,8 +20,8 @@ def assumed(twin: Twin, experiment: schema.ExperimentDeclaration) -> Twin:
     """
     named, uses = experiment.controller.effects, twin.declaration.effects
     entries = {name: twin.dictionary[use.effect] for name, use in uses.items()}
-    allowed = [name for name, entry in entries.items() if entry.is_known_to_controller or entry.where == "element"]
-    remedy = f"allowed: {', '.join(allowed) or 'none'}; errors of sensors and actuators are corrected in the plant file"
+    allowed = [name for name, entry in entries.items() if entry.is_known_to_controller or entry.is_held_by_controller]
+    remedy = f"allowed: {', '.join(allowed) or 'none'}; others of sensors and actuators are corrected in the plant file"
     problems = []
     for name in named.keys() - set(allowed):
         path, message = f"controller.effects.{name}", f"a controller is not designed with {uses[name].effect}"
@@ -31,10 +31,10 @@ def assumed(twin: Twin, experiment: schema.ExperimentDeclaration) -> Twin:
     return twin.changed({**experiment.effects, **named})
 
 
-def held(twin: Twin, experiment: schema.ExperimentDeclaration) -> list[PlacedEffect]:
-    """Effects in the elements of an assumed rig that `controller.effects` puts into the controller's model."""
+def held(twin: Twin, experiment: schema.ExperimentDeclaration, where: str = "element") -> list[PlacedEffect]:
+    """Effects at one kind of place of an assumed rig that `controller.effects` gives the controller."""
     named = {f"effects.{name}" for name in experiment.controller.effects}
-    return [e for e in twin.effects if e.path in named and e.entry.where == "element" and e.enabled]
+    return [e for e in twin.effects if e.path in named and e.entry.where == where and e.enabled]
 
 
 def model(

@@ -351,7 +351,10 @@ class _Bench:
         return twin if faster == 1 or not twin.delay else _delayed(twin, faster * twin.delay)
 
     def known(self, found: Mapping[str, tuple[str, ...]], run: TwinRun) -> frozenset[str]:
-        """Causes that the controller's model holds: with them, and only them, the rig is nearer to it."""
+        """Causes that the controller holds: errors of sensors that it expects, and forces.
+
+        Its model holds those forces with which, and only with which, the rig is nearer to it.
+        """
         settings, twin = self.experiment.declaration.controller, self.experiment.twin
         if settings.model is None and not settings.parameters and not settings.effects:
             return frozenset()
@@ -373,12 +376,13 @@ class _Bench:
                 np.linalg.norm(match.seen(kernels, states, _accelerations(rig, states, n))[:, 2 * k :] - assumed)
             )
 
-        bare = error(())
+        bare, expected = error(()), {error.effect for error in self.experiment.sampled.instruments.errors}
         kinds = {name: twin.dictionary[use.effect].where for name, use in twin.declaration.effects.items()}
         return frozenset(
             cause
             for cause, effects in found.items()
-            if any(kinds.get(name) == "element" for name in effects) and error(effects) < _KNOWN * bare
+            if expected & {*effects}
+            or (any(kinds.get(name) == "element" for name in effects) and error(effects) < _KNOWN * bare)
         )
 
 

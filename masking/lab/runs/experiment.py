@@ -19,6 +19,7 @@ from masking.control.known_instruments import Instruments, branches
 from masking.control.law import APPROACH, Controller
 from masking.control.observer import Differences, Kalman, Observer
 from masking.control.rig import assumed_rig
+from masking.control.rig.sensor_errors import SensorError
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import LawStep, SampledStep
@@ -190,7 +191,8 @@ class Experiment:
         plant, model, driven = self.assembly.plant, self.law.model.affine, self.law.driven
         if not self.match.is_same:
             plant = coordinate_match.in_coordinates_of(model.declaration, plant, self.plant.coordinates)
-        return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven, self.law.per_unit)
+        errors = SensorError.of(assumed, assumed_rig.held(assumed, self.declaration, "sensor"))
+        return Instruments(plant, model, factors, assumed.noise(), assumed.delay, driven, self.law.per_unit, errors)
 
     @cached_property
     def assumed(self) -> Twin:

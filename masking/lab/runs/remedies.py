@@ -48,9 +48,11 @@ def remedies(experiment: Experiment, cause: str, effects: Iterable[str], known: 
         yield with_rig_parameters(experiment)
     uses = experiment.assembly.plant.effects
     names = {name: experiment.twin.dictionary[uses[name].effect] for name in effects if name in uses}
-    unknown = [
-        n for n, e in names.items() if e.where == "element" and n not in experiment.declaration.controller.effects
-    ]
+    kinds = {entry.name for entry in names.values()}
+    if "sensor_offset" in kinds and experiment.sampled.has_model and experiment.declaration.controller.rest is None:
+        yield _controller(experiment, "rest", _REST, "s")
+    held = experiment.declaration.controller.effects
+    unknown = [name for name, entry in names.items() if entry.is_held_by_controller and name not in held]
     if unknown and not known:
         yield _controller(experiment, "effects", _effects(experiment, dict.fromkeys(unknown, True)))
     pairs = zip(experiment.twin.effects, experiment.assumed.effects, strict=True)
@@ -58,13 +60,10 @@ def remedies(experiment: Experiment, cause: str, effects: Iterable[str], known: 
         e.path.partition(".")[2] for e, taken in pairs if (e.parameters, e.enabled) != (taken.parameters, taken.enabled)
     }
     if wrong := other & names.keys():
-        as_they_are = {n: True for n in wrong if names[n].where == "element"}
+        as_they_are = {n: True for n in wrong if names[n].is_held_by_controller}
         left = {n: x for n, x in _effects(experiment, {}).items() if n not in wrong}
         yield _controller(experiment, "effects", {**left, **as_they_are})
-    kinds = {entry.name for entry in names.values()}
-    if "sensor_offset" in kinds and experiment.sampled.has_model and experiment.declaration.controller.rest is None:
-        yield _controller(experiment, "rest", _REST, "s")
-    if kinds & {"sensor_gain", "actuator_gain"}:
+    if "actuator_gain" in kinds:
         yield from _gains(experiment, names)
     if cause == SATURATION:
         yield from _smaller(experiment)
@@ -112,23 +111,9 @@ def _effects(experiment: Experiment, more: Mapping[str, object]) -> dict[str, ob
 
 
 def _gains(experiment: Experiment, names: Mapping[str, Any]) -> Iterator[Remedy]:
-    """Gains of sensors, in the plant file, and a parameter of the controller's model that scales an actuator."""
-    twin, plant, corrected = experiment.twin, experiment.assembly.plant, list[str]()
+    """Parameter of the controller's model that scales an actuator."""
+    twin = experiment.twin
     placed = [e for e in twin.effects if e.path.partition(".")[2] in names and e.enabled]
-    sensors = dict(plant.sensors)
-    for effect in (e for e in placed if e.kind == "sensor_gain"):
-        gain = sensors[effect.at].gain
-        exact = gain.model_copy(update={"value": gain.value * (1.0 + twin.parameter_value(f"{effect.label}_e"))})
-        sensors[effect.at] = sensors[effect.at].model_copy(update={"gain": exact})
-        corrected.append(f"sensors.{effect.at}.gain.value: {number(exact.value, _DIGITS)} {exact.unit}")
-    if corrected:
-        off = {e.path.partition(".")[2]: schema.EffectChange(enabled=False) for e in placed if e.kind == "sensor_gain"}
-        declared = experiment.declaration
-        declared = declared.model_copy(update={"effects": {**declared.effects, **off}})
-        assembly = replace(
-            experiment.assembly, plant=plant.model_copy(update={"sensors": sensors}), experiment=declared
-        )
-        yield Remedy(f"{', '.join(corrected)} in {_file(plant)}", partial(replace, experiment, assembly=assembly))
     weak = {e.at: twin.parameter_value(f"{e.label}_e") for e in placed if e.kind == "actuator_gain"}
     if weak and (values := _scaling(experiment, weak)):
         own = experiment.declaration.controller.parameters

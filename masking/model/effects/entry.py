@@ -196,6 +196,16 @@ class Effect:
         return bool(self.deviation) or self.where == "loop"
 
     @cached_property
+    def is_held_by_controller(self) -> bool:
+        """Whether a controller is designed with it where it is named: a force of an element, or a foreseen reading.
+
+        A reading is foreseen that follows from what is measured and from the time: its states move steadily.
+        """
+        if self.where != "sensor" or not self.expression or self.deviation or self.quantum:
+            return self.where == "element"
+        return all(Expression(state.rate).names <= self.parameters.keys() for state in self.states.values())
+
+    @cached_property
     def follows(self) -> frozenset[str]:
         """Motion that it follows: some of displacement `d`, rate `d_rate` and acceleration `d_acc`."""
         texts = filter(None, [self.expression, self.takes_rate, *(state.rate for state in self.states.values())])

@@ -19,6 +19,7 @@ from masking.errors import DeclarationError, ModelError
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue
 from masking.model.modelling.model import load_model
+from tests.benchmarks.learning import CART_RUN, RIGS, written
 from tests.support.compiled_unit import GCC, STRICT, CompiledUnit
 
 
@@ -112,6 +113,18 @@ def test_a_sampled_controller_in_c_gives_the_commands_of_the_kernel(name, tmp_pa
     largest = np.max(np.abs(ours))
     assert largest > 1e-3
     assert np.max(np.abs(exported - ours)) <= EXACT * largest
+    assert unit.status == 0
+
+
+@needs_gcc
+def test_a_controller_that_knows_a_drift_in_c_gives_the_commands_of_the_kernel(tmp_path):
+    *_, path = written(RIGS["spring"], tmp_path)
+    run = CART_RUN["controller"] | {"rest": 1, "effects": {"drift": True}}
+    experiment = Experiment.load(path, plant=str(tmp_path / "true.yaml")).changed(controller=run)
+    unit = CompiledUnit(tmp_path, sampled_unit(experiment.sampled, "controller", 0.02))
+    _, ours, (exported,) = by_kernel(experiment, experiment.sampled.before + 1500, others=[unit], missed={300})
+    assert np.max(np.abs(exported - ours)) <= EXACT * np.max(np.abs(ours))
+    assert np.max(np.abs(ours[-1500:])) > 1e-3
     assert unit.status == 0
 
 
