@@ -12,7 +12,6 @@ import ast
 import hashlib
 import importlib.metadata
 import sys
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -39,40 +38,6 @@ def sources() -> str:
     for file in sorted(PACKAGE.rglob("*.py")):
         every.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes() + b"\0")
     return digest(every.hexdigest(), versions(), importlib.metadata.version("sympy"))
-
-
-def contents(text: str, names: Iterable[str]) -> dict[str, str]:
-    """Content hash of functions of a generated module, by their names, from its text."""
-    lines = text.splitlines()
-    parts: dict[str, list[str]] = {}
-    uses: dict[str, set[str]] = {}
-    for node in ast.parse(text).body:
-        first = min([node.lineno, *(d.lineno for d in getattr(node, "decorator_list", ()))])
-        part = "\n".join(lines[first - 1 : node.end_lineno])
-        if isinstance(node, ast.ImportFrom | ast.Import):
-            ours = (name for name in sorted(_imported(node)) if name.partition(".")[0] == PACKAGE.name)
-            part += "".join(map(source_of, ours))
-        for name in _defined(node):
-            parts.setdefault(name, []).append(part)
-            uses.setdefault(name, set()).update(n.id for n in ast.walk(node) if isinstance(n, ast.Name))
-    found = {}
-    for name in names:
-        wanted, stack = set[str](), [name]
-        while stack:
-            if (one := stack.pop()) in parts and one not in wanted:
-                wanted.add(one)
-                stack.extend(uses[one])
-        found[name] = digest(name, *(part for one in sorted(wanted) for part in parts[one]))
-    return found
-
-
-def _defined(node: ast.stmt) -> list[str]:
-    """Names that a statement of a module gives something to."""
-    if isinstance(node, ast.FunctionDef):
-        return [node.name]
-    if isinstance(node, ast.ImportFrom | ast.Import):
-        return [(alias.asname or alias.name).partition(".")[0] for alias in node.names]
-    return [n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
 
 
 @cache

@@ -11,7 +11,7 @@ import ast
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 from masking.compile.codegen import machine_code, structs
@@ -32,7 +32,7 @@ import numpy as np
 from numba import carray
 
 '''
-BUILTINS = {abs, max, min, range, int, float, bool, len}
+BUILTINS = {abs, max, min, range, int, float, bool, len, slice}
 INLINED = "@inlined"
 DECORATORS = "from masking.compile.numerics.compilation import compiled, inlined"
 
@@ -84,12 +84,17 @@ class _Printer:
 
     def add(self, callee: Any, wanted: str = "") -> str:  # noqa: ANN401
         """Name in the text of a function of the module, or of a kernel that others call."""
+        if callee not in self.names and isinstance(callee, Named) and callee.name in self.module.links:
+            self.names[callee] = f"linked_{callee.name}"
+            types = self.module.links[callee.name]
+            self.texts.append(machine_code.link(callee.name, types, returns=False, is_apart=True))
         if callee not in self.names:
             part = part_of(self.module, callee.name) if isinstance(callee, Named) else Closure.of(callee)
             if isinstance(part, Expressions):
                 self.names[callee] = f"linked_{callee.name}"
                 self.uses.append(callee.name)
-                self.texts.append(_link(callee.name, part.types, part.returns is not None))
+                returns = part.returns is not None
+                self.texts.append(machine_code.link(callee.name, part.types, returns=returns, is_apart=False))
             else:
                 text = self._kernel(part, callee)
                 self.names[callee] = wanted or f"kernel_{len(self.names)}_{part.tree.name}"
@@ -138,7 +143,7 @@ class _Written(ast.NodeTransformer):
             return self._size(node.id, known)
         if isinstance(known, bool | int | float):
             return ast.Constant(known)
-        if callable(known) or isinstance(known, Named):
+        if isinstance(known, FunctionType | Named) or hasattr(known, "py_func"):
             return ast.Name(self.printer.add(known), node.ctx)
         module = self.closure.function.__module__
         self.printer.imports.add(f"from {module} import {node.id}")
@@ -148,11 +153,3 @@ class _Written(ast.NodeTransformer):
         if name not in self.known:
             self.known[name] = self.printer.size(value)
         return ast.parse(self.known[name], mode="eval").body
-
-
-def _link(name: str, types: Mapping[str, str], returns: bool) -> str:
-    """Source of a function that calls a function of the model, as `llvm_text` prints it."""
-    declared, passed = machine_code.passed(types)
-    signature = f"{'numba.f8' if returns else 'numba.void'}({', '.join(declared)})"
-    call = f"{'return ' if returns else ''}_{name}({', '.join(passed)})"
-    return machine_code.calling(name, signature, f"linked_{name}({', '.join(types)})", call)

@@ -335,19 +335,19 @@ def passed(arguments: Mapping[str, str]) -> tuple[list[str], list[str]]:
     return types, texts
 
 
-def link(name: str, arguments: Mapping[str, str]) -> str:
-    """Source of a function that calls machine code of its own, linked when it is loaded; one argument is an array."""
+def link(name: str, arguments: Mapping[str, str], *, returns: bool, is_apart: bool) -> str:
+    """Source of a function `linked_<name>` that calls one with a symbol that is linked later, by its arguments.
+
+    One that is machine code apart stands behind a C interface, and one of its arguments is an array.
+    """
     types, given = passed(arguments)
-    unused = next(f"{argument}.ctypes" for argument, kind in arguments.items() if kind in DIMENSIONS)
-    signature = f"numba.void({', '.join(types)}, numba.types.CPointer(numba.f8))"
-    typed = ", ".join(f"{argument}: {kind}" for argument, kind in arguments.items())
-    return calling(name, signature, f"{name}({typed}) -> None", f"_{name}({', '.join([*given, unused])})")
-
-
-def calling(name: str, signature: str, head: str, call: str) -> str:
-    """Source of a function that calls `_<name>`, a function with a symbol that is linked later."""
-    external = f'_{name} = numba.types.ExternalFunction("{symbol(name)}", {signature})'
-    return f"{external}\n\n\n{DECORATOR}\ndef {head}:\n    {call}"
+    if is_apart:
+        types.append("numba.types.CPointer(numba.f8)")
+        given.append(next(text for text in given if text.endswith(".ctypes")))  # where nothing is returned
+    external = f'"{symbol(name)}", {"numba.f8" if returns else "numba.void"}({", ".join(types)})'
+    call = f"{'return ' if returns else ''}_{name}({', '.join(given)})"
+    head = f"{DECORATOR}\ndef linked_{name}({', '.join(arguments)}):"
+    return f"_{name} = numba.types.ExternalFunction({external})\n\n\n{head}\n    {call}"
 
 
 def _without_aliases(text: str) -> str:

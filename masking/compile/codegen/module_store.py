@@ -10,8 +10,6 @@ experiments along.
 from __future__ import annotations
 
 import contextlib
-import importlib.abc
-import importlib.util
 import json
 import os
 import sys
@@ -29,7 +27,7 @@ import platformdirs
 from masking.compile.codegen import llvm_text, machine_code, trusted_files
 from masking.compile.codegen.argument_conditions import Needed
 from masking.compile.codegen.argument_sizes import least_sizes, sizes_of_cases
-from masking.compile.codegen.content_hashes import PACKAGE, contents, digest, sources
+from masking.compile.codegen.content_hashes import PACKAGE, digest, sources
 from masking.compile.codegen.kernel_templates import size_symbol, template
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.source import Module
@@ -68,10 +66,6 @@ class Generated:
     links: Mapping[str, NativeFunction] = field(default_factory=dict, repr=False)
     work: tuple[int, int] | None = None  # the shape of the work space of functions that do not say it
 
-    def module(self) -> ModuleType:
-        """Import the module, if it is Python, and numba with it."""
-        return _imported(self.path, self.text)
-
     def function(self, name: str) -> NativeFunction:
         """Function of the module, compiled when it is first called."""
         described = self.meta["functions"][name]
@@ -103,8 +97,7 @@ class Generated:
         found = trusted_files.find(path) or machine_code.readable(BROUGHT / bitcode_name(kernel["content"]))
         if found is None:
             text_path = _text_path(kernel["text"])
-            text = self.text.encode() if text_path == self.path else trusted_files.find(text_path)
-            if text is None:
+            if (text := trusted_files.find(text_path)) is None:
                 raise ImportError(f"the generated text {text_path} is no longer there; start again")
             symbols = [*map(machine_code.symbol, [*kernel["uses"], *self.links])]
             symbols += map(size_symbol, range(len(kernel["sizes"])))
@@ -122,37 +115,17 @@ def bitcode_name(content: str) -> str:
 
 
 def _imported(path: Path, text: str) -> ModuleType:
-    """Import a generated module, and numba with it."""
+    """Module of a text that was checked when it was read; numba is imported with it."""
+    name = path.stem
     with _importing:  # of another thread, half a module would be seen
-        name = path.stem
-        if name in sys.modules:
-            return sys.modules[name]
-        loader = _Checked(path, text)
-        specification = importlib.util.spec_from_loader(name, loader)
-        if specification is None:
-            raise ImportError(f"cannot import the generated module {path}")
-        module = importlib.util.module_from_spec(specification)
-        sys.modules[name] = module  # numba looks functions up by the name of their module
-        try:
-            loader.exec_module(module)
-        except BaseException:
-            del sys.modules[name]
-            raise
-        return module
-
-
-@dataclass(frozen=True)
-class _Checked(importlib.abc.ExecutionLoader):
-    """Imports a text that was checked when it was read, and no compiled Python that lies beside it."""
-
-    path: Path
-    text: str
-
-    def get_source(self, fullname: str) -> str:
-        return self.text
-
-    def get_filename(self, fullname: str) -> str:
-        return str(self.path)
+        if name not in sys.modules:
+            module = sys.modules[name] = ModuleType(name)  # numba looks functions up by the name of their module
+            try:
+                exec(compile(text, path, "exec"), vars(module))  # noqa: S102  # this user wrote it
+            except BaseException:
+                del sys.modules[name]
+                raise
+        return sys.modules[name]
 
 
 def exists(name: str) -> bool:
@@ -202,12 +175,8 @@ def _made(name: str, build: Callable[[], Module]) -> Generated:
 
 def described(made: Module) -> tuple[dict[str, str], dict[str, Any], list[str]]:
     """Content hashes of a module's functions, what is linked to its kernels, and the texts of templates."""
-    names, texts = made.meta.get("functions", ()), list[str]()
-    if made.functions:
-        objects, common = contents(made.text(), names), {"text": digest(made.text()), "sizes": (), "uses": ()}
-        return objects, {name: common | {"content": one} for name, one in objects.items()}, texts
-    objects, kernels = dict[str, str](), dict[str, Any]()
-    for name in names:
+    objects, kernels, texts = dict[str, str](), dict[str, Any](), list[str]()
+    for name in made.meta.get("functions", ()):
         if name in made.definitions:
             objects[name] = digest(name, made.definitions[name])
             continue

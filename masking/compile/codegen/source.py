@@ -19,7 +19,7 @@ import ast
 import math
 import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -46,20 +46,6 @@ LARGEST_TAYLOR_COST = 40
 # measured: below this number of like operations at once, loops take longer than the Runge-Kutta method: a pendulum of 4
 # links has 1.3 and takes 1.5 times as long, 5 pendula on a beam have 2 and take 0.7 of the time.
 LEAST_SIDE_BY_SIDE = 1.6
-
-HEADER = """# Generated from {title!a}; do not edit.
-
-from __future__ import annotations
-
-import math
-
-import numba
-import numpy as np
-from numba import carray
-
-from masking.compile.numerics.arrays import Matrix, Vector
-from masking.compile.numerics.compilation import compiled
-"""
 
 
 def taylor_orders(products: int) -> Mapping[str, int]:
@@ -104,26 +90,22 @@ class Made:
 class Module:
     """A generated module: what it was made from, what it says of itself, and the text of its functions.
 
-    `functions` are Python for numba, in a module of kernels to which functions of a model are linked by their
-    addresses; `definitions` are LLVM code, by name, in all others.
-    `meta["functions"]` holds for each exported function the types of its arguments and results and the shape of its
-    work space, as `machine_code` reads them; `parts` holds what functions were made of, for other printers, and
-    `choices` the cases of those that choose.
+    `definitions` are LLVM code, by name, of what prints nodes. `meta["functions"]` holds for each exported function the
+    types of its arguments and results and the shape of its work space, as `machine_code` reads them; `parts` holds what
+    functions were made of, for other printers, `choices` the cases of those that choose, and `links` the types of the
+    arguments of functions that are machine code of their own.
     """
 
     title: str
     meta: dict[str, Any]
-    functions: list[str] = field(default_factory=list)
     definitions: dict[str, str] = field(default_factory=dict)
     parts: dict[str, Expressions | Made] = field(default_factory=dict)
     choices: dict[str, Sequence[Expressions]] = field(default_factory=dict)
-    _imports: set[str] = field(default_factory=set)
+    links: dict[str, Mapping[str, str]] = field(default_factory=dict)
 
     def text(self) -> str:
-        """Whole source, Python or LLVM code."""
-        if not self.functions:
-            return "\n\n".join([f"; Generated from {self.title!a}; do not edit.", *self.definitions.values()]) + "\n"
-        return "\n\n".join([HEADER.format(title=self.title) + "".join(sorted(self._imports)), *self.functions]) + "\n"
+        """LLVM code of what prints nodes."""
+        return "\n\n".join([f"; Generated from {self.title!a}; do not edit.", *self.definitions.values()]) + "\n"
 
     def add(
         self,
@@ -281,28 +263,10 @@ class Module:
             exported: whether the function is called from outside of the module.
         """
         made = self.parts[name] = Made(factory, given)
-        if "links" in self.meta:
-            written = [self._written(one) for one in given]
-            self.functions.append(f"{name} = {self._name(factory)}({', '.join(written)})")
         if exported:
             kernel = made_of(made, lambda text: None).py_func
             types = structs.signature(kernel)
             self._export(name, types, types.pop("return", "None"), work, getattr(kernel, "requires", ()))
-
-    def _written(self, value: Any) -> str:  # noqa: ANN401
-        if isinstance(value, str):
-            return value
-        if structs.is_struct(type(value)):
-            return f"{self._name(type(value))}({', '.join(self._written(one) for one in value)})"
-        if not is_dataclass(value):
-            return repr(value)
-        module, dot, _ = self._name(type(value)).rpartition(".")
-        return module + dot + repr(value)
-
-    def _name(self, one: Any) -> str:  # noqa: ANN401
-        package, _, module = one.__module__.rpartition(".")
-        self._imports.add(f"from {package} import {module}\n")
-        return f"{module}.{one.__qualname__}"
 
     def add_link(self, signature: str) -> None:
         """Add a function that is machine code of its own: those that call it do not depend on what it is made of.
@@ -311,13 +275,7 @@ class Module:
         of the function of this name in the `links` of `module_store.load`.
         """
         name, types = _read(signature)
-        self.functions.append(machine_code.link(name, types))
-        self.meta.setdefault("links", []).append(name)
-
-    def add_text(self, signature: str, text: str) -> None:
-        """Add printed functions, the last of which has this signature; it returns nothing without `-> float`."""
-        self.functions.append(text)
-        self._export(*_read(signature), signature.partition(" -> ")[2] or "None")
+        self.links[name] = types
 
     def _export(
         self,
@@ -327,14 +285,11 @@ class Module:
         work: tuple[int, int] | None = None,
         requires: Sequence[str] = (),
     ) -> None:
-        """Describe a function in `meta`, and add its C interface where it is Python."""
+        """Describe a function in `meta`."""
         for argument, kind in structs.fields(arguments).items():
             if kind not in machine_code.C_TYPES:
                 raise TypeError(f"{name}: {argument} is of the type '{kind}'; give {', '.join(machine_code.C_TYPES)}")
         results = [] if returned == "None" else re.findall(r"float|int", returned)
-        if self.functions:
-            self._imports |= {structs.imported(kind) + "\n" for kind in arguments.values() if not isinstance(kind, str)}
-            self.functions.append(machine_code.interface(name, arguments, results))
         flat, conditions = structs.fields(arguments), [structs.flat(text, arguments) for text in requires]
         described = {"arguments": flat, "results": results, "work": work, "requires": conditions}
         self.meta.setdefault("functions", {})[name] = described

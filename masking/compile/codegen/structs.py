@@ -41,8 +41,3 @@ def flat(text: str, arguments: Mapping[str, Any]) -> str:
 def definition(kind: Any) -> str:  # noqa: ANN401  (the class of a struct)
     """Statement that defines the class of a struct anew."""
     return f"{kind.__name__} = namedtuple({kind.__name__!r}, {kind._fields!r})"
-
-
-def imported(kind: type) -> str:
-    """Statement that imports the class of a struct."""
-    return f"from {kind.__module__} import {kind.__name__}"
