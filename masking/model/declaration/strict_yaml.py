@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 
@@ -157,60 +157,69 @@ def _indent(line: str) -> int:
     return len(line) - len(line.lstrip(" "))
 
 
-@dataclass
-class _Level:
-    """A mapping or a list that is still open; `key` is the key that waits for its value."""
-
-    value: dict[str, Node] | list[Node]
-    place: Place
-    path: str
-    keys: dict[str, Place] = field(default_factory=dict)
-    key: str | None = None
-    is_dropped: bool = False  # whether the value of the key is none, and is left out
-
-    def child_path(self) -> str:
-        name = self.key if isinstance(self.value, dict) else str(len(self.value))
-        if name is None:
-            return self.path
-        return f"{self.path}.{name}" if self.path else str(name)
-
-    def add(self, node: Node) -> None:
-        if isinstance(self.value, dict):
-            if not self.is_dropped:
-                self.value[str(self.key)] = node
-            self.key = None
-        else:
-            self.value.append(node)
-
-
 class _Builder:
-    """Turns the events of one document into nodes, with a stack of open levels and no recursion."""
+    """Turns the events of one document into nodes; `path` is that of the value which is read."""
 
     def __init__(self, text: str, file: str) -> None:
         self.text, self.file, self.lines = text, file, text.split("\n")
-        self.levels: list[_Level] = []
-        self.root: Node | None = None
+        self.path = ""
         self.problems: list[Problem] = []
 
     def build(self) -> Node:
-        documents = 0
+        root: Node | None = None
+        events = self.events()
         try:
-            for event in yaml.parse(self.text, Loader=_Loader):
-                if isinstance(event, yaml.DocumentStartEvent):
-                    documents += 1
-                    if documents > 1:
-                        self.stop(event, "a second document is not allowed", "keep one document in a file")
-                    if event.version or event.tags:
-                        self.stop(event, "a directive is not allowed")
-                self.take(event)
+            for event in events:
+                root = self.node(event, events, "")
         except yaml.YAMLError as error:
             raise DeclarationError([*self.problems, self.not_yaml(error)]) from None
         except RecursionError:
             self.report(Place(self.file, 1, 1), f"nested deeper than {DEEPEST_NESTING}")
             raise DeclarationError(self.problems) from None
-        if self.root is None or (self.root.value is None and not self.root.text):
+        if root is None or (root.value is None and not root.text):
             raise DeclarationError(Problem(Place(self.file, 1, 1), "", "the file is empty"))
-        return self.root
+        return root
+
+    def events(self) -> Iterator[yaml.Event]:
+        """Events of values; refuses what no document may hold."""
+        documents = 0
+        for event in yaml.parse(self.text, Loader=_Loader):
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    self.stop(event, "a second document is not allowed", "keep one document in a file")
+                if event.version or event.tags:
+                    self.stop(event, "a directive is not allowed")
+            if isinstance(event, yaml.AliasEvent):
+                self.stop(event, "an alias is not allowed", "write the value out")
+            if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+                self.stop(event, "an anchor is not allowed", "write the value out where it is used")
+            if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
+                self.stop(event, f"the tag {event.tag} is not allowed", "leave it away")
+            if isinstance(event, yaml.NodeEvent | yaml.CollectionEndEvent):
+                yield event
+
+    def node(self, event: yaml.Event, events: Iterator[yaml.Event], path: str, depth: int = 0) -> Node:
+        """Value that begins with an event, at a depth of nesting."""
+        if isinstance(event, yaml.ScalarEvent):
+            return self.scalar(event)
+        if depth >= DEEPEST_NESTING:
+            self.stop(event, f"nested deeper than {DEEPEST_NESTING}")
+        place, items, value, keys = self.place(event), list[Node](), dict[str, Node](), dict[str, Place]()
+        if isinstance(event, yaml.MappingStartEvent):
+            self.path = path
+            while not isinstance(event := next(events), yaml.CollectionEndEvent):
+                key, is_kept = self.take_key(event, path, keys)
+                child = self.node(next(events), events, self.path, depth + 1)
+                if is_kept:
+                    value[key] = child
+                self.path = path
+            return Node(value, place, path, keys=keys)
+        while True:
+            self.path = f"{path}.{len(items)}" if path else str(len(items))
+            if isinstance(event := next(events), yaml.CollectionEndEvent):
+                return Node(items, place, path)
+            items.append(self.node(event, events, self.path, depth + 1))
 
     def not_yaml(self, error: yaml.YAMLError) -> Problem:
         """Describe what PyYAML stopped at, with the remedy of the mistakes that people make."""
@@ -238,11 +247,11 @@ class _Builder:
             closed = text[:column].rstrip()
             if closed.endswith(("}", "]")):
                 ends = f"'{closed[-1]}' ends the value, and '{text[column:].strip()}' follows it"
-                return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {ends}",
+                return Problem(Place(self.file, line + 1, column + 1), self.path, f"not YAML: {ends}",
                                f"write it before the '{closed[-1]}', or in a line of its own")  # fmt: skip
             if _indent(text) == column and column not in self.open_columns(line):
                 return self.indented(line, None)
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", remedy)
+        return Problem(Place(self.file, line + 1, column + 1), self.path, f"not YAML: {message}", remedy)
 
     def open_columns(self, line: int) -> list[int]:
         """Columns, from 0, in which blocks that are open above a line begin, the innermost first."""
@@ -261,7 +270,7 @@ class _Builder:
         if above is not None:
             message = f"'{name}' is indented below '{self.lines[above].strip()}', which is complete"
             remedy = f"begin it in column {_indent(self.lines[above]) + 1}, as the line above"
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {message}", remedy)
+        return Problem(Place(self.file, line + 1, column + 1), self.path, f"not YAML: {message}", remedy)
 
     def without_colon(self, line: int, column: int) -> Problem:
         """Describe a line that should be 'key: value' and has no colon with a space after it."""
@@ -272,60 +281,39 @@ class _Builder:
         what, remedy = f"no ':' after '{shown}'", f"write {key}: ..."
         if _NO_SPACE.search(text):
             what, remedy = f"no space after ':' in '{shown}'", "write a space after ':'"
-        return Problem(Place(self.file, line + 1, column + 1), self.path(), f"not YAML: {what}", remedy)
+        return Problem(Place(self.file, line + 1, column + 1), self.path, f"not YAML: {what}", remedy)
 
-    def take(self, event: yaml.Event) -> None:
-        if isinstance(event, yaml.AliasEvent):
-            self.stop(event, "an alias is not allowed", "write the value out")
-        if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-            self.stop(event, "an anchor is not allowed", "write the value out where it is used")
-        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag is not None:
-            self.stop(event, f"the tag {event.tag} is not allowed", "leave it away")
-        awaits_key = bool(self.levels) and isinstance(self.levels[-1].value, dict) and self.levels[-1].key is None
-        if isinstance(event, yaml.CollectionStartEvent):
-            if awaits_key:
-                self.stop(event, "a key is not a text", "write a plain name as key")
-            if len(self.levels) >= DEEPEST_NESTING:
-                self.stop(event, f"nested deeper than {DEEPEST_NESTING}")
-            value: dict[str, Node] | list[Node] = {} if isinstance(event, yaml.MappingStartEvent) else []
-            self.levels.append(_Level(value, self.place(event), self.path()))
-        elif isinstance(event, yaml.CollectionEndEvent):
-            level = self.levels.pop()
-            self.add(Node(level.value, level.place, level.path, keys=level.keys))
-        elif isinstance(event, yaml.ScalarEvent):
-            if awaits_key:
-                self.take_key(event)
-            else:
-                self.add(self.scalar(event))
-
-    def take_key(self, event: yaml.ScalarEvent) -> None:
-        level, key, place = self.levels[-1], event.value, self.place(event)
+    def take_key(self, event: yaml.Event, path: str, keys: dict[str, Place]) -> tuple[str, bool]:
+        """Add a key of the mapping at a path to those before it; gives it, and whether its value is kept."""
+        if not isinstance(event, yaml.ScalarEvent):
+            self.stop(event, "a key is not a text", "write a plain name as key")
+        key, place = event.value, self.place(event)
         node = self.scalar(event, is_key=True)
         if key == "<<" and not event.style:
             self.stop(event, "a merge key is not allowed", "write the values out")
-        level.key, level.is_dropped = key, False
-        if not isinstance(node.value, str):
-            self.refuse_key(level, key, place)
-        if key in level.keys:
+        self.path = f"{path}.{key}" if path else key
+        is_kept = isinstance(node.value, str) or self.refuse_key(path, key, place)
+        if key in keys:
             message = f"the key '{key}' stands here twice"
-            self.report(place, message, f"the first is in line {level.keys[key].line}")
-        level.keys.setdefault(key, place)
+            self.report(place, message, f"the first is in line {keys[key].line}")
+        keys.setdefault(key, place)
+        return key, is_kept
 
-    def refuse_key(self, level: _Level, key: str, place: Place) -> None:
-        """Report a key that is a number or null; what follows half of a number with a decimal comma is dropped."""
+    def refuse_key(self, path: str, key: str, place: Place) -> bool:
+        """Report a key that is a number or null; what follows half of a number with a decimal comma is not kept."""
         before = re.search(r"[-+]?\d+(?=,$)", self.lines[place.line - 1][: place.column - 1])
         if before and key.isdigit():
-            level.is_dropped = True
             place = replace(place, column=before.start() + 1)
             self.problems.append(
-                Problem(place, self.path().rpartition(".")[0], f"'{before[0]},{key}' is no number",
+                Problem(place, self.path.rpartition(".")[0], f"'{before[0]},{key}' is no number",
                         f"a number has a decimal point: write {before[0]}.{key}")
             )  # fmt: skip
-            return
+            return False
         remedy = "quote it or give it a name"
-        if level.path == "equations":
+        if path == "equations":
             remedy = f"write what it is on the left, such as x'': ..., or the number in quotes: '{key}': ..."
         self.report(place, f"the key {key or 'null'} is not a text", remedy)
+        return True
 
     def scalar(self, event: yaml.ScalarEvent, *, is_key: bool = False) -> Node:
         """Read a scalar; a plain one may be null, true, false or a number, any other is a text."""
@@ -348,7 +336,7 @@ class _Builder:
                     if re.fullmatch(pattern, text):
                         self.report(self.place(event), f"'{text}' {meaning}", remedy)
                         break
-        return Node(value, self.place(event), self.path(), text, pieces=self.pieces(event))
+        return Node(value, self.place(event), self.path, text, pieces=self.pieces(event))
 
     def number(self, text: str, event: yaml.ScalarEvent) -> float:
         value = float(text)
@@ -378,15 +366,6 @@ class _Builder:
             column = found + len(raw)
         return tuple(pieces)
 
-    def add(self, node: Node) -> None:
-        if self.levels:
-            self.levels[-1].add(node)
-        else:
-            self.root = node
-
-    def path(self) -> str:
-        return self.levels[-1].child_path() if self.levels else ""
-
     def place(self, event: yaml.Event) -> Place:
         """Give where the content of an event begins, inside the quotes of a quoted text."""
         quoted = isinstance(event, yaml.ScalarEvent) and event.style in {"'", '"'}
@@ -394,8 +373,8 @@ class _Builder:
         return Place(self.file, line + 1, column + 1 + quoted)
 
     def report(self, place: Place, message: str, remedy: str = "") -> None:
-        self.problems.append(Problem(place, self.path(), message, remedy))
+        self.problems.append(Problem(place, self.path, message, remedy))
 
-    def stop(self, event: yaml.Event, message: str, remedy: str = "") -> None:
+    def stop(self, event: yaml.Event, message: str, remedy: str = "") -> NoReturn:
         """Report what the rest of the file cannot be read after."""
-        raise DeclarationError([*self.problems, Problem(self.place(event), self.path(), message, remedy)])
+        raise DeclarationError([*self.problems, Problem(self.place(event), self.path, message, remedy)])
