@@ -10,6 +10,7 @@ experiments along.
 from __future__ import annotations
 
 import contextlib
+import importlib.abc
 import json
 import os
 import sys
@@ -121,11 +122,25 @@ def _imported(path: Path, text: str) -> ModuleType:
         if name not in sys.modules:
             module = sys.modules[name] = ModuleType(name)  # numba looks functions up by the name of their module
             try:
-                exec(compile(text, path, "exec"), vars(module))  # noqa: S102  # this user wrote it
+                _Checked(path, text).exec_module(module)
             except BaseException:
                 del sys.modules[name]
                 raise
         return sys.modules[name]
+
+
+@dataclass(frozen=True)
+class _Checked(importlib.abc.ExecutionLoader):
+    """Executes a text that was checked when it was read, and no compiled Python that lies beside it."""
+
+    path: Path
+    text: str
+
+    def get_source(self, fullname: str) -> str:
+        return self.text
+
+    def get_filename(self, fullname: str) -> str:
+        return str(self.path)
 
 
 def exists(name: str) -> bool:
