@@ -27,7 +27,7 @@ from masking.compile.codegen import lane_steps, llvm_text, machine_code, structs
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Expressions, Results
 from masking.compile.codegen.printers import Language, needed
-from masking.compile.codegen.taylor_coefficients import Mixed, coefficients, factored, with_common_factors
+from masking.compile.codegen.taylor_coefficients import Dynamics, Mixed, coefficients, factored, with_common_factors
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.numerics.rig_sizes import LANES
 
@@ -154,21 +154,12 @@ class Module:
         self.choices[name] = [Expressions(types, graph, [*none, *made], loads, None) for graph, made, loads in cases]
         self.definitions[name] = llvm_text.choice(machine_code.symbol(name), types, zeros, cases)
 
-    def add_coefficients(
-        self,
-        graph: Graph,
-        states: Sequence[Node],
-        derivatives: Sequence[Node],
-        *,
-        time: Node,
-        health: Node,
-        loads: Mapping[str, str],
-        orders: Mapping[str, int],
-    ) -> None:
+    def add_coefficients(self, dynamics: Dynamics, orders: Mapping[str, int]) -> None:
         """Add `coefficients(t, y, u, p, c)`, which writes Taylor coefficients `c[k, i]` up to an order k of state i.
 
         `orders` are by the ending of the names of the functions, which all stand for the same series.
         """
+        graph, time, states, derivatives, health, loads = dynamics
         every = coefficients(graph, states, factored(graph, derivatives), time=time, order=max(orders.values()))
         # measured: sums of products in a free order make Taylor coefficients 1.6 times faster; the solution's error is
         # that of the order and tolerance, whatever the order of summation.
@@ -178,17 +169,7 @@ class Module:
             results = [(f"c[{k}, {i}]", node) for k, row in enumerate(rows) for i, node in enumerate(row)]
             self.add(f"coefficients{ending}(t: float, y, u, p, c: Matrix)", graph, results, loads, health, free=free)
 
-    def add_lanes(
-        self,
-        graph: Graph,
-        states: Sequence[Node],
-        derivatives: Sequence[Node],
-        *,
-        time: Node,
-        health: Node,
-        loads: Mapping[str, str],
-        made: LaneOrder,
-    ) -> int:
+    def add_lanes(self, dynamics: Dynamics, made: LaneOrder) -> int:
         """Add what steps of several runs side by side take, a column each; return the number of rows that do not vary.
 
         * `lane_held(u, p, h, r)` writes what does not vary, in double precision and in single;
@@ -199,6 +180,7 @@ class Module:
         * `lane_states(x, c, s, y)` the states at times x from there, in the unit of coefficients;
         * `lane_advance(found, given, c, s, y)` the states after the step, and what is other in `given`.
         """
+        graph, time, states, derivatives, health, loads = dynamics
         order, doubles, size = made.order, made.doubles, len(states)
         rows_of = {name: f"given[{i}]" for i, name in enumerate(lane_steps.GIVEN)}
         read = {**loads, **rows_of, str(graph.operations[time][1]): rows_of["t"]}
@@ -235,7 +217,7 @@ class Module:
             add(name, arguments, steps, written)
         return len(held)
 
-    def add_coefficients_in_loops(self, loops: Loops, *, loads: Mapping[str, str], orders: Mapping[str, int]) -> None:
+    def add_coefficients_in_loops(self, loops: Loops, loads: Mapping[str, str], orders: Mapping[str, int]) -> None:
         """Add `coefficients` as `add_coefficients` does, but in loops; `c` has `loops.width` columns."""
         for ending, order in orders.items():
             name, types = _read(f"coefficients{ending}(t: float, y, u, p, c: Matrix)")
@@ -257,7 +239,7 @@ class Module:
 
         Args:
             name: of the function in this module.
-            factory: returns the function, decorated by `compiled`.
+            factory: returns the function, decorated by `compiled`, or is it.
             given: arguments of the factory; text names a function of this module, all else is written as it is.
             work: the shape of the work space, which is the last argument of the function.
             exported: whether the function is called from outside of the module.
@@ -296,14 +278,17 @@ class Module:
 
 
 def made_of(part: Made, named: Callable[[str], object]) -> Any:  # noqa: ANN401  (numba has no types)
-    """Kernel that a factory makes of what it was given, with `named(text)` in place of each function of the module."""
+    """Kernel that a factory makes of what it was given, with `named(text)` in place of each function of the module.
+
+    What is a kernel itself is that.
+    """
 
     def filled(value: Any) -> Any:  # noqa: ANN401
         if structs.is_struct(type(value)):
             return type(value)(*map(filled, value))
         return named(value) if isinstance(value, str) else value
 
-    return part.factory(*map(filled, part.given))
+    return part.factory if hasattr(part.factory, "py_func") else part.factory(*map(filled, part.given))
 
 
 def in_lanes(name: str, *arguments: str) -> str:

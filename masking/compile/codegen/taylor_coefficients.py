@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import itemgetter
+from typing import NamedTuple
 
 from masking.compile.codegen.graph import NOT_ANALYTIC, Graph, Node
 from masking.compile.codegen.printers import arguments, needed
@@ -22,6 +23,17 @@ from masking.compile.codegen.printers import arguments, needed
 # Operations whose recurrence needs the series of another.
 PAIRS = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
 LINEAR = {"neg", "add", "sub"}
+
+
+class Dynamics(NamedTuple):
+    """Dynamics in a graph: symbols of the time and the states, and nodes of their derivatives and of the health."""
+
+    graph: Graph
+    time: Node
+    states: Sequence[Node]
+    derivatives: Sequence[Node]
+    health: Node
+    loads: Mapping[str, str]  # for each symbol text, the text that reads it from the arguments of a function
 
 
 def is_analytic(graph: Graph, nodes: Sequence[Node]) -> bool:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from masking.compile.codegen import llvm_text
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.printers import arguments, needed
-from masking.compile.codegen.taylor_coefficients import Recurrences, companions, factored
+from masking.compile.codegen.taylor_coefficients import Dynamics, Recurrences, companions, factored
 from masking.compile.numerics.rig_sizes import LANES
 
 SUMS, SWAPPED = {"add", "sub", "neg"}, {"add", "mul"}
@@ -81,10 +81,9 @@ class Loops:
     rates: Sequence[Run]  # from derivatives to the states
 
     @classmethod
-    def of(
-        cls, graph: Graph, states: Sequence[Node], derivatives: Sequence[Node], *, time: Node, health: Node
-    ) -> Loops:
-        """Find the runs; `states` and `time` are symbols, `derivatives` and `health` nodes of the graph."""
+    def of(cls, dynamics: Dynamics) -> Loops:
+        """Find the runs."""
+        graph, time, states, derivatives, health, _ = dynamics
         *derivatives, health = _balanced(graph, [*factored(graph, derivatives), health])
         beside = companions(graph, derivatives)
         series = {*needed(graph, [*derivatives, *beside.values()])}

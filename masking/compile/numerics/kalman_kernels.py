@@ -421,11 +421,6 @@ def fixed_gain_filter(derivative: Kernel, sensed: Kernel) -> Kernel:
     return follow
 
 
-def backward_smoother() -> Kernel:
-    """Backward pass."""
-    return smooth_backward
-
-
 @compiled
 @requires("count <= min(len(states), len(predicted))", "states.shape[1] <= min(predicted.shape[1], *gain.shape)")
 def smooth_backward(count: int, gain: Matrix, states: Matrix, predicted: Matrix) -> None:

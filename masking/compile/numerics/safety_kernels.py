@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from masking.compile.numerics import safety_tables as tables
-from masking.compile.numerics.arrays import Kernel, Matrix, Vector
+from masking.compile.numerics.arrays import Matrix, Vector
 from masking.compile.numerics.compilation import compiled, requires
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, POWER
 from masking.compile.numerics.kernel_arguments import Guarded, Watched
@@ -214,98 +214,90 @@ def respond(h, s, known, work):
     return 0
 
 
-def watch() -> Kernel:
-    """Make the check of a sample's readings, before the controller gets them."""
-
-    @compiled
-    @requires(
-        f"len(known.counts) >= {tables.COUNTS} and len(known.settings) >= {tables.SETTINGS} and len(known.report) > 2",
-        f"known.sensors.shape[1] >= {tables.SENSOR_COLUMNS} and known.seen.shape[1] >= {tables.SEEN_COLUMNS}",
-        f"known.limits.shape[1] >= {tables.LIMIT_COLUMNS} and known.reaction.shape[1] > 1 and len(work) > 1",
-        "(n := len(s)) <= min(len(known.sensors), len(known.seen), len(known.model), known.past.shape[1])",
-        "n + (channels := known.sent.shape[1]) <= known.model.shape[1] and channels <= len(known.reaction)",
-        "0 < (rows := len(known.past)) <= len(known.sent) and max(n, channels) <= work.shape[1]",
-        f"within(known.counts[{tables.ROW}], rows) and known.settings[{tables.DELAY}] >= 0",
-        f"2 * known.settings[{tables.HALF}] + known.settings[{tables.DELAY}] <= rows",
-        "(limits := len(known.limits)) <= len(known.weights) and (limits == 0 or n <= known.weights.shape[1])",
-        f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or limits <= len(known.by_estimate)",
-        f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or len(estimate) <= known.by_estimate.shape[1]",
-    )
-    def watch(missed: int, h: float, s: Vector, estimate: Vector, known: Watched, work: Matrix) -> int:
-        cause = plausible(s, missed, known)
-        if cause == 0:
-            remember(s, missed, known)
-            cause = stuck(h, s, known)
-        if cause == 0:
-            cause = within(h, s, estimate, known)
-        if cause == 0:
-            cause = respond(h, s, known, work)
-        return cause
-
-    return watch
+@compiled
+@requires(
+    f"len(known.counts) >= {tables.COUNTS} and len(known.settings) >= {tables.SETTINGS} and len(known.report) > 2",
+    f"known.sensors.shape[1] >= {tables.SENSOR_COLUMNS} and known.seen.shape[1] >= {tables.SEEN_COLUMNS}",
+    f"known.limits.shape[1] >= {tables.LIMIT_COLUMNS} and known.reaction.shape[1] > 1 and len(work) > 1",
+    "(n := len(s)) <= min(len(known.sensors), len(known.seen), len(known.model), known.past.shape[1])",
+    "n + (channels := known.sent.shape[1]) <= known.model.shape[1] and channels <= len(known.reaction)",
+    "0 < (rows := len(known.past)) <= len(known.sent) and max(n, channels) <= work.shape[1]",
+    f"within(known.counts[{tables.ROW}], rows) and known.settings[{tables.DELAY}] >= 0",
+    f"2 * known.settings[{tables.HALF}] + known.settings[{tables.DELAY}] <= rows",
+    "(limits := len(known.limits)) <= len(known.weights) and (limits == 0 or n <= known.weights.shape[1])",
+    f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or limits <= len(known.by_estimate)",
+    f"not any(known.limits[:, {tables.ESTIMATED}] > 0.0) or len(estimate) <= known.by_estimate.shape[1]",
+)
+def watch(missed: int, h: float, s: Vector, estimate: Vector, known: Watched, work: Matrix) -> int:
+    """Check a sample's readings, before the controller gets them."""
+    cause = plausible(s, missed, known)
+    if cause == 0:
+        remember(s, missed, known)
+        cause = stuck(h, s, known)
+    if cause == 0:
+        cause = within(h, s, estimate, known)
+    if cause == 0:
+        cause = respond(h, s, known, work)
+    return cause
 
 
-def guard() -> Kernel:
-    """Make the check of a sample's command, before it is written: finite, clamped, not too fast, and not too warm.
+@compiled
+@requires(
+    "(channels := len(applied)) <= min(len(demanded), len(known.table), len(known.energy), known.sent.shape[1])",
+    f"known.table.shape[1] >= {tables.ACTUATOR_COLUMNS} and len(known.counts) >= {tables.COUNTS}",
+    f"within(known.counts[{tables.ROW}], len(known.sent)) and known.settings[{tables.PER_BUCKET}] > 0",
+    f"within(known.counts[{tables.BUCKET}] // known.settings[{tables.PER_BUCKET}], known.energy.shape[1] - 1)",
+)
+def guard(h: float, demanded: Vector, applied: Vector, known: Guarded) -> int:
+    """Check a sample's command, before it is written: finite, clamped, not too fast, and not too warm.
 
     `applied` is the command of the sample before, whose change is limited; less power may take a larger change.
     The energy of an actuator in buckets of equal time, the one in use included, never exceeds the largest mean power
     over all of them: no mean over the declared time exceeds it by more than a bucket's part.
     """
-
-    @compiled
-    @requires(
-        "(channels := len(applied)) <= min(len(demanded), len(known.table), len(known.energy), known.sent.shape[1])",
-        f"known.table.shape[1] >= {tables.ACTUATOR_COLUMNS} and len(known.counts) >= {tables.COUNTS}",
-        f"within(known.counts[{tables.ROW}], len(known.sent)) and known.settings[{tables.PER_BUCKET}] > 0",
-        f"within(known.counts[{tables.BUCKET}] // known.settings[{tables.PER_BUCKET}], known.energy.shape[1] - 1)",
-    )
-    def guard(h: float, demanded: Vector, applied: Vector, known: Guarded) -> int:
-        table, energy, sent, counts, settings, report = known
-        buckets, is_clamped, is_cut, is_slowed, cause, asked = energy.shape[1] - 1, False, -1, -1, 0, 0.0
-        at = counts[tables.BUCKET] // settings[tables.PER_BUCKET]
-        if counts[tables.BUCKET] % settings[tables.PER_BUCKET] == 0:
-            for i in range(applied.size):
-                energy[i, at] = energy[i, buckets] = 0.0
-                for k in range(buckets):
-                    energy[i, buckets] += energy[i, k]
-        counts[tables.BUCKET] = (counts[tables.BUCKET] + 1) % (buckets * settings[tables.PER_BUCKET])
+    table, energy, sent, counts, settings, report = known
+    buckets, is_clamped, is_cut, is_slowed, cause, asked = energy.shape[1] - 1, False, -1, -1, 0, 0.0
+    at = counts[tables.BUCKET] // settings[tables.PER_BUCKET]
+    if counts[tables.BUCKET] % settings[tables.PER_BUCKET] == 0:
         for i in range(applied.size):
-            if not math.isfinite(demanded[i]):
-                tell(report, i, demanded[i], 0.0)
-                cause = tables.COMMAND
-        for i in range(applied.size):
-            if cause != 0:
-                continue
-            before, change = applied[i], table[i, tables.RATE] * h
-            applied[i] = min(max(demanded[i], -table[i, LARGEST]), table[i, LARGEST])
-            if abs(applied[i] - before) > change:
-                asked, is_slowed = (applied[i] - before) / h, i
-                applied[i] = before + math.copysign(change, asked)
-            is_clamped = is_clamped or applied[i] != demanded[i]
-            heating = table[i, HEATING]
-            if heating > 0.0:
-                full = table[i, POWER] * buckets * settings[tables.PER_BUCKET] * h
-                free = max(0.0, full * (1.0 + 1e-9) - energy[i, buckets]) / h
-                if heating * applied[i] * applied[i] > free:
-                    applied[i] = math.copysign(math.sqrt(free / heating), applied[i])
-                    is_clamped, is_cut = True, i
-                spent = heating * applied[i] * applied[i] * h
-                energy[i, at] += spent
-                energy[i, buckets] += spent
-        if is_clamped:
-            counts[tables.CLAMPED] += 1
-        counts[tables.CUT] = counts[tables.CUT] + 1 if is_cut >= 0 else max(0, counts[tables.CUT] - 1)
-        counts[tables.SLOWED] = counts[tables.SLOWED] + 1 if is_slowed >= 0 else max(0, counts[tables.SLOWED] - 1)
-        if counts[tables.CUT] > settings[tables.CUTS]:
-            tell(report, is_cut, table[is_cut, POWER], table[is_cut, POWER])
-            cause = tables.THERMAL
-        elif counts[tables.SLOWED] > settings[tables.CUTS]:
-            tell(report, is_slowed, asked, table[is_slowed, tables.RATE])
-            cause = tables.COMMAND_RATE
-        for i in range(applied.size):
-            applied[i] = 0.0 if cause != 0 else applied[i]
-            sent[counts[tables.ROW], i] = applied[i]
-        return cause
-
-    return guard
+            energy[i, at] = energy[i, buckets] = 0.0
+            for k in range(buckets):
+                energy[i, buckets] += energy[i, k]
+    counts[tables.BUCKET] = (counts[tables.BUCKET] + 1) % (buckets * settings[tables.PER_BUCKET])
+    for i in range(applied.size):
+        if not math.isfinite(demanded[i]):
+            tell(report, i, demanded[i], 0.0)
+            cause = tables.COMMAND
+    for i in range(applied.size):
+        if cause != 0:
+            continue
+        before, change = applied[i], table[i, tables.RATE] * h
+        applied[i] = min(max(demanded[i], -table[i, LARGEST]), table[i, LARGEST])
+        if abs(applied[i] - before) > change:
+            asked, is_slowed = (applied[i] - before) / h, i
+            applied[i] = before + math.copysign(change, asked)
+        is_clamped = is_clamped or applied[i] != demanded[i]
+        heating = table[i, HEATING]
+        if heating > 0.0:
+            full = table[i, POWER] * buckets * settings[tables.PER_BUCKET] * h
+            free = max(0.0, full * (1.0 + 1e-9) - energy[i, buckets]) / h
+            if heating * applied[i] * applied[i] > free:
+                applied[i] = math.copysign(math.sqrt(free / heating), applied[i])
+                is_clamped, is_cut = True, i
+            spent = heating * applied[i] * applied[i] * h
+            energy[i, at] += spent
+            energy[i, buckets] += spent
+    if is_clamped:
+        counts[tables.CLAMPED] += 1
+    counts[tables.CUT] = counts[tables.CUT] + 1 if is_cut >= 0 else max(0, counts[tables.CUT] - 1)
+    counts[tables.SLOWED] = counts[tables.SLOWED] + 1 if is_slowed >= 0 else max(0, counts[tables.SLOWED] - 1)
+    if counts[tables.CUT] > settings[tables.CUTS]:
+        tell(report, is_cut, table[is_cut, POWER], table[is_cut, POWER])
+        cause = tables.THERMAL
+    elif counts[tables.SLOWED] > settings[tables.CUTS]:
+        tell(report, is_slowed, asked, table[is_slowed, tables.RATE])
+        cause = tables.COMMAND_RATE
+    for i in range(applied.size):
+        applied[i] = 0.0 if cause != 0 else applied[i]
+        sent[counts[tables.ROW], i] = applied[i]
+    return cause

@@ -319,7 +319,7 @@ class AugmentedModel:
             return {
                 "respond": (known_motion.linear_responses, "slopes", "sensed"),
                 "follow": (kalman_kernels.fixed_gain_filter, "rates", "sensed"),
-                "smooth_backward": (kalman_kernels.backward_smoother,),
+                "smooth_backward": (kalman_kernels.smooth_backward,),
                 "motions": (known_motion.places_along, "rates", "placed"),
                 "along": (known_motion.law_along, laws.LAW),
                 "read": (known_motion.readings_along, "sensed"),

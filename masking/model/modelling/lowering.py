@@ -9,7 +9,7 @@ from masking.compile.codegen import chattering
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
 from masking.compile.codegen.source import LARGEST_TAYLOR_COST, LEAST_SIDE_BY_SIDE, Module, lane_orders, taylor_orders
-from masking.compile.codegen.taylor_coefficients import cost, degree, hides_a_switch, is_analytic
+from masking.compile.codegen.taylor_coefficients import Dynamics, cost, degree, hides_a_switch, is_analytic
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.controller_sizes import lane_work
@@ -116,8 +116,9 @@ def module(equations: Equations) -> Module:
         and degree(graph, derivatives) < min(orders.values())
     )
     joined, loops = lowered.joined(), None
+    dynamics = Dynamics(graph, time, states, derivatives, lowered.health, joined)
     if use_taylor and products > LARGEST_TAYLOR_COST:
-        loops = Loops.of(graph, states, derivatives, time=time, health=lowered.health)
+        loops = Loops.of(dynamics)
         use_taylor = loops.side_by_side >= LEAST_SIDE_BY_SIDE
     energy = equations.energy
     outputs = {name: equations.output(name) for name in equations.declaration.outputs}
@@ -149,19 +150,15 @@ def module(equations: Equations) -> Module:
         module.add("energy(t: float, q, v, p)", graph, [], split, returns=lowered.lower(energy))
     if use_taylor:
         if loops is not None:
-            module.add_coefficients_in_loops(loops, loads=joined, orders=orders)
+            module.add_coefficients_in_loops(loops, joined, orders)
         else:
-            module.add_coefficients(
-                graph, states, derivatives, time=time, health=lowered.health, loads=joined, orders=orders
-            )
+            module.add_coefficients(dynamics, orders)
         for ending, order in orders.items():
             made = (taylor_integrator.taylor, f"coefficients{ending}", order, size)
             width = size if loops is None else loops.width
             module.add_factory(f"solve_taylor{ending}", *made, work=(order + 1, width))
         for one in lane_orders(products) if loops is None else ():
-            held = module.add_lanes(
-                graph, states, derivatives, time=time, health=lowered.health, loads=joined, made=one
-            )
+            held = module.add_lanes(dynamics, one)
             counts = (one.doubles, one.order + 1 - one.doubles, size, inputs, len(s.p), held, one.lanes)
             linked = [f"lane_{name}{one.ending}" for name in ("held", "coefficients", "step", "states", "advance")]
             module.add_factory(f"solve_in_lanes{one.ending}", lanes.taylor, *linked, *counts, work=lane_work(*counts))

@@ -27,7 +27,7 @@ from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.graph_values import values_of
 from masking.compile.codegen.printers import C, statements
 from masking.compile.codegen.source import Module
-from masking.compile.codegen.taylor_coefficients import degree, factored, is_analytic, with_common_factors
+from masking.compile.codegen.taylor_coefficients import Dynamics, degree, factored, is_analytic, with_common_factors
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.trusted_files import write_whole
 from masking.compile.numerics import runge_kutta
@@ -365,12 +365,12 @@ def series_of(equations, start, order=14, time=0.0, copies=0):
     assert is_analytic(graph, derivatives)
     given, health = [node for nodes in states.values() for node in nodes], graph.number(1.0)
     loads = {str(graph.operations[node][1]): f"y[{i}]" for i, node in enumerate(given)}
-    printed = Module("test", {})
+    printed, dynamics = Module("test", {}), Dynamics(graph, t, given, derivatives, health, loads)
     if copies:
-        loops = Loops.of(graph, given, derivatives, time=t, health=health)
-        printed.add_coefficients_in_loops(loops, loads=loads, orders={"": order})
+        loops = Loops.of(dynamics)
+        printed.add_coefficients_in_loops(loops, loads, {"": order})
     else:
-        printed.add_coefficients(graph, given, derivatives, time=t, health=health, loads=loads, orders={"": order})
+        printed.add_coefficients(dynamics, {"": order})
     c = np.full((order + 1, loops.width if copies else len(given)), np.nan)
     generated = module_store.load(module_store.key({"test": printed.text()}), lambda: printed)
     none = np.zeros(0)

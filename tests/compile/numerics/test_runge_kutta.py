@@ -13,6 +13,7 @@ from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import InPieces
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.source import Module
+from masking.compile.codegen.taylor_coefficients import Dynamics
 from masking.compile.numerics import dop853_coefficients, runge_kutta, taylor_integrator
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
 from masking.errors import IntegrationError, SingularityError
@@ -42,15 +43,9 @@ def testbed(declared):
     loads = {**lowered.loads("y[{i}]", "y[{i}]"), "v_x": "y[1]"}
     for order in ORDERS:
         module = Module("test", {})
-        module.add_coefficients(
-            lowered.graph,
-            states,
-            [states[1], *lowered.accelerations],
-            time=lowered.symbols[s.t],
-            health=lowered.health,
-            loads=loads,
-            orders={"": order},
-        )
+        derivatives = [states[1], *lowered.accelerations]
+        dynamics = Dynamics(lowered.graph, lowered.symbols[s.t], states, derivatives, lowered.health, loads)
+        module.add_coefficients(dynamics, {"": order})
         module.add_factory("solve", taylor_integrator.taylor, "coefficients", order, 2, work=(order + 1, 2))
         found[f"taylor_{order}"] = compiled(module, "solve")
     module = Module("test", {})
