@@ -53,22 +53,21 @@ class Feed:
         """Values behind the parameters, as `numerics.virtual_input_kernels` reads them; empty without inputs."""
         if not self:
             return np.empty(0)
-        parts = [np.append(len(one.times), one.pieces.ravel()) for _, one in self.series]
-        parts += [np.array([one.factor]) for one in self.sensors]
-        parts += [np.array([one.factor, one.above, 0.0]) for one in self.pushes]
+        parts = [np.array([cell, len(one.times), *one.pieces.ravel()]) for cell, one in self.series]
+        parts += [np.array([one.cell, one.sensor, one.factor]) for one in self.sensors]
+        parts += [np.array([one.cell, one.factor, one.above, 0.0]) for one in self.pushes]
         tail = np.concatenate([*parts, np.zeros(len(self.pushes))])
         return np.append(tail, len(tail) + 1.0)
 
     def lasting(self, p: Array) -> Array:
         """Lasting part of each push (1, pushes), SI units, in the parameters p with their tail."""
         count, last = len(self.pushes), len(p) - 1
-        return p[last - 4 * count : last - count].reshape(1, count, 3)[:, :, 2].copy() if count else np.empty((1, 0))
+        return p[last - 5 * count : last - count].reshape(1, count, 4)[:, :, 3].copy()
 
     def structure(self) -> list[object]:
         """All that the compiled step depends on."""
-        cells = [cell for cell, _ in self.series]
-        pushes = [[one.cell, one.coordinate] for one in self.pushes]
-        return [self.scale, cells, [[one.cell, one.sensor] for one in self.sensors], pushes] if self else []
+        coordinates = [one.coordinate for one in self.pushes]
+        return [self.scale, len(self.series), len(self.sensors), coordinates] if self else []
 
     def bare(self, signature: str) -> str:
         """Signature of a function under the name that it has before it is fed."""
@@ -78,15 +77,13 @@ class Feed:
     def add_laws(self, module: Module) -> None:
         """Add the control law, what the energy balance calls and rates of internal states, with their series."""
         if self.series:
-            cells = tuple(cell for cell, _ in self.series)
             for name in ("law", "virtual", "remember"):
                 kernel = virtual_input_kernels.law if name == "law" else virtual_input_kernels.virtual
-                module.add_factory(name, kernel, f"bare_{name}", cells, self.scale, exported=False)
+                module.add_factory(name, kernel, f"bare_{name}", len(self.series), self.scale, exported=False)
 
     def add_control(self, module: Module, sizes: Sizes, work: tuple[int, int]) -> None:
         """Add the step with inputs that are read or estimated."""
-        sensors = tuple((one.cell, one.sensor) for one in self.sensors)
-        given = ("bare_control", "push", len(self.series), sensors, tuple(one.cell for one in self.pushes), sizes)
+        given = ("bare_control", "push", *map(len, (self.series, self.sensors, self.pushes)), sizes)
         module.add_factory("control", virtual_input_kernels.control, *given, work=work)
 
     @property

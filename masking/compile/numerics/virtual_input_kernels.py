@@ -1,11 +1,11 @@
 """Kernels that give a control law the inputs of its virtual system: from tables, from sensors, and from a push.
 
 An input is the polynomial c0 + c1 (t - at) + ... of the virtual time, whose five parameters are cells of the parameter
-array p of the control law. Behind the parameters stands a tail:
+array p of the control law, from `cell` on. Behind the parameters stands a tail:
 
-    for each series: number m of points, then (c0, c1, c2, c3, at) before and after each point (m + 1, 5)
-    for each sensor: virtual units per unit of reading
-    for each push: virtual units per SI unit, rad/s above which it is felt, and what is below
+    for each series: cell, number m of points, then (c0, c1, c2, c3, at) before and after each point (m + 1, 5)
+    for each sensor: cell, index of the sensor, virtual units per unit of reading
+    for each push: cell, virtual units per SI unit, rad/s above which it is felt, and what is below
     for each push: what was found last
     the length of the tail, itself included
 """
@@ -24,12 +24,13 @@ from masking.compile.numerics.sampled_loop import OF_READINGS
 
 PIECE = 5  # numbers of a polynomial
 HALVINGS = 32  # of the points between which a time is looked for
-OF_PUSH = 3  # numbers of a push before what was found
+OF_SENSOR, OF_PUSH = 3, 4  # numbers of a sensor, and of a push before what was found
 
 
 @compiled
-def interpolate(tau, p, at, cell):
+def interpolate(tau, p, begin):
     """Copy the polynomial for a time from the table at an index into its cells; return the index behind the table."""
+    cell, at = math.floor(p[begin]), begin + 1
     count = math.floor(p[at])
     low, high = 0, count  # the piece is the number of points up to tau
     for _ in range(HALVINGS):
@@ -46,32 +47,29 @@ def interpolate(tau, p, at, cell):
 
 
 @compiled
-def first_table(t, p):
+def first_table(p):
     """Index of the first table."""
     return p.size - math.floor(p[p.size - 1])
 
 
-def tables(cells: tuple[int, ...], scale: int) -> Kernel:
-    """Make `set_cells(t, p)`, which sets the cells of all series for a time of the rig; it returns the index behind."""
-    if not cells:
-        return first_table
-    others, cell = tables(cells[:-1], scale), cells[-1]
+def tables(series: int, scale: int) -> Kernel:
+    """Make `set_cells(t, p)`, which sets the cells of all series for a time of the rig."""
 
     @compiled
     def set_cells(t, p):
-        at = others(t, p)
-        return interpolate(t / p[scale], p, at, cell)
+        at = first_table(p)
+        for _ in range(series):
+            at = interpolate(t / p[scale], p, at)
 
     return set_cells
 
 
-def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
+def law(bare: Kernel, series: int, scale: int) -> Kernel:
     """Make a control law that reads its series at each instant; `bare` is that of `sampled_loop`.
 
-    `cells` says where the polynomial of each series is among the parameters, `scale` where the seconds per unit of
-    virtual time are.
+    `scale` says where the seconds per unit of virtual time are among the parameters.
     """
-    set_cells = tables(cells, scale)
+    set_cells = tables(series, scale)
 
     @compiled
     def fed(t, since, y, d, p, u, r, g):
@@ -81,9 +79,9 @@ def law(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
     return fed
 
 
-def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
+def virtual(bare: Kernel, series: int, scale: int) -> Kernel:
     """Make `virtual` of `energy_balance`, or `remember` of `virtual_memory`, with series read at each instant."""
-    set_cells = tables(cells, scale)
+    set_cells = tables(series, scale)
 
     @compiled
     def fed(t, y, p, out):
@@ -93,78 +91,33 @@ def virtual(bare: Kernel, cells: tuple[int, ...], scale: int) -> Kernel:
     return fed
 
 
-@compiled
-def unread(s, p, at):
-    """Index behind the inputs of no sensor."""
-    return at
-
-
-def reading(sensors: tuple[tuple[int, int], ...]) -> Kernel:
-    """Make `read(s, p, at)`, which sets the cells of all inputs from sensors; it returns the index behind.
-
-    `sensors` has for each of these inputs its cell and the index of the sensor.
-    """
-    if not sensors:
-        return unread
-    others, (cell, sensor) = reading(sensors[:-1]), sensors[-1]
-
-    @compiled
-    def read(s, p, at):
-        own = others(s, p, at)
-        p[cell] = p[own] * s[sensor]
-        return own + 1
-
-    return read
-
-
-@compiled
-def unfelt(found, p, at, h):
-    """Index behind the inputs of no push."""
-    return at
-
-
-def feeling(cells: tuple[int, ...]) -> Kernel:
-    """Make `feel(found, p, at, h)`, which sets the cells of all inputs from pushes; it returns the index behind."""
-    if not cells:
-        return unfelt
-    others, cell, i = feeling(cells[:-1]), cells[-1], len(cells) - 1
-
-    @compiled
-    def feel(found, p, at, h):
-        own = others(found, p, at, h)
-        # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
-        p[own + 2] += -math.expm1(-p[own + 1] * h) * (found[i] - p[own + 2])
-        p[cell] = p[own] * (found[i] - p[own + 2])
-        return own + OF_PUSH
-
-    return feel
-
-
-def control(
-    bare: Kernel, push: Kernel, series: int, sensors: tuple[tuple[int, int], ...], pushes: tuple[int, ...], sizes: Sizes
-) -> Kernel:
+def control(bare: Kernel, push: Kernel, series: int, sensors: int, pushes: int, sizes: Sizes) -> Kernel:
     """Make the step of a controller whose virtual system has inputs from sensors and pushes; `bare` is that without.
 
     `push(t, y, d, p, out)` writes the force along the coordinate of each push, of the accelerations d that the model
-    lacks. `series` is how many there are; `sensors` has for each input from a sensor its cell and the index of the
-    sensor, and `pushes` the cells of inputs from pushes.
+    lacks. The numbers of series, sensors and pushes are those of the tail.
     """
-    following, size, n, pushed = sizes.next, sizes.states, sizes.coordinates, OF_PUSH * len(pushes)
-    read, feel = reading(sensors), feeling(pushes)
+    following, size, n, pushed = sizes.next, sizes.states, sizes.coordinates, OF_PUSH * pushes
 
     @compiled
     @requires(*OF_READINGS)
     def step(t: float, h: float, s: Vector, unit: Unit, demanded: Vector, applied: Vector, work: Matrix) -> float:
         p = unit.p
-        at = first_table(t, p)
+        at = first_table(p)
         for _ in range(series):
-            at += 1 + PIECE * (math.floor(p[at]) + 1)
-        at = read(s, p, at)
+            at += 2 + PIECE * (math.floor(p[at + 1]) + 1)
+        for _ in range(sensors):
+            p[math.floor(p[at])] = p[at + 2] * s[math.floor(p[at + 1])]
+            at += OF_SENSOR
         if pushed > 0:
             z = unit.x[following.start : following.stop]
             found = p[at + pushed : p.size - 1]
             push(t, z[:size], z[size : size + n], p, found)
-            feel(found, p, at, h)
+            for i in range(pushes):
+                # What lasts is an error of the model, and is cancelled; what comes and goes is a push.
+                p[at + 3] += -math.expm1(-p[at + 2] * h) * (found[i] - p[at + 3])
+                p[math.floor(p[at])] = p[at + 1] * (found[i] - p[at + 3])
+                at += OF_PUSH
         return bare(t, h, s, unit, demanded, applied, work)
 
     return step
