@@ -21,8 +21,8 @@ def status_of(health, first, commands):
     if first[0] == 0.0:
         first[0] = health
     status = fault(health, first[0])
-    for command in commands:
-        if status == REACHED and not math.isfinite(command):
+    for i in range(commands.size):
+        if status == REACHED and not math.isfinite(commands[i]):
             status = NOT_FINITE
     return status
 

@@ -1,4 +1,4 @@
-"""Export: controllers, rigs and models as C, as FMUs and as Python that needs numpy only.
+"""Export: controllers, rigs and models as C and as FMUs.
 
 In: a controller, a rig or a model.
 Out: source files and FMUs that compute what the compiled kernels compute.

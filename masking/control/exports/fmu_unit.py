@@ -32,8 +32,11 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibili
 CREATED = (1980, 1, 1, 0, 0, 0)  # of every file, so that the same unit gives the same bytes
 
 MARKS = {
-    2: {"FMI": "fmi2", "COMPONENT": "fmi2Component", "STATE": "FMUstate", "DESERIALIZE": "DeSerialize"},
-    3: {"FMI": "fmi3", "COMPONENT": "fmi3Instance", "STATE": "FMUState", "DESERIALIZE": "Deserialize"},
+    2: {"FMI": "fmi2", "COMPONENT": "fmi2Component", "STATE": "FMUstate", "DESERIALIZE": "DeSerialize", "REAL": "Real"},
+    3: {
+        **{"FMI": "fmi3", "COMPONENT": "fmi3Instance", "STATE": "FMUState", "DESERIALIZE": "Deserialize"},
+        "REAL": "Float64",
+    },
 }  # of what the two standards have in common
 
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 from masking.compile.numerics.arrays import IntVector, Kernel, Matrix, Vector
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import UnderWay, Unit
-from masking.compile.numerics.runge_kutta import copy, fault
-from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED
+from masking.compile.numerics.runge_kutta import copy
+from masking.compile.numerics.single_step import status_of
+from masking.compile.numerics.stop_codes import REACHED
 
 INDEX, WAITED, STATUS = range(3)
 COUNTERS = 3
@@ -168,14 +169,8 @@ def controller_step(control: Kernel, instant: Kernel, actuators: int, period: fl
             commands[i] = 0.0
         if counters[STATUS] != REACHED:
             return counters[STATUS]
-        t = instant(counters[INDEX])
-        health = control(t, period, readings, unit, demanded, applied, work)
-        if first[0] == 0.0:
-            first[0] = health
-        status = fault(health, first[0])
-        for i in range(actuators):
-            if not math.isfinite(applied[i]):
-                status = NOT_FINITE
+        health = control(instant(counters[INDEX]), period, readings, unit, demanded, applied, work)
+        status = status_of(health, first, applied[:actuators])
         if status == REACHED:
             copy(applied, commands, actuators)
         counters[STATUS] = status
@@ -256,12 +251,7 @@ def law_step(law: Kernel, size: int, coordinates: int, inputs: int) -> Kernel:
         if counters[STATUS] != REACHED:
             return counters[STATUS]
         health = law(time, readings[:coordinates], readings[coordinates:size], commands, p)
-        if first[0] == 0.0:
-            first[0] = health
-        status = fault(health, first[0])
-        for i in range(inputs):
-            if not math.isfinite(commands[i]):
-                status = NOT_FINITE
+        status = status_of(health, first, commands[:inputs])
         if status != REACHED:
             for i in range(inputs):
                 commands[i] = 0.0
@@ -273,16 +263,15 @@ def law_step(law: Kernel, size: int, coordinates: int, inputs: int) -> Kernel:
 
 def rig_beginning(clear: Kernel, states: int, parameters: int, rows: int, actuators: int) -> Kernel:
     """Make `init(y, p, queue, acting, counters, state0, values)` of a rig at rest and unpowered."""
+    begin = model_beginning(clear, states, parameters)
 
     def init(y, p, queue, acting, counters, state0, values):
-        copy(state0, y, states)
-        copy(values, p, parameters)
+        begin(y, p, counters, state0, values)
         for i in range(rows):
             for j in range(actuators):
                 queue[i, j] = 0.0
         for j in range(actuators):
             acting[j] = 0.0
-        clear(counters)
 
     return init
 

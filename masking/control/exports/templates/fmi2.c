@@ -93,25 +93,12 @@ EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 
 EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, fmi2Real value[])
 {
-    for (size_t i = 0; i < count; i++) {
-        const double *found = variable(&((component_t *)c)->instance, vr[i]);
-        if (found == NULL) {
-            return fail(c, "fmi2GetReal: there is no variable of this value reference");
-        }
-        value[i] = *found;
-    }
-    return fmi2OK;
+    return get(c, vr, count, value);
 }
 
 EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, const fmi2Real value[])
 {
-    for (size_t i = 0; i < count; i++) {
-        const char *message = set(&((component_t *)c)->instance, vr[i], value[i]);
-        if (message != NULL) {
-            return fail(c, message);
-        }
-    }
-    return fmi2OK;
+    return put(c, vr, count, value);
 }
 
 #define NONE(name, type)                                                                                               \

@@ -128,14 +128,7 @@ EXPORT fmi3Status fmi3GetFloat64(
     if (count != length) {
         return fail(instance, "fmi3GetFloat64: give one value for each value reference");
     }
-    for (size_t i = 0; i < count; i++) {
-        const double *found = variable(&((component_t *)instance)->instance, vr[i]);
-        if (found == NULL) {
-            return fail(instance, "fmi3GetFloat64: there is no variable of this value reference");
-        }
-        values[i] = *found;
-    }
-    return fmi3OK;
+    return get(instance, vr, count, values);
 }
 
 EXPORT fmi3Status fmi3SetFloat64(
@@ -144,13 +137,7 @@ EXPORT fmi3Status fmi3SetFloat64(
     if (count != length) {
         return fail(instance, "fmi3SetFloat64: give one value for each value reference");
     }
-    for (size_t i = 0; i < count; i++) {
-        const char *message = set(&((component_t *)instance)->instance, vr[i], values[i]);
-        if (message != NULL) {
-            return fail(instance, message);
-        }
-    }
-    return fmi3OK;
+    return put(instance, vr, count, values);
 }
 
 #define NONE(name, type)                                                                                               \

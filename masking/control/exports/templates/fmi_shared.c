@@ -1,5 +1,28 @@
 /* What FMI 2.0 and FMI 3.0 have in common. */
 
+static @FMI@Status get(@COMPONENT@ c, const @FMI@ValueReference vr[], size_t count, double values[])
+{
+    for (size_t i = 0; i < count; i++) {
+        const double *found = variable(&((component_t *)c)->instance, vr[i]);
+        if (found == NULL) {
+            return fail(c, "@FMI@Get@REAL@: there is no variable of this value reference");
+        }
+        values[i] = *found;
+    }
+    return @FMI@OK;
+}
+
+static @FMI@Status put(@COMPONENT@ c, const @FMI@ValueReference vr[], size_t count, const double values[])
+{
+    for (size_t i = 0; i < count; i++) {
+        const char *message = set(&((component_t *)c)->instance, vr[i], values[i]);
+        if (message != NULL) {
+            return fail(c, message);
+        }
+    }
+    return @FMI@OK;
+}
+
 EXPORT @FMI@Status @FMI@SetDebugLogging(@COMPONENT@ c, @FMI@Boolean on, size_t count, const @FMI@String categories[])
 {
     (void)c, (void)on, (void)count, (void)categories;
