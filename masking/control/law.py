@@ -394,12 +394,14 @@ class ControllerParameters:
 
     def loads(self, graph: Graph) -> dict[str, str]:
         """For each parameter's text how it is read from the array `p`."""
-        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
-        nodes = [*self.model, *self.virtual, *self.transform, *scaled, *self.bandwidth, *self.branches]
-        return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(nodes)}
+        return {str(graph.operations[n][1]): f"p[{i}]" for i, n in enumerate(self._nodes)}
 
     @property
     def count(self) -> int:
         """Length of the array."""
-        parts = (self.model, self.virtual, self.transform, self.lengths, self.regulation, self.energy_balance)
-        return sum(map(len, parts)) + 1 + len(self.bandwidth) + len(self.branches)
+        return len(self._nodes)
+
+    @property
+    def _nodes(self) -> list[Node]:
+        scaled = [*self.lengths, self.time_scale, *self.regulation, *self.energy_balance]
+        return [*self.model, *self.virtual, *self.transform, *scaled, *self.bandwidth, *self.branches]

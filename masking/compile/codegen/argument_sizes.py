@@ -11,13 +11,13 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from operator import eq, ge, gt, le, lt, ne
 from types import ModuleType
 from typing import Any
 
 from masking.compile.codegen import structs
+from masking.compile.codegen.c_expressions import COMPARISONS
 from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.llvm_text import Expressions
 from masking.compile.codegen.printers import needed
@@ -26,8 +26,6 @@ from masking.compile.codegen.source import Module
 Sizes = dict[str, list[int]]
 Range = tuple[int, int]  # least and greatest value of an index
 _ELEMENT = re.compile(r"^(\w+)\[(\d+)(?:, (\d+))?\]$")
-_COMPARED: Mapping[type[ast.cmpop], Callable[[int, int], bool]]
-_COMPARED = {ast.Lt: lt, ast.LtE: le, ast.Gt: gt, ast.GtE: ge, ast.Eq: eq, ast.NotEq: ne}
 
 
 def least_sizes(module: Module) -> dict[str, Sizes]:
@@ -250,8 +248,8 @@ class _Kernel:
             case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() as operation, right=right):
                 return _combined(operation, self.value(left), self.value(right))
             case ast.Compare(left=left, ops=[operation], comparators=[right]):
-                x, y, test = self.number(left), self.number(right), _COMPARED.get(type(operation))
-                return None if x is None or y is None or test is None else _number(test(x, y))
+                x, y, known = self.number(left), self.number(right), COMPARISONS.get(type(operation))
+                return None if x is None or y is None or known is None else _number(known[1](x, y))
             case ast.IfExp(test=test, body=body, orelse=other) if (decided := self.number(test)) is not None:
                 return self.value(body if decided else other)
             case ast.UnaryOp(op=ast.Not(), operand=operand):

@@ -7,7 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import DeclarationError, Problem, nearest
+from masking.errors import DeclarationError
+from masking.model.declaration.checks import problem_at
+from masking.model.declaration.cross_checks import check_allocation
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import ModelDeclaration, PlantDeclaration
 from masking.model.declaration.units import factor_of
@@ -22,25 +24,13 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
     sizes = np.array([factor_of(channel.unit) for channel in (plant.actuators or model.inputs).values()])
     if not plant.actuators:
         return np.diag(sizes)
-    problems = []
+    if problems := [*check_allocation(plant, model)]:
+        raise DeclarationError(problems)
     rows = np.zeros((len(model.inputs), len(plant.actuators)))
-    for name in plant.allocation.keys() - model.inputs.keys():
-        message, remedy = f"'{name}' is no input of {model.name}", nearest(name, model.inputs)
-        problems.append(Problem(plant.key_place(f"allocation.{name}"), f"allocation.{name}", message, remedy))
     for i, name in enumerate(model.inputs):
         path = f"allocation.{name}"
-        if name not in plant.allocation:
-            message = f"nothing is allocated to the input {name}"
-            remedy = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
-            problems.append(Problem(plant.key_place("allocation"), path, message, remedy))
-            continue
-        expression = plant.allocation[name]
-        unknown = expression.check_symbols([*plant.actuators, *parameters])
-        if unknown:
-            problems += unknown
-            continue
 
-        def at(command: Array, expression: Expression = expression) -> float:
+        def at(command: Array, expression: Expression = plant.allocation[name]) -> float:
             return expression.evaluate({**parameters, **dict(zip(plant.actuators, command, strict=True))})
 
         rest = at(np.zeros(len(plant.actuators)))
@@ -48,7 +38,7 @@ def allocation(plant: PlantDeclaration, model: ModelDeclaration, parameters: Map
         probe = np.random.default_rng(0).uniform(0.5, 1.5, len(plant.actuators))
         if rest != 0.0 or not np.isclose(at(probe), rows[i] @ probe, rtol=1e-9):
             message = "the allocation must be a sum of actuators times numbers"
-            problems.append(Problem(plant.place(path), path, message, "put anything else into effects"))
+            problems.append(problem_at(plant, path, message, "put anything else into effects"))
     if problems:
         raise DeclarationError(problems)
     rows *= sizes

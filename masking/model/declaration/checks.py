@@ -112,6 +112,16 @@ def problem_at(declaration: Declaration, path: str, message: str, remedy: str = 
     return Problem(place, path, message, remedy)
 
 
+def strangers(
+    declaration: Declaration, section: str, names: Iterable[str], allowed: Collection[str], what: str
+) -> Iterator[Problem]:
+    """Find keys of a section that are not among the names which are allowed; `what` says what these are."""
+    for name in names:
+        if name not in allowed:
+            remedy = nearest(name, allowed) if allowed else "there is none"
+            yield problem_at(declaration, f"{section}.{name}", f"'{name}' is not {what}", remedy, at_key=True)
+
+
 def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
     owner: dict[str, str] = {}
     for section in ("coordinates", "states", "inputs", "parameters", "definitions", "elements"):
@@ -120,17 +130,17 @@ def _names(model: ModelDeclaration, lost: Collection[str]) -> Iterator[Problem]:
                 message = f"the name '{name}' is already used in {owner[name]}"
                 yield problem_at(model, f"{section}.{name}", message, "rename one of them", at_key=True)
             owner.setdefault(name, section)
-    named = [(f"oscillators.{index}", name) for index, name in enumerate(model.oscillators or ())]
-    for path, name in (*named, *((f"forces.{name}", name) for name in model.forces)):
-        if name not in model.coordinates and name not in lost:
+    for i, name in enumerate(model.oscillators or ()):
+        if name not in {*model.coordinates, *lost}:
             remedy = nearest(name, model.coordinates)
-            yield problem_at(model, path, f"'{name}' is not a coordinate", remedy, path.startswith("forces."))
+            yield problem_at(model, f"oscillators.{i}", f"'{name}' is not a coordinate", remedy)
+    forces = [name for name in model.forces if name not in lost]
+    yield from strangers(model, "forces", forces, model.coordinates, "a coordinate")
     taken = {*model.coordinates, *model.states, *model.outputs}
-    for element, name in ((e, name) for e, entry in model.elements.items() for name in entry.acts):
-        if name not in taken and name not in lost:
-            kinds = ["a coordinate", *["a state"] * bool(model.states), *["an output"] * bool(model.outputs)]
-            path, message = f"elements.{element}.acts.{name}", f"'{name}' is not {_joined(kinds, 'or')}"
-            yield problem_at(model, path, message, nearest(name, taken), at_key=True)
+    kinds = ["a coordinate", *["a state"] * bool(model.states), *["an output"] * bool(model.outputs)]
+    for element, entry in model.elements.items():
+        acts = [name for name in entry.acts if name not in lost]
+        yield from strangers(model, f"elements.{element}.acts", acts, taken, _joined(kinds, "or"))
     for name in driven_outputs(model):
         if name in owner:
             message = f"elements act on the output '{name}', a name that is already used in {owner[name]}"

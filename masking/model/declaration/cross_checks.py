@@ -15,6 +15,7 @@ from masking.model.declaration.checks import (
     check_parameters,
     check_symbols,
     problem_at,
+    strangers,
     unused,
     used,
     velocities,
@@ -46,15 +47,13 @@ def check_plant(plant: PlantDeclaration, model: ModelDeclaration) -> list[Proble
             problems.append(problem_at(plant, f"sensors.{name}.range", message, remedy))
     channels = plant.actuators or model.inputs
     owner = "an actuator of this plant" if plant.actuators else f"an input of {model.name}"
+    problems += strangers(plant, "limits.inputs", plant.limits.inputs, channels, owner)
     for name, limit in plant.limits.inputs.items():
         path = f"limits.inputs.{name}"
-        if name not in channels:
-            message = f"'{name}' is not {owner}"
-            problems.append(problem_at(plant, path, message, nearest(name, channels), at_key=True))
         if abs(limit.expiry) > limit.max:
             message = f"expiry is {limit.expiry:g}, beyond the largest command, {limit.max:g}"
             problems.append(problem_at(plant, f"{path}.expiry", message, "write a number within it"))
-    problems += _allocation(plant, model)
+    problems += [*check_allocation(plant, model), *_actuators(plant, model)]
     for expression in plant.limits.coordinates:
         problems += check_symbols(expression, measurable, model.coordinates)
     positions = [*model.coordinates, *model.parameters]
@@ -77,30 +76,32 @@ def _unused(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Proble
     yield from unused(model, "parameters", names)
 
 
-def _allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+def check_allocation(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
     """Check that actuators are wired to every input of the model, and to nothing else."""
     if plant.allocation and not plant.actuators:
         message, remedy = "an allocation needs actuators", "declare them under actuators"
         yield problem_at(plant, "allocation", message, remedy, at_key=True)
         return
-    for name in plant.actuators:
-        if name in model.parameters:
-            message = f"the name '{name}' is already a parameter of {model.name}"
-            yield problem_at(plant, f"actuators.{name}", message, "rename it", at_key=True)
-    for name, expression in plant.allocation.items():
-        if name not in model.inputs:
-            path, message = f"allocation.{name}", f"'{name}' is not an input of {model.name}"
-            yield problem_at(plant, path, message, nearest(name, model.inputs), at_key=True)
+    yield from strangers(plant, "allocation", plant.allocation, model.inputs, f"an input of {model.name}")
+    for expression in plant.allocation.values():
         yield from check_symbols(expression, [*plant.actuators, *model.parameters], ())
     for name in model.inputs if plant.actuators else ():
         if name not in plant.allocation:
             remedy = f"write what it gets of the actuators, such as '{name}: {next(iter(plant.actuators))}'"
             yield problem_at(plant, "allocation", f"nothing is allocated to the input {name}", remedy, at_key=True)
+
+
+def _actuators(plant: PlantDeclaration, model: ModelDeclaration) -> Iterator[Problem]:
+    """Check that actuators have names of their own, and that each is wired."""
     used = set().union(*(expression.names for expression in plant.allocation.values()))
     for name in plant.actuators:
+        path = f"actuators.{name}"
+        if name in model.parameters:
+            message = f"the name '{name}' is already a parameter of {model.name}"
+            yield problem_at(plant, path, message, "rename it", at_key=True)
         if plant.allocation and name not in used:
             message = f"the actuator '{name}' is wired to nothing"
-            yield problem_at(plant, f"actuators.{name}", message, "remove it or wire it", at_key=True)
+            yield problem_at(plant, path, message, "remove it or wire it", at_key=True)
 
 
 def check_experiment(
@@ -243,9 +244,7 @@ def _overrides(
     declaration: Declaration, section: str, overrides: Mapping[str, float], model: ModelDeclaration
 ) -> Iterator[Problem]:
     known = {name: value for name, value in overrides.items() if name in model.parameters}
-    for name in overrides.keys() - known.keys():
-        path, message = f"{section}.{name}", f"'{name}' is not a parameter of {model.name}"
-        yield problem_at(declaration, path, message, nearest(name, model.parameters), at_key=True)
+    yield from strangers(declaration, section, overrides, model.parameters, f"a parameter of {model.name}")
     for problem in check_parameters(model, known):
         name = problem.path.split(".")[1] if "." in problem.path else ""
         path = f"{section}.{name}"
@@ -254,11 +253,7 @@ def _overrides(
 
 def _effects(experiment: ExperimentDeclaration, plant: PlantDeclaration) -> Iterator[Problem]:
     for section, changes in (("effects", experiment.effects), ("controller.effects", experiment.controller.effects)):
-        for name in changes:
-            if name not in plant.effects:
-                message = f"'{name}' is not an effect of {plant.name}"
-                remedy = nearest(name, plant.effects) if plant.effects else "it declares none"
-                yield problem_at(experiment, f"{section}.{name}", message, remedy, at_key=True)
+        yield from strangers(experiment, section, changes, plant.effects, f"an effect of {plant.name}")
 
 
 def _sampling(experiment: ExperimentDeclaration) -> Iterator[Problem]:
@@ -361,9 +356,8 @@ def _transform(
     if transform.expressions is not None:
         for name in virtual.coordinates.keys() - transform.expressions.keys():
             yield problem_at(experiment, "transform.expressions", f"no expression for {name}", at_key=True)
-        for name in transform.expressions.keys() - virtual.coordinates.keys():
-            path, message = f"transform.expressions.{name}", f"'{name}' is not a coordinate of {virtual.name}"
-            yield problem_at(experiment, path, message, nearest(name, virtual.coordinates), at_key=True)
+        what = f"a coordinate of {virtual.name}"
+        yield from strangers(experiment, "transform.expressions", transform.expressions, virtual.coordinates, what)
     for name in transform.parameters:
         path = f"transform.parameters.{name}"
         if name in rig.coordinates or name in plant.coordinates:

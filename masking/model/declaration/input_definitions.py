@@ -7,7 +7,7 @@ from typing import Final
 
 from masking.errors import Problem, nearest
 from masking.model.declaration import dimensions
-from masking.model.declaration.checks import check_symbols, problem_at
+from masking.model.declaration.checks import check_symbols, problem_at, strangers
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.input_source import InputSource
 from masking.model.declaration.schema import ExperimentDeclaration, ModelDeclaration, Parameter, PlantDeclaration
@@ -30,11 +30,9 @@ def check_inputs(
         remedy = f"say where each comes from under inputs, a number at least: 'inputs: {{{shown}}}'"
         at_inputs = bool(experiment.inputs)
         yield problem_at(experiment, "inputs" if at_inputs else "virtual", message, remedy, at_key=at_inputs)
+    yield from strangers(experiment, "inputs", experiment.inputs, virtual.inputs, f"an input of {virtual.name}")
     for name, source in experiment.inputs.items():
         path = f"inputs.{name}"
-        if name not in virtual.inputs:
-            have = nearest(name, virtual.inputs) if virtual.inputs else "it has none"
-            yield problem_at(experiment, path, f"'{name}' is not an input of {virtual.name}", have, at_key=True)
         for part, message, remedy in source.problems():
             yield problem_at(experiment, f"{path}.{part}" if part else path, message, remedy, at_key=True)
         if source.expression is not None:

@@ -426,7 +426,7 @@ def test_an_effect_of_an_element_of_another_unit_is_refused(tmp_path):
         ({"f": "plain + 1", "g": "strong"}, "allocation.f: the allocation must be a sum of actuators times numbers"),
         ({"f": "plain*strong", "g": "strong"}, "allocation.f: the allocation must be a sum of actuators times numbers"),
         ({"f": "plian", "g": "strong"}, "did you mean 'plain'?"),
-        ({"f": "plain", "g": "strong", "e": "slow"}, "allocation.e: 'e' is no input of bench"),
+        ({"f": "plain", "g": "strong", "e": "slow"}, "allocation.e: 'e' is not an input of bench"),
     ],
 )  # fmt: skip
 def test_an_allocation_that_is_none_is_refused_with_its_place(tmp_path, allocation, message):
