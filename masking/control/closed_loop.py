@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.compiled_functions import Compiled
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
@@ -47,7 +46,7 @@ class Blocks:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class ClosedLoop(Compiled):
     """A controller and the model of the plant that it drives, compiled together.
 
     Args:
@@ -87,24 +86,10 @@ class ClosedLoop:
         """Parameter array: the controller's, then the plant's."""
         return np.concatenate([self.controller.values(), self.plant.values()])
 
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled loop; from the cache on disk where it has been made before.
-
-        Raises:
-            ActuationError: the inputs cannot accelerate every virtual coordinate.
-        """
-        return Kernels(module_store.load(self._key, self._build))
-
     @property
-    def is_compiled(self) -> bool:
-        """Whether the loop is in the cache on disk."""
-        return module_store.exists(self._key)
-
-    @property
-    def _key(self) -> str:
+    def _made_from(self) -> Mapping[str, object]:
         both = {"controller": self.controller.structure(), "plant": self.plant.structure()}
-        return module_store.key({**both, **self.match.structure()})
+        return both | self.match.structure()
 
     def evaluate(self, t: float, q: Array, v: Array) -> Blocks:
         """Results of the blocks at one state of the rig.

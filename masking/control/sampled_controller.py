@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.compiled_functions import Compiled
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
@@ -45,7 +44,7 @@ HALVINGS = 8  # of the logarithm of the range in which an actuator bandwidth is 
 
 
 @dataclass(frozen=True)
-class SampledController:
+class SampledController(Compiled):
     """A controller at a fixed rate."""
 
     controller: Controller  # the control law
@@ -289,10 +288,9 @@ class SampledController:
             "estimates_forces": self._estimates_forces,
         }
 
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled controller; from the cache on disk where it has been made before."""
-        return Kernels(module_store.load(module_store.key({"sampled": self.structure()}), self._build))
+    @property
+    def _made_from(self) -> Mapping[str, object]:
+        return {"sampled": self.structure()}
 
     def _build(self) -> Module:
         model, unsolved = self.controller.model, self.controller.curves.unsolved

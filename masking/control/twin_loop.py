@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.compiled_functions import Compiled
 from masking.compile.codegen.source import Module
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController
-from masking.lazy_imports import runge_kutta, sampled_loop
+from masking.lazy_imports import sampled_loop
 
 
 @dataclass(frozen=True)
-class SampledLoop:
+class SampledLoop(Compiled):
     """A sampled controller and the twin that it drives, compiled together."""
 
     sampled: SampledController
@@ -29,20 +29,10 @@ class SampledLoop:
         """Coordinates of the controller's model among the twin's."""
         return CoordinateMatch(self.sampled.controller, self.twin.model, self.twin.declaration.sensors)
 
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled loop; from the cache on disk where it has been made before."""
-        return Kernels(module_store.load(self._key, self._build))
-
     @property
-    def is_compiled(self) -> bool:
-        """Whether the loop is in the cache on disk."""
-        return module_store.exists(self._key)
-
-    @property
-    def _key(self) -> str:
+    def _made_from(self) -> Mapping[str, object]:
         both = {"sampled": self.sampled.structure(), "twin": self.twin.structure()}
-        return module_store.key({**both, **self.match.structure()})
+        return both | self.match.structure()
 
     @property
     def width(self) -> int:
@@ -58,6 +48,5 @@ class SampledLoop:
         if not self.match.is_same:
             self.match.add_to(module)
         size, work = len(self.twin.state_names), (self.sampled.sizes.work[0], self.width)
-        module.add_factory("move_rig", runge_kutta.steps_under_way, "twin_derivative", size, exported=False)
-        module.add_factory("run", sampled_loop.run, "sense", "control", "move_rig", size, work=work)
+        module.add_factory("run", sampled_loop.run, "sense", "control", "move", size, work=work)
         return module

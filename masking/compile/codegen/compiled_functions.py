@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -239,6 +240,29 @@ class Kernels:
         """Cause of a status, in words, where no input gives what is wanted; '' where that is not the cause."""
         cause = self.meta.get("unsolved") if status == NOT_FINITE and np.isfinite(state).all() else ""
         return f"{cause}: the rig cannot do what is wanted of it" if cause else ""
+
+
+class Compiled(ABC):
+    """What has compiled functions of its own, which are kept on disk."""
+
+    @property
+    @abstractmethod
+    def _made_from(self) -> Mapping[str, object]:
+        """All that the functions depend on, apart from values; json can write it."""
+
+    @abstractmethod
+    def _build(self) -> Module:
+        """Module of the functions."""
+
+    @cached_property
+    def kernels(self) -> Kernels:
+        """Compiled functions; from the cache on disk where they have been made before."""
+        return Kernels(module_store.load(module_store.key(self._made_from), self._build))
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the functions are in the cache on disk."""
+        return module_store.exists(module_store.key(self._made_from))
 
 
 def _share(solve: NativeFunction, given: tuple[Any, ...], threads: int) -> None:

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels, steps_between
+from masking.compile.codegen.compiled_functions import Compiled, steps_between
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.time_switches import TimeSwitches
@@ -48,7 +47,7 @@ class PlacedEffect:
 
 
 @dataclass(frozen=True)
-class Twin:
+class Twin(Compiled):
     """A simulated rig."""
 
     declaration: schema.PlantDeclaration  # the content of a plant file
@@ -384,10 +383,9 @@ class Twin:
             "units": sorted(_units(self.declaration, self.base)),
         }
 
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled functions `sense`, `advance` and `move`; from the cache on disk where they are."""
-        return Kernels(module_store.load(module_store.key({"twin": self.structure()}), self._build))
+    @property
+    def _made_from(self) -> Mapping[str, object]:
+        return {"twin": self.structure()}
 
     def _build(self) -> Module:
         module = Module(self.declaration.name, {"kind": "twin", **self.state_kinds})

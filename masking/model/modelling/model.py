@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from masking.compile.codegen import module_store
-from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.compiled_functions import Compiled
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.trajectory import Trajectory
 from masking.display import fragments, symbols
@@ -49,7 +48,7 @@ def load_model(name_or_path: str | Path, counts: Mapping[str, int] | None = None
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(Compiled):
     """A declared system: what moves, by which equations, with which values.
 
     Args:
@@ -263,11 +262,9 @@ class Model:
         """Equations of motion in sympy."""
         return AffineEquations(self.declaration) if self.is_affine else Equations(self.declaration)
 
-    @cached_property
-    def kernels(self) -> Kernels:
-        """Compiled functions; from the cache on disk where they have been made before."""
-        name = module_store.key({"model": self.structure()})
-        return Kernels(module_store.load(name, self._build))
+    @property
+    def _made_from(self) -> Mapping[str, object]:
+        return {"model": self.structure()}
 
     def simulate(
         self,
