@@ -23,7 +23,6 @@ from masking.lab.runs import batch_plan
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.realtime import LOOP
 from masking.lab.runs.sweep_values import Design
-from masking.lab.signals.excitation import Excitation
 
 MJCF = (
     '<mujoco>{head}<worldbody><body><joint name="j" type="slide"/>{inside}<geom size="1"/></body></worldbody>'
@@ -227,7 +226,7 @@ def test_rows_without_the_number_of_a_tick_are_left_out(tmp_path):
     assert found.damages == ("stream.rows: 10 rows hold no number of a tick, and were left out",)
 
 
-@pytest.mark.parametrize("open_one", [named_files.opened, named_files.content, Excitation.load])
+@pytest.mark.parametrize("open_one", [named_files.opened, named_files.content])
 @pytest.mark.parametrize("kind", ["pipe", "link to a device", "folder"])
 def test_what_is_no_regular_file_is_not_opened(tmp_path, kind, open_one):
     path = tmp_path / "a.csv"

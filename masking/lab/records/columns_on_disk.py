@@ -92,14 +92,7 @@ class StoredColumns(Mapping[str, Column]):
     def around(self, start: float, end: float) -> dict[str, Column]:
         """Read all groups of rows that have one between two times."""
         which = [number for number, (first, last) in enumerate(self.spans) if last >= start and first < end]
-        parts = [*parquet.groups(self.table, which, self.table.names)]
-        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self.table.names}
-
-    def between(self, start: float, end: float) -> dict[str, Column]:
-        """Read what lies between two times: from `start` on, and before `end`."""
-        found = self.around(start, end)
-        rows = slice(*np.searchsorted(found[CLOCK], [start, end], side="left"))
-        return {name: column[rows].copy() for name, column in found.items()}
+        return parquet.joined(self.table, which)
 
 
 def read(path: Path) -> tuple[Mapping[str, Column], bytes | None]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Final, final
+from typing import Any, BinaryIO, Final, Self, final
 
 import numpy as np
 import pyarrow as pa
@@ -30,24 +30,20 @@ _MAGIC = b"PAR1"  # the first bytes of every parquet file
 _WRITTEN: Final[Mapping[str, Any]] = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
 
 
-def write(
-    stream: BinaryIO, columns: Mapping[str, Column], manifest: bytes, facts: Mapping[str, Mapping[str, str]]
-) -> None:
-    """Write equally long, contiguous float64 columns and a manifest in JSON as one zstd-compressed parquet table.
-
-    `facts` are texts for the metadata of fields, such as their units, by key and column.
-    """
-    schema = _schema(columns, facts).with_metadata({MANIFEST_KEY: manifest})
-    pq.write_table(_table(columns, schema), stream, row_group_size=ROWS, **_WRITTEN)
-
-
 @final
 class Writer:
-    """A table that is written to a stream chunk by chunk, with the manifest at its end."""
+    """A table that is written to a stream chunk by chunk, with the manifest at its end; a context."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._writer: Any = None  # of pyarrow
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.is_open = False  # after an error: else it would go on in a stream that is closed
 
     def add(self, columns: Mapping[str, Column], facts: Mapping[str, Mapping[str, str]]) -> None:
         """Write rows behind those that are there: the same contiguous columns (samples,) each time.
@@ -128,6 +124,12 @@ def groups(table: Outline, which: Sequence[int], names: Sequence[str]) -> Iterat
             yield {name: _numbers(found.column(name)) for name in names}
 
 
+def joined(table: Outline, which: Sequence[int]) -> dict[str, Column]:
+    """Columns of some groups of rows, one behind the other; raises what `groups` does."""
+    parts = [*groups(table, which, table.names)]
+    return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in table.names}
+
+
 def _version(path: Path) -> tuple[int, int]:
     try:
         found = path.stat()
@@ -141,13 +143,8 @@ def read(path: Path) -> tuple[dict[str, Column], bytes | None]:
 
     A RecordError where it cannot be read, or is no table of numbers.
     """
-    with _reading(path) as file:
-        _check_kinds(path, file.schema_arrow)
-        _check_size(path, file.metadata)
-        table, manifest = file.read(), (file.metadata.metadata or {}).get(MANIFEST_KEY)
-    names: list[str] = table.column_names
-    _check_names(path, names)
-    return {name: _numbers(column) for name, column in zip(names, table.columns, strict=True)}, manifest
+    table = outline(path)
+    return joined(table, range(len(table.edges) - 1)), table.manifest
 
 
 @contextmanager
@@ -193,7 +190,7 @@ def _numbers(column: pa.ChunkedArray) -> Column:
         column = column.cast(pa.float64(), safe=False)  # large integers are rounded
     if column.null_count:
         column = column.fill_null(float("nan"))
-    # From buffers for the reason given in `write`.
+    # From buffers for the reason given in `_table`.
     chunks = [chunk for chunk in column.chunks if len(chunk)]
     parts = [np.frombuffer(one.buffers()[1], np.float64, len(one), 8 * one.offset) for one in chunks]
     return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])

@@ -160,6 +160,13 @@ class Recorder(Result):
         self.lost = self.ring.count - stream.written(self.folder)
         self.ring.path.unlink(missing_ok=True)
 
+    def discard(self) -> None:
+        """Close it, and leave neither the stream nor its folder, unless something else is there."""
+        self.close()
+        stream.remove(self.folder)
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
+
     def _start(self) -> Child:
         return Child("masking.lab.records.recorder", [str(self.ring.path), str(self.folder)], nice=_NICE)
 

@@ -152,14 +152,11 @@ class Recording:
         part, (first, last) = Part(f"{self.name or 'the recording'}@{':'.join(words)}", Path(), start, end), self.span
         step = (last - first) / max(1, len(self) - 1)
         limits = part.within(first, last, step)
-        if isinstance(self.columns, StoredColumns):
-            found = self.columns.between(*limits)
-        else:
-            rows = slice(*np.searchsorted(self.t, limits, side="left"))
-            found = {name: column[rows] for name, column in self.columns.items()}
-        if not len(found["t"]):
+        found = self.columns.around(*limits) if isinstance(self.columns, StoredColumns) else self.columns
+        rows = slice(*np.searchsorted(found["t"], limits, side="left"))
+        if rows.start == rows.stop:
             raise part.empty(first, last, step)
-        return replace(self, columns=found)
+        return replace(self, columns={name: column[rows] for name, column in found.items()})
 
     def chunks(self, names: Sequence[str] | None = None) -> Iterator[Mapping[str, NDArray[np.float64]]]:
         """Columns by name, all or some of them, one stretch of time after the other; a single one in memory."""
@@ -262,19 +259,18 @@ class Recording:
         Raises:
             RecordError: it cannot be written, or holds a recording that may not be replaced.
         """
-        folder = Path(folder)
-        facts = {"unit": self.units, "meaning": self.meanings}
-        with writing(folder, overwrite=overwrite) as (manifest, table):
-            text = json_text({"format": FORMAT, **self.manifest}).encode()
-            manifest.write(text)
-            if self.is_on_disk:
-                writer = parquet.Writer(table)
-                for chunk in self.chunks():
-                    writer.add(chunk, facts)
-                writer.close(text)
-            else:
-                parquet.write(table, self.columns, text, facts)
-        return folder
+        with writing(Path(folder), overwrite=overwrite) as (manifest, table):
+            manifest.write(self.write(table))
+        return Path(folder)
+
+    def write(self, table: BinaryIO) -> bytes:
+        """Write the table to a stream, with the manifest inside, and return the manifest as text."""
+        text = json_text({"format": FORMAT, **self.manifest}).encode()
+        with parquet.Writer(table) as writer:
+            for chunk in self.chunks():
+                writer.add(chunk, {"unit": self.units, "meaning": self.meanings})
+            writer.close(text)
+        return text
 
     @classmethod
     def load(cls, path: str | Path) -> Recording:

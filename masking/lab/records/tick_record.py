@@ -41,8 +41,8 @@ def save(found: Stream, folder: Path, facts: Mapping[str, Any], lateness: str | 
         manifest["timing"] = timing(ticks.astype(np.int64), **late)
     text = json_text({"format": FORMAT, **manifest}).encode()
     units = {key: {name: str(one[key]) for name, one in manifest["columns"].items()} for key in ("unit", "meaning")}
-    with writing(folder, overwrite=True) as (description, table):
-        writer, row = parquet.Writer(table), 0
+    row = 0
+    with writing(folder, overwrite=True) as (description, table), parquet.Writer(table) as writer:
         for part in _parts(found.tables):
             columns = {CLOCK: clock[row : row + len(part)]}
             for name, values, is_whole in zip(names, part.T, is_finite, strict=True):

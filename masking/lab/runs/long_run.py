@@ -49,9 +49,9 @@ def run(
     stages.append(time.perf_counter())
     simulate = experiment.simulation(CHUNK)
     stages.append(time.perf_counter())
-    with writing(folder, overwrite=overwrite) as (manifest, table):
+    summary, is_over = experiment.summary(), False
+    with writing(folder, overwrite=overwrite) as (manifest, table), parquet.Writer(table) as writer:
         _check_room(experiment, folder)
-        summary, writer, is_over = experiment.summary(), parquet.Writer(table), False
         for made, is_stopped in _chunks(experiment, simulate(progress=progress)):
             facts = {key: {name: unit[key] for name, unit in made.units.items()} for key in ("unit", "meaning")}
             writer.add(made.columns, facts)

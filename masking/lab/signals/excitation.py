@@ -2,36 +2,30 @@
 
 NAME.csv        a header `t [s],V1 [V],...` and one row for each sample, numbers that read back bit for bit
 NAME.parquet    a recording (`records.recording`) with columns t and input.<channel>, units and meta in its manifest
+
+Both are records, which `records.readers` reads.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError, nearest
-from masking.lab.records import named_files
 from masking.lab.records.file_replacement import replacing
-from masking.lab.records.recording import FORMAT, Recording
+from masking.lab.records.recording import Recording
 from masking.lab.signals.signal_arguments import is_plain, names, positive
-from masking.lazy_imports import parquet
 
 KIND: Final = "excitation"
 PREFIX: Final = "input."
-UNEVEN: Final = 1e-3  # of a sample, that the clock of a file may be off: more than rounding, less than a slipped one
-_LARGEST: Final = 2**30  # bytes of a csv
-RATE_DIGITS: Final = 10  # of a rate that is read from a clock: beyond them is what rounding does
-_HEADER = re.compile(r"(?P<name>[^\[\]]*[^\[\]\s])\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,114 +151,25 @@ class Excitation:
             RecordError: the ending is another, or the file cannot be written.
         """
         path = Path(path)
-        write = {".csv": self._csv, ".parquet": self._parquet}.get(path.suffix.lower())
+        write = {".csv": self._csv, ".parquet": self.recording().write}.get(path.suffix.lower())
         if write is None:
             raise RecordError(f"{path}: an excitation is written to .csv or .parquet, not to '{path.suffix}'")
-        content = write()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as stream:
-                stream.write(content)
+                write(stream)
         except OSError as error:
             raise RecordError(f"{path}: the excitation cannot be written: {error.strerror or error}") from error
         return path
 
-    @classmethod
-    def load(cls, path: str | Path) -> Excitation:
-        """Read an excitation from a file that `save` wrote, or from any csv with a header and an even clock `t`.
-
-        A csv carries no meta, its name is that of the file, and its rate is that of the clock to 10 digits; a column
-        without a unit has the unit "".
-
-        Raises:
-            RecordError: there is no such file, it is damaged or no excitation, or its clock is uneven.
-        """
-        path = Path(path)
-        suffix = path.suffix.lower()
-        if suffix not in {".csv", ".parquet"}:
-            raise RecordError(f"{path}: an excitation is read from .csv or .parquet, not from '{suffix}'")
-        if suffix == ".csv":
-            return _from_csv(path)
-        recording = Recording.load(path)
-        manifest = recording.manifest
-        channels = tuple(name.removeprefix(PREFIX) for name in recording.columns if name.startswith(PREFIX))
-        if manifest.get("kind") != KIND or not channels:
-            raise RecordError(f"{path}: a recording, but no excitation: give a file that Excitation.save wrote")
-        values = np.column_stack([recording[f"{PREFIX}{name}"] for name in channels])
-        try:
-            units = tuple(str(manifest["columns"][f"{PREFIX}{name}"]["unit"]) for name in channels)
-            return cls(str(manifest["name"]), manifest["rate"], values, channels, units, dict(manifest["meta"]))
-        except (KeyError, TypeError, ValueError, ModelError) as error:
-            what = f"its manifest lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise RecordError(f"{path}: {what}; give a file that Excitation.save wrote") from None
-
-    def _csv(self) -> bytes:
+    def _csv(self, stream: BinaryIO) -> None:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["t [s]", *(f"{n} [{u}]" for n, u in zip(self.channels, self.units, strict=True))])
         writer.writerows(np.column_stack([self.times, self.values]).tolist())  # the csv module writes floats by repr
-        return text.getvalue().encode()
-
-    def _parquet(self) -> bytes:
-        recording, stream = self.recording(), io.BytesIO()
-        try:
-            manifest = json.dumps({"format": FORMAT, **recording.manifest}, ensure_ascii=False, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise RecordError(f"{self.name}: its meta holds what JSON cannot ({error})") from error
-        facts = {"unit": recording.units, "meaning": recording.meanings}
-        parquet.write(stream, recording.columns, manifest.encode(), facts)
-        return stream.getvalue()
+        stream.write(text.getvalue().encode())
 
     def _index(self, channel: str) -> int:
         if channel in self.channels:
             return self.channels.index(channel)
         raise ModelError(f"{self.name} has no channel '{channel}'; {nearest(channel, self.channels)}")
-
-
-def _from_csv(path: Path) -> Excitation:
-    try:
-        text = named_files.content(path, _LARGEST).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or error
-        raise RecordError(f"{path}: the excitation cannot be read: {what}") from error
-    rows = [row for row in csv.reader(io.StringIO(text)) if row]
-    if len(rows) < 3:
-        raise RecordError(f"{path}: {len(rows)} rows; a header and at least two samples are needed")
-    heads = [_HEADER.fullmatch(cell.strip()) for cell in rows[0]]
-    for cell, head in zip(rows[0], heads, strict=True):
-        if head is None:
-            raise RecordError(f"{path}: row 1: '{cell}' is no name with a unit; write such as 'V1 [V]'")
-    found = [(head["name"], head["unit"] or "") for head in heads if head is not None]
-    clock, channels = found[0], found[1:]
-    if clock[0] != "t" or clock[1] not in {"", "s"} or not channels:
-        raise RecordError(f"{path}: the columns are {', '.join(rows[0])}; the first must be 't [s]', then the channels")
-    numbers = np.empty((len(rows) - 1, len(found)))
-    for line, cells in enumerate(rows[1:], start=2):
-        if len(cells) != len(found):
-            raise RecordError(f"{path}: row {line} has {len(cells)} values, the header {len(found)}")
-        try:
-            numbers[line - 2] = [float(cell) for cell in cells]
-        except ValueError as error:
-            raise RecordError(f"{path}: row {line} holds what is no number ({error})") from None
-    try:
-        rate = _rate(numbers[:, 0])
-        return Excitation(path.stem, rate, numbers[:, 1:], tuple(n for n, _ in channels), tuple(u for _, u in channels))
-    except ModelError as error:
-        raise RecordError(f"{path}: {error}") from None
-
-
-def _rate(times: Array) -> float:
-    """Rate of an even clock that starts at 0, Hz."""
-    if not np.isfinite(times).all():
-        raise ModelError(f"the clock is {times[~np.isfinite(times)][0]} in a sample; give finite times")
-    step = (times[-1] - times[0]) / (len(times) - 1)
-    if step <= 0.0 or times[0] != 0.0:
-        raise ModelError(f"the clock runs from {times[0]:g} to {times[-1]:g} s; it must start at 0 and increase")
-    off = np.abs(times - step * np.arange(len(times)))
-    worst = int(np.argmax(off))
-    if off[worst] > UNEVEN * step:
-        raise ModelError(
-            f"the clock is uneven: sample {worst} is at {times[worst]:.9g} s, {off[worst]:.3g} s off one sample each "
-            f"{step:.6g} s; give samples at one rate"
-        )
-    return float(f"{1.0 / step:.{RATE_DIGITS}g}")

@@ -232,7 +232,7 @@ def test_an_error_while_saving_leaves_the_folder_as_it_was(tmp_path, monkeypatch
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(pq, "write_table", full)
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
     with pytest.raises(RecordError, match="the recording cannot be written: No space left on device"):
         Recording({"t": T}, {"name": "other"}).save(tmp_path, overwrite=True)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
