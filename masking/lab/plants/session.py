@@ -221,10 +221,8 @@ class SessionRows:
 
     def discard(self) -> None:
         """Leave no record: the session was never started."""
-        self.recorder.close()
-        stream.remove(self.folder)
+        self.recorder.discard()
         with contextlib.suppress(OSError):  # where other sessions are
-            self.folder.rmdir()
             self.folder.parent.rmdir()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import select
 import socket
-from typing import Self, final
+from typing import final
 
 from masking.errors import PlantMismatchError
 from masking.lab.plants import wire
@@ -46,12 +46,6 @@ class _Datagrams:
 
     def close(self) -> None:
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @final

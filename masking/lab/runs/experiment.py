@@ -433,14 +433,14 @@ class Experiment:
         inputs = self.inputs.columns(run.times / self.time_scale, live)
         if isinstance(run, Run):
             columns.add_motion(run.times, run.rig, run.virtual, states).add_inputs(inputs)
-            return columns.add_actuators("input", run.inputs @ self.instruments.allocation_inverse.T), reached
+            return columns.add_channels("input", run.inputs @ self.instruments.allocation_inverse.T), reached
         seen = run.states if is_estimated else self.match.seen(self.sampled_loop.kernels, run.states)
         virtual = self._virtual(run.times, seen), run.estimates[:, self.sampled.sizes.memory]
         columns.add_motion(run.times, run.states, np.hstack(virtual), states).add_inputs(inputs)
-        columns.add_sensors(run.readings)
-        columns.add_actuators("input", run.applied).add_actuators("demanded", run.demanded)
+        columns.add_channels("sensor", run.readings)
+        columns.add_channels("input", run.applied).add_channels("demanded", run.demanded)
         if self.assembly.plant.limits.power is not None:
-            columns.add_power(run.power)
+            columns.add_channels("power", run.power)
         return columns, reached
 
     @property

@@ -29,11 +29,12 @@ from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.records import stream as streams
+from masking.lab.records.recorder import Recorder
 from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import timing
 from masking.lab.runs import safety_limits
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.loop_rows import RowLayout, StreamedRows, known, samples_after
+from masking.lab.runs.loop_rows import RowLayout, known, recorder, samples_after
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.parted_motion import noted
 from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
@@ -144,14 +145,12 @@ def run(experiment: Experiment, plant: Plant, settings: RunSettings = REAL_TIME)
     try:
         ran = run.on(plant)
     except BaseException:
-        if run.streamed is not None:
-            run.streamed.end(keep=run.ended is not None and len(run.ended.index) > 0)
+        run.end_stream(keep=run.ended is not None and len(run.ended.index) > 0)
         if settings.keep is not None and run.ended is not None and run.keeper.is_released:
             settings.keep(run.recording(run.ended))
         raise
     is_released = run.keeper.is_released
-    if run.streamed is not None:
-        run.streamed.end(keep=is_released or ran.reason not in {INTERRUPTED, STOPPED})
+    run.end_stream(keep=is_released or ran.reason not in {INTERRUPTED, STOPPED})
     if not is_released:
         why = f" ({ran.trip})" if ran.trip else ""
         is_kept = settings.stream is not None and streams.is_in(settings.stream)
@@ -164,8 +163,8 @@ def run(experiment: Experiment, plant: Plant, settings: RunSettings = REAL_TIME)
 class _Run:
     """One run of an experiment.
 
-    `keeper` is the controller on the ticks of the plant; `streamed` are the rows on their way to disk, None where they
-    are not; `ended` is what was recorded, once the plant is at zero.
+    `keeper` is the controller on the ticks of the plant; `recorder` takes its rows to disk, None where none
+    does; `ended` is what was recorded, once the plant is at zero.
     """
 
     def __init__(self, experiment: Experiment, settings: RunSettings) -> None:
@@ -181,23 +180,23 @@ class _Run:
         self.keeper = _Keeper(controller, sampled.before, self.after, watched)
         self.rules = safety_limits.rules(experiment.instruments, sampled.rate, experiment.twin, controller.estimate)
         self.ended: RigRun | None = None
-        self.streamed: StreamedRows | None = None
+        self.recorder: Recorder | None = None
         if settings.stream is not None:
             spare = Path(tempfile.gettempdir() if settings.spare is None else settings.spare)
-            self.streamed = StreamedRows(
-                experiment, Path(settings.stream), spare, lockstep=settings.lockstep, before=sampled.before
-            )
+            more = {"lockstep": settings.lockstep, "before": sampled.before}
+            self.recorder = recorder(experiment, Path(settings.stream), spare, **more)
 
     def on(self, plant: Plant) -> RigRun:
         keeper, settings, operator = self.keeper, self.settings, self.settings.operator
         if operator is not None:
             operator.begin(self.experiment, keeper.controller, self.rules)
-        samples = keeper.before + self.after
+        samples, puts = keeper.before + self.after, [operator.put if operator is not None else None]
+        puts += [self.recorder.ring.put] if self.recorder is not None else []
         own = Settings(keeper.controller.rate, settings.watchdog, settings.lockstep, settings.acknowledge)
         hooks = Hooks(
             accept=self._accept,
             on_tick=None if settings.progress is None else every(settings.progress, samples),
-            on_row=[one.put for one in (self.streamed, operator) if one is not None and one.put is not None],
+            on_row=[put for put in puts if put is not None],
             stop=self._is_over,
             emergency=settings.emergency,
             look=None if operator is None else operator.look,
@@ -218,15 +217,20 @@ class _Run:
         }
         outcome |= {"unwatched": list(self.rules.notes)} if self.rules.notes else {}
         outcome |= {"trip": ran.trip.as_dict()} if ran.trip is not None else {}
-        if self.streamed is not None and self.streamed.recorder.note:
-            outcome |= {"recorder": self.streamed.recorder.as_dict()}
+        if self.recorder is not None and self.recorder.note:
+            outcome |= {"recorder": self.recorder.as_dict()}
         layout = RowLayout(self.experiment)
         made = layout.recording(ran.table, self.after, lockstep=self.settings.lockstep, outcome=outcome)
         return noted(self.experiment, made)
 
     @property
     def _is_full(self) -> bool:
-        return self.streamed is not None and self.streamed.recorder.is_full
+        return self.recorder is not None and self.recorder.is_full
+
+    def end_stream(self, *, keep: bool) -> None:
+        """Record the last rows; leave none where the stream is not kept."""
+        if self.recorder is not None:
+            (self.recorder.close if keep else self.recorder.discard)()
 
     def _is_over(self) -> bool:
         stop = self.settings.stop

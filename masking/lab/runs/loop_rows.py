@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import final
 
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.control.sampled_controller import SampledController
 from masking.control.stepwise_controller import SampledStep
-from masking.lab.records import stream
 from masking.lab.records.recorder import Recorder
 from masking.lab.records.recording import Recording
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.offline import TwinRun, samples_until
 from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Known
+from masking.lab.runs.recording_columns import channels
 from masking.lab.runs.stopping import SYNCHRONISED
 from masking.model.declaration import registry
 
@@ -35,22 +33,18 @@ class RowLayout:
     @cached_property
     def groups(self) -> dict[str, dict[str, dict[str, str]]]:
         """Unit and meaning of each column, by its name, in groups that lie side by side."""
-        plant, sampled = self.experiment.assembly.plant, self.experiment.sampled
+        known, sampled = channels(self.experiment.assembly), self.experiment.sampled
         sizes, model = sampled.sizes, sampled.instruments.model
-        ports = plant.actuators or self.experiment.assembly.plant_model.inputs
-        actuators = {name: ports[name] for name in sampled.instruments.actuators}
         coordinates = [*model.coordinates, *(f"{c}'" for c in model.coordinates)]
         states = [*coordinates, *(f"state {i}" for i in range(1, sizes.states - len(coordinates) + 1))]
         disturbed = dict.fromkeys(model.coordinates * sizes.at_masses, "acceleration of {} that the model lacks")
         disturbed |= dict.fromkeys(model.inputs * sizes.at_inputs, "what adds to {}")
         pushes = range(sampled.feed.lasting(sampled.values()).size)
         found = {
-            "sensor": {n: (s.unit, s.meaning) for n, s in plant.sensors.items()},
-            "input": {n: (a.unit, a.meaning) for n, a in actuators.items()},
-            "power": {n: ("W", f"mean power of {n}") for n in actuators},
+            **{group: known[group] for group in ("sensor", "input", "power")},
             "estimate": {n: ("SI", f"estimate of {n}") for n in states},
             "disturbance": {n: ("SI", what.format(n)) for n, what in disturbed.items() if sizes.order},
-            "demanded": {n: (a.unit, f"demanded of {n}") for n, a in actuators.items()},
+            "demanded": known["demanded"],
             "lasting": {str(i): ("SI", "what lasted of a push at the release") for i in pushes},
         }
         return {"loop": dict(LOOP)} | {
@@ -105,28 +99,13 @@ def known(controller: SampledStep, lasting: Array) -> Known:
     return Known(controller.estimate, columns, controller.sampled.before)
 
 
-@final
-class StreamedRows:
-    """The rows of a run on their way to disk, to which `put` brings each.
+def recorder(experiment: Experiment, folder: Path, spare: Path, **more: object) -> Recorder:
+    """Recorder of the rows of a run, as `RowLayout` has them.
 
     `spare` is the folder for the rest where that of the stream is full, and `more` what else the manifest says. A
     RecordError where the folder holds a stream already, or cannot be written.
     """
-
-    def __init__(self, experiment: Experiment, folder: Path, spare: Path, **more: object) -> None:
-        self.layout, self._folder = RowLayout(experiment), folder
-        content = manifest.content(
-            experiment.assembly, experiment.virtual, {**more, "inputs": experiment.inputs.entry()}
-        )
-        content["declarations"]["experiment"] = registry.canonical(experiment.declaration)
-        content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
-        self.recorder = Recorder(folder, self.layout.columns, experiment.sampled.rate, spare, **content)
-        self.put = self.recorder.ring.put
-
-    def end(self, *, keep: bool) -> None:
-        """Record the last rows; remove the stream where it is not kept, and its folder if nothing else is there."""
-        self.recorder.close()
-        if not keep:
-            stream.remove(self._folder)
-            with contextlib.suppress(OSError):
-                self._folder.rmdir()
+    content = manifest.content(experiment.assembly, experiment.virtual, {**more, "inputs": experiment.inputs.entry()})
+    content["declarations"]["experiment"] = registry.canonical(experiment.declaration)
+    content = {name: value for name, value in content.items() if name not in {"rate", "format"}}
+    return Recorder(folder, RowLayout(experiment).columns, experiment.sampled.rate, spare, **content)

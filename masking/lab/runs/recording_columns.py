@@ -11,7 +11,6 @@ import numpy as np
 from masking.analysis.masking_error import ErrorSum
 from masking.compile.numerics.arrays import Array
 from masking.lab.runs.passive_coordinates import Passive
-from masking.model.declaration import instrument_declaration, schema
 from masking.model.declaration.input_definitions import cell
 from masking.model.declaration.registry import Assembly
 from masking.model.modelling.model import Model
@@ -26,10 +25,6 @@ class Columns:
     virtual: Model  # the virtual system
     columns: dict[str, Array] = field(default_factory=dict)
     units: dict[str, dict[str, str]] = field(default_factory=dict)
-
-    @property
-    def _ports(self) -> Mapping[str, instrument_declaration.Actuator | schema.Input]:
-        return self.assembly.plant.actuators or self.assembly.plant_model.inputs
 
     def add(self, name: str, values: Array, unit: str, meaning: str) -> None:
         """Add one column (m,), with its unit, and its meaning in words."""
@@ -60,24 +55,26 @@ class Columns:
             self.add(f"virtual_input.{name}", values / size, unit, f"input {name} of the virtual system")
         return self
 
-    def add_sensors(self, readings: Array) -> Columns:
-        """Add the readings (m, sensors)."""
-        for i, (name, sensor) in enumerate(self.assembly.plant.sensors.items()):
-            self.add(f"sensor.{name}", readings[:, i], sensor.unit, sensor.meaning)
+    def add_channels(self, group: str, values: Array) -> Columns:
+        """Add values (m, channels) of a group of `channels`."""
+        for i, (name, (unit, meaning)) in enumerate(channels(self.assembly)[group].items()):
+            self.add(f"{group}.{name}", values[:, i], unit, meaning)
         return self
 
-    def add_actuators(self, prefix: str, commands: Array) -> Columns:
-        """Add commands (m, actuators) as `input`, what was applied, or as `demanded`, before limits."""
-        for i, (name, port) in enumerate(self._ports.items()):
-            meaning = port.meaning if prefix == "input" else f"demanded of {name}"
-            self.add(f"{prefix}.{name}", commands[:, i], port.unit, meaning)
-        return self
 
-    def add_power(self, power: Array) -> Columns:
-        """Add the mean power of each actuator (m, actuators), W."""
-        for i, name in enumerate(self._ports):
-            self.add(f"power.{name}", power[:, i], "W", f"mean power of {name}")
-        return self
+def channels(assembly: Assembly) -> dict[str, dict[str, tuple[str, str]]]:
+    """Unit and meaning of each channel of a plant, by its name, in groups.
+
+    `sensor` are readings, `input` commands that were applied, `demanded` commands before limits, and `power` the mean
+    power of each actuator.
+    """
+    ports = assembly.plant.actuators or assembly.plant_model.inputs
+    return {
+        "sensor": {name: (sensor.unit, sensor.meaning) for name, sensor in assembly.plant.sensors.items()},
+        "input": {name: (port.unit, port.meaning) for name, port in ports.items()},
+        "demanded": {name: (port.unit, f"demanded of {name}") for name, port in ports.items()},
+        "power": {name: ("W", f"mean power of {name}") for name in ports},
+    }
 
 
 @final

@@ -24,7 +24,6 @@ from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import histogram
 from masking.lab.runs import hardware, loop_rows
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.loop_rows import StreamedRows
 from tests.lab.runs.test_hardware import compiled, recovered, written
 from tests.support.forked import Forked
 
@@ -326,11 +325,11 @@ def test_overruns_are_counted_exactly_and_not_made_up_for(monkeypatch):
 
 
 def test_rows_go_to_a_stream_that_has_their_units(experiment, tmp_path):
-    made = StreamedRows(experiment, tmp_path / "run", tmp_path)
-    made.end(keep=True)
+    made = loop_rows.recorder(experiment, tmp_path / "run", tmp_path)
+    made.close()
     content = json.loads((tmp_path / "run" / stream.MANIFEST).read_text())
     assert content["columns"]["sensor.s1"]["unit"] == experiment.assembly.plant.sensors["s1"].unit
     assert content["rate"] == 1000.0
     assert content["files"]
-    made.end(keep=False)
+    made.discard()
     assert not (tmp_path / "run").exists()
