@@ -8,7 +8,7 @@ import select
 import sys
 import time
 from collections import deque
-from typing import Any, Final, Protocol, final
+from typing import Any, Final, TypeAlias, final
 
 import serial
 
@@ -52,27 +52,8 @@ class SerialPlant(RemotePlant):
         return SerialHub(address)
 
 
-class Port(Protocol):
-    """Bytes in and out, without waiting; OSError where the other side is gone."""
-
-    def waits(self, seconds: float) -> bool:
-        """Whether bytes wait to be read, or come within a time."""
-        ...
-
-    def read(self) -> bytes:
-        """Bytes that wait."""
-        ...
-
-    def write(self, data: bytes) -> int:
-        """Write what fits; return how many bytes that was."""
-        ...
-
-    def close(self) -> None:
-        """Give the port back."""
-
-
 class SerialLine:
-    """Frames over a port."""
+    """Frames over a port, which gives and takes bytes without waiting; an OSError of it says that the plant is gone."""
 
     def __init__(self, port: Port) -> None:
         self._port, self._splitter, self._rest = port, Splitter(), b""
@@ -225,6 +206,9 @@ class _PolledPort:
 
     def close(self) -> None:
         self._port.close()
+
+
+Port: TypeAlias = _SerialPort | _PseudoTerminal | _PolledPort
 
 
 def _opened(place: str, baud: int) -> Port:

@@ -42,7 +42,7 @@ from masking.lab.plants.authentication import AuthenticatedHub, Key
 from masking.lab.plants.interface import Plant, Sample, Settings, check_index
 from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import POLL, Deadlines, Stop, asked_to_stop, undisturbed
-from masking.lab.plants.served_plant_guard import Guard
+from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.session import Allowed, Session, SessionRows, claimed
 from masking.lab.plants.transport import Hub, Peer
 from masking.lab.plants.trip_memory import TripMemory
@@ -74,7 +74,7 @@ class Serving:
     patience: float = 5.0  # seconds to wait for a command in lockstep
     after_latch: float = 1.0  # seconds that are still recorded after a trip
     allowed: Allowed = field(default_factory=Allowed)  # watchdogs and rates that controllers may ask for
-    guard: Guard | None = None  # what every command passes before it is written
+    guard: PlantLimits | None = None  # what every command passes before it is written
     arming: Arming | None = None  # of a plant that its operator arms; None where it is armed at once
     trips: TripMemory = field(default_factory=TripMemory)
     key: Key | None = None  # that controllers must have; needed where other machines reach the address

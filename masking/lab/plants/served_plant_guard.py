@@ -1,12 +1,12 @@
-"""Guard of a served plant: `plants.serve` passes each command through it, whoever the controller is.
+"""Guard of a served plant: `plants.serve` passes each command through it, and none past it, whoever the controller is.
 
-`PlantLimits` does so by a `safety_chain.Chain` of the plant file's limits, which `runs.safety_limits` makes.
+It is a `safety_chain.Chain` of the plant file's limits, which `runs.safety_limits` makes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,6 @@ from masking.errors import PlantMismatchError, nearest
 from masking.lab.plants.controlled_stop import Braking, follows
 from masking.lab.plants.interface import Plant, Sample, Settings
 from masking.lab.plants.safety_chain import Chain, Rules
-
-
-class Guard(Protocol):
-    """Looks at each sample and at the command that is about to be written; nothing goes to the plant past it."""
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Counts of its actions since `begin`, by name."""
-        ...
-
-    def begin(self, plant: Plant, settings: Settings) -> None:
-        """Begin a session with a plant that is configured; a `PlantError` where it does not fit the plant."""
-
-    def expire(self, command: Array) -> None:
-        """Make a command (actuators,) what the plant puts out once its controller is silent for its watchdog's time."""
-
-    def check(self, sample: Sample, command: Array) -> str:
-        """Bring a command (actuators,) within the limits, in place.
-
-        Returns why the plant must stop, as a sentence; empty where it need not. The command is not written then.
-        """
-        ...
 
 
 @final
@@ -58,12 +36,12 @@ class PlantLimits:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """How many commands were `clamped`, if any."""
+        """How many commands were `clamped` since `begin`, if any."""
         clamped = self._chain.clamped if self._chain is not None else 0
         return {"clamped": clamped} if clamped else {}
 
     def begin(self, plant: Plant, settings: Settings) -> None:
-        """Begin a chain; a PlantMismatchError where the plant lacks a channel that is limited."""
+        """Begin a session with a plant that is configured; a PlantMismatchError where it lacks a limited channel."""
         rules = self._rules(settings.rate)
         self._sensors = _places("sensor", rules.sensors, plant.sensors)
         self._actuators = _places("actuator", rules.actuators, plant.actuators)
@@ -71,13 +49,14 @@ class PlantLimits:
         self._braking = None if rules.stop is None else Braking(self._chain, rules.stop)
 
     def expire(self, command: Array) -> None:
-        """Write the values at expiry of what is limited into a command (actuators,), once a session began."""
+        """Make a command (actuators,) what the plant puts out once its controller is silent for its watchdog's time."""
         if self._chain is not None:
             command[self._actuators] = self._chain.rules.commands[:, safety_tables.EXPIRY]
 
     def check(self, sample: Sample, command: Array) -> str:
-        """Look at the readings, and make a command (actuators,) what the chain leaves of it; say why it tripped.
+        """Look at the readings, and make a command (actuators,) what the chain leaves of it.
 
+        Returns why the plant must stop, as a sentence, upon which the command is not written; empty where it need not.
         A controlled stop of the plant file comes first: meanwhile its commands replace those that are given.
         """
         chain, missed = self._chain, max(0, sample.index - self._last - 1) if self._last >= 0 else 0
