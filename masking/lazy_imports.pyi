@@ -10,6 +10,7 @@ from scipy import fft as fft
 from scipy import interpolate as interpolate
 from scipy import io as io
 from scipy import linalg as linalg
+from scipy import signal as signal
 from scipy import stats as stats
 
 from masking.compile.numerics import compilation as compilation

@@ -48,7 +48,6 @@ class Asked:
     name: str
     column: str
     unit: str
-    is_said: bool = False  # whether the unit stands in the map
 
 
 def spelled(text: str) -> str:
@@ -123,7 +122,7 @@ def named(columns: Collection[str], given: Mapping[str, str], units: Mapping[str
         if full in columns or not colon:
             made.append(Asked(name, full, known))
         else:
-            made.append(Asked(name, own(column)[0], spelled(unit), is_said=True))
+            made.append(Asked(name, own(column)[0], spelled(unit)))
     taken = {*(one.column for one in made), *given}
     for name in columns:
         as_named = parts[name][0] if short.get(parts[name][0]) == name else name

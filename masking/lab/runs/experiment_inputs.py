@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from masking.control.virtual_inputs import Feed, FromPush, FromSensor
 from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
 from masking.lab import signals
 from masking.lab.records import column_units, readers
-from masking.lab.records.recording import TABLE
 from masking.lab.runs.offline import TwinRun
 from masking.model.declaration import registry, schema
 from masking.model.declaration.input_definitions import CELLS, cell
@@ -59,9 +57,7 @@ class InputFiles:
             column = next((c for c in names if c in recording.columns), None)
             if column is None:
                 raise RecordError(f"{path}: no column '{wanted}'; {nearest(wanted, [*recording.columns])}")
-            file = path / TABLE if path.is_dir() else path
-            digest = hashlib.sha256(file.read_bytes()).hexdigest()
-            self._known[path, wanted] = InputColumn(recording.t, recording[column], digest)
+            self._known[path, wanted] = InputColumn(recording.t, recording[column], readers.digest(path))
         return self._known[path, wanted]
 
     def read(self, experiment: schema.ExperimentDeclaration) -> Self:

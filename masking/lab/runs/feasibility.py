@@ -12,9 +12,8 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
@@ -36,15 +35,11 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.growth_along_motion import Growth
 from masking.lab.runs.offline import Run, complete, loop_state, rig_state
 from masking.lab.runs.passive_coordinates import Passive
+from masking.lazy_imports import signal
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step
 from masking.model.declaration.quantities import number, percent
 from masking.model.modelling import input_series
-
-if TYPE_CHECKING:
-    from scipy import signal
-else:
-    signal = lazy.load("scipy.signal", suppress_warning=True)
 
 # Rows per unit of virtual time at first; they are doubled until no peak changes by more than the tolerance.
 ROWS_PER_UNIT = 10

@@ -10,7 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.kernel_arguments import Recorded, Rig, Samples, States, Unit
 from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
-from masking.control.coordinate_match import CoordinateMatch
-from masking.control.law import Controller
+from masking.control.sampled_controller import SampledController
 from masking.control.twin_loop import SampledLoop
 from masking.errors import ModelError, RootError
 from masking.lab.runs.stopping import check_status
@@ -267,23 +266,8 @@ def _substeps(loop: ClosedLoop, state: Array, rate: float) -> int:
     return steps_between(slope, state, np.resize(loop.match.lengths, len(state)), rate)
 
 
-class Mapped(Protocol):
-    """A control law with a compiled transform."""
-
-    @property
-    def controller(self) -> Controller:
-        """Control law."""
-
-    @property
-    def match(self) -> CoordinateMatch:
-        """Virtual coordinates by those of the rig."""
-
-    @property
-    def kernels(self) -> Kernels:
-        """Compiled functions with `transform(t, q, v, p, out)`."""
-
-    def values(self) -> Array:
-        """Parameter array."""
+Mapped: TypeAlias = ClosedLoop | SampledController
+"""A control law with a compiled transform."""
 
 
 def rig_state(loop: Mapped, virtual_state: Array, passive: Array | None = None, near: Array | None = None) -> Array:

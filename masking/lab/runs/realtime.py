@@ -236,11 +236,11 @@ def _loop(step: Step, plant: Plant, rows: Rows, settings: Settings, *, hooks: Ho
         sample = plant.read()
         began = time.perf_counter()
         missed = rows.begin(sample.index, sample.values, began, deadlines.missed, lateness)
-        if missed or rows.ticks.is_late:
+        if missed or rows.is_late:
             before, skipped = skipped, counters.get("skipped", 0)  # they came, and waited for this process
             chain.time(
                 sample.index,
-                is_late=rows.ticks.is_late and not settings.lockstep,
+                is_late=rows.is_late and not settings.lockstep,
                 silence=0.0 if settings.lockstep else (began - ended) * settings.rate,
                 missed=missed,
                 lost=missed - (skipped - before),
@@ -308,43 +308,14 @@ class _Taken:
 
 
 @final
-class _Ticks:
-    """When the samples of a run came.
-
-    `missed` are the periods that the clock of this side left out, `gaps` the samples of the plant's clock that were
-    missed, and `is_late` says whether the last tick was.
-    """
-
-    def __init__(self, rate: float, before: int) -> None:
-        self.rate, self.missed, self.gaps, self.is_late = rate, 0, 0, False
-        self._before, self._last = before, 0
-        self._first: int | None = None
-        self._began = self._wall = 0.0
-
-    def begin(self, tick: int, wall: float, missed: int, lateness: float | None) -> tuple[int, int, float, float]:
-        """Samples missed before a tick, its sample, its time since the first one and how late it began, both in s.
-
-        A PlantError where the tick is not after the last one.
-        """
-        check_index(tick, None if self._first is None else self._last)
-        gap = 0 if self._first is None else tick - self._last - 1
-        if self._first is None:
-            self._first, self._began, lateness = tick, wall, lateness or 0.0
-        if lateness is None:
-            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
-        self.is_late = gap > 0 or missed > self.missed
-        self._last, self._wall, self.missed = tick, wall, missed
-        self.gaps += gap
-        return gap, tick - self._first - self._before, wall - self._began, lateness
-
-
-@final
 class Rows:
     """The rows of a run, made ahead and filled tick by tick.
 
     `table` (samples, columns) has `LOOP`, the sensors, the applied commands, and what the controller knows; `count` are
-    the rows that were begun, and `ticks` their times. Each of `on_row` is called once with each row. In a controlled
-    stop, behind the `samples` of a run, `is_run` is false, and no row is one that the controller answered.
+    the rows that were begun. `missed` are the periods that the clock of this side left out, `gaps` the samples of the
+    plant's clock that were missed, and `is_late` says whether the last tick was. Each of `on_row` is called once with
+    each row. In a controlled stop, behind the `samples` of a run, `is_run` is false, and no row is one that the
+    controller answered.
     """
 
     def __init__(
@@ -356,7 +327,10 @@ class Rows:
         self.is_run = True
         self.deadlines: Deadlines | None = None
         samples += 0 if chain.rules.stop is None else chain.rules.stop.samples
-        self.ticks = _Ticks(chain.rules.rate, known.before)
+        self.rate, self.missed, self.gaps, self.is_late = chain.rules.rate, 0, 0, False
+        self._before, self._last = known.before, 0
+        self._first: int | None = None
+        self._began = self._wall = 0.0
         self._on_row, self._shape = on_row, chain.applied.shape
         self._told = self._at = 0  # rows that were passed on; cells before the last row
         sensors, actuators = len(plant.sensors), len(plant.actuators)
@@ -379,10 +353,19 @@ class Rows:
         last one.
         """
         row, tick = self.count, min(tick, _LARGEST)
-        gap, index, since, lateness = self.ticks.begin(tick, wall, missed, lateness)
+        check_index(tick, None if self._first is None else self._last)
+        gap = 0 if self._first is None else tick - self._last - 1
+        if self._first is None:
+            self._first, self._began, lateness = tick, wall, lateness or 0.0
+        if lateness is None:
+            lateness = max(0.0, wall - self._wall - (gap + 1) / self.rate)
+        self.is_late = gap > 0 or missed > self.missed
+        self._last, self._wall, self.missed = tick, wall, missed
+        self.gaps += gap
         self.count += 1
         self._at = at = row * self._width
-        _pack(self._cells, 8 * at, tick, since, 0.0, index, self.ticks.is_late, lateness, 0.0)  # as `LOOP`
+        index = tick - self._first - self._before
+        _pack(self._cells, 8 * at, tick, wall - self._began, 0.0, index, self.is_late, lateness, 0.0)  # as `LOOP`
         self.sensors[row] = values
         return gap
 
@@ -415,10 +398,10 @@ class Rows:
         rows = slice(0, self.count)
         table = self.table[rows]
         counted = dict(plant.counters) if isinstance(plant, Counting) else {}
-        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.ticks.missed + self.ticks.gaps}
+        own = {"late": int(np.count_nonzero(table[:, LATE])), "missed": self.missed + self.gaps}
         ticks = table[:, TICK].astype(np.int64)
         return RigRun(
-            times=ticks / self.ticks.rate,
+            times=ticks / self.rate,
             wall=table[:, WALL],
             index=ticks,
             sensors=self.sensors[rows],
