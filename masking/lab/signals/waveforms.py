@@ -144,7 +144,6 @@ def opposed_sines(
     rate: float,
     channels: tuple[str, str],
     gain: tuple[float, float] = (0.0, 2.0),
-    wired_opposed: bool = False,
     unit: str = "V",
 ) -> Excitation:
     """Sine on one channel, and on another the same in anti-phase with a gain that is swept.
@@ -160,9 +159,8 @@ def opposed_sines(
         duration: s, at least one period.
         rate: Hz, above twice the frequency.
         channels: names of the two channels.
-        gain: first and last g.
-        wired_opposed: the second actuator pushes the other way by itself, as those of the oscillators do on the beam in
-            (4.3): then v_b = +g v_a, so that the two forces are opposed all the same.
+        gain: first and last g; negative where the second actuator pushes the other way by itself, as those of the
+            oscillators do on the beam in (4.3).
         unit: of both channels.
 
     Raises:
@@ -180,9 +178,8 @@ def opposed_sines(
     times = np.arange(samples("opposed sines", duration, rate, 3)) / rate
     sine = amplitude * np.sin(TURN * frequency * times)
     swept = first + (last - first) * times / duration
-    other = swept * sine if wired_opposed else -swept * sine
-    meta = {"amplitude": amplitude, "frequency": frequency, "gain": [first, last], "wired_opposed": wired_opposed}
-    return Excitation("opposed_sines", rate, np.column_stack([sine, other]), channels, (unit, unit), meta)
+    meta = {"amplitude": amplitude, "frequency": frequency, "gain": [first, last]}
+    return Excitation("opposed_sines", rate, np.column_stack([sine, -swept * sine]), channels, (unit, unit), meta)
 
 
 def linear_chirp(

@@ -286,9 +286,8 @@ def test_opposed_sines_cancel_where_the_gain_is_the_ratio_of_strengths():
     middle = 0.5 + np.argmin(strength)
     assert 2.0 * middle / 100.0 == pytest.approx(1.078, abs=0.02)
     assert strength.min() < 0.02 * strength.max()
-    wired = signals.opposed_sines(
-        0.1, frequency=1.0, duration=100.0, rate=50.0, channels=("V3", "V1"), wired_opposed=True
-    )
+    asked = {"frequency": 1.0, "duration": 100.0, "rate": 50.0, "channels": ("V3", "V1")}
+    wired = signals.opposed_sines(0.1, **asked, gain=(0.0, -2.0))
     assert np.array_equal(wired["V1"], -made["V1"])
 
 
