@@ -185,10 +185,3 @@ def check_command(command: Array, actuators: tuple[str, ...]) -> None:
     for name, value in zip(actuators, command, strict=True):
         if not math.isfinite(value):
             raise CommandError(f"the command for {name} is {value}; give a finite number")
-
-
-def check_answer(tick: int, command: Array, actuators: tuple[str, ...]) -> None:
-    """Refuse a command that answers no sample, since none was read (tick < 0), or that `check_command` refuses."""
-    check_command(command, actuators)
-    if tick < 0:
-        raise CommandError("write: there is no sample to answer yet; call read first")

@@ -205,7 +205,7 @@ class RemotePlant(ABC):
         """Next sound frame of this session, or None if none comes within a number of seconds."""
         until = time.monotonic() + wait
         gone: ConnectionError | None = None  # the socket reports it before the plant's last words
-        while self._waits(0.0 if gone else until - time.monotonic()):
+        while self._open.waits(0.0 if gone else max(0.0, until - time.monotonic())):
             try:
                 frame = wire.decode(self._open.receive())
             except WireError as error:
@@ -224,15 +224,12 @@ class RemotePlant(ABC):
             self._lost("is gone", gone)
         return None
 
-    def _waits(self, wait: float) -> bool:
-        return self._open.waits(max(0.0, wait))
-
     def _send(self, kind: Kind, index: int = 0, values: Array = wire.NO_VALUES, *, text: str = "") -> None:
         frame = wire.encode(kind, self._session, index, values=values, text=text)
         try:
             self._open.send(frame)
         except ConnectionError as error:
-            if not self._waits(0.0):  # else what the plant said last is still to be read
+            if not self._open.waits(0.0):  # else what the plant said last is still to be read
                 self._lost("is gone", error)
             self.counters["unsent"] += 1
         except BlockingIOError:  # the line is full; the next command is fresher

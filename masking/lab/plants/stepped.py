@@ -8,8 +8,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.errors import PlantError
-from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_answer
+from masking.errors import CommandError, PlantError
+from masking.lab.plants.interface import APPLIED, LifeCycle, Sample, Settings, check_command
 
 
 class SteppedPlant(ABC):
@@ -69,7 +69,9 @@ class SteppedPlant(ABC):
     def write(self, index: int, command: Array) -> None:
         """Move by one sample under this command (actuators,)."""
         self._life.need_active("write")
-        check_answer(self._tick, command, self.actuators)
+        check_command(command, self.actuators)
+        if self._tick < 0:
+            raise CommandError("write: there is no sample to answer yet; call read first")
         del index  # the simulation waits for its command
         self._applied[:] = command
         self.step(self._applied)

@@ -16,30 +16,25 @@ _LONGEST: Final = 10_000  # characters of a cause
 
 @final
 class TripMemory:
-    """Why a plant was stopped in its last session, until somebody acknowledges it; empty where it was not.
+    """The `cause` of the end of a plant's last session, until somebody acknowledges it; empty where it did not trip.
 
     With the `address` of a plant that is no twin, it is kept in a file of this user, one for each address. A
     RecordError where that cannot be read or written.
     """
 
     def __init__(self, address: str | None = None) -> None:
-        self._cause, self._file = "", None if address is None else _file(address)
+        self.cause, self._file = "", None if address is None else _file(address)
         try:
             if self._file is not None and self._file.exists():
-                self._cause = self._file.read_text(encoding="utf-8", errors="replace")[:_LONGEST]
+                self.cause = self._file.read_text(encoding="utf-8", errors="replace")[:_LONGEST]
         except OSError as error:
             raise RecordError(f"{self._file}: the last trip cannot be read ({error.strerror})") from error
 
-    @property
-    def cause(self) -> str:
-        """Reason, as a sentence."""
-        return self._cause
-
     def keep(self, cause: str) -> None:
         """Keep a reason, on disk once this returns; an empty one is forgotten."""
-        if cause == self._cause:
+        if cause == self.cause:
             return
-        self._cause, file = cause, self._file
+        self.cause, file = cause, self._file
         if file is None:
             return
         try:

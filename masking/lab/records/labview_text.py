@@ -12,14 +12,9 @@ from masking.errors import RecordError
 from masking.lab.records import column_units
 from masking.lab.records.text_header import Header
 
-_MARK = "LabVIEW Measurement"
+MARK = "LabVIEW Measurement"  # with which a file begins
 _END = "***End_of_Header***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
-
-
-def is_measurement(text: str) -> bool:
-    """Whether a text is a LabVIEW measurement file."""
-    return text.startswith(_MARK)
 
 
 def header(file: Path, text: str) -> Header:

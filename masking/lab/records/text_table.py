@@ -47,7 +47,7 @@ class TextTable:
         A RecordError where it is no table, or a name stands twice.
         """
         text = text_encoding.text(file, form.encoding)
-        if labview_text.is_measurement(text):
+        if text.startswith(labview_text.MARK):
             return cls(file, labview_text.header(file, text))
         made = cls(file, text_header.header(file, text, heading, form.header_rows))
         repeated = sorted(name for name, count in Counter(made.header.names).items() if name and count > 1)

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Final, final
 
-from masking.analysis.synchronisation import Watch
 from masking.compile.numerics.arrays import Array
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
@@ -38,9 +37,10 @@ from masking.lab.runs.loop_rows import RowLayout, known, recorder, samples_after
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.parted_motion import noted
 from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
-from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED
+from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED, StopCondition
 
 WATCHDOG = 0.02
+Watched = Callable[[int, float], bool]
 _REMEDY = "run it on that plant, or write the plant that is there into it"
 
 
@@ -173,9 +173,7 @@ class _Run:
         for name in ("transform", "transforms"):  # before the plant is touched
             getattr(sampled.kernels, name).prepare()
         controller = SampledStep(sampled)
-        watched = None
-        if condition:
-            watched = _Watched(condition.detector.begin(), condition.columns, experiment.every, controller)
+        watched = _watching(condition, experiment.every, controller) if condition else None
         self.after = samples_after(experiment, sampled)
         self.keeper = _Keeper(controller, sampled.before, self.after, watched)
         self.rules = safety_limits.rules(experiment.instruments, sampled.rate, experiment.twin, controller.estimate)
@@ -266,25 +264,22 @@ def _check(experiment: Experiment) -> None:
     experiment.validate()
 
 
-@final
-class _Watched:
-    """What watches a run for synchronisation: one of `every` samples, those that are recorded, as offline.
+def _watching(condition: StopCondition, every: int, controller: SampledStep) -> Watched:
+    """Function of a sample that was answered, and its time in s, which says whether the run has synchronised.
 
-    `columns` are where the two are among the virtual coordinates of the controller.
+    It looks at one of `every` samples since the release, those that are recorded, as offline.
     """
+    watch, (first, second) = condition.detector.begin(), condition.columns
+    time, virtual, transform = controller.virtual()
 
-    def __init__(self, watch: Watch, columns: tuple[int, int], every: int, controller: SampledStep) -> None:
-        self.watch, self._columns, self._every = watch, columns, every
-        self._time, self._virtual, self._transform = controller.virtual()
+    def step(index: int, t: float) -> bool:
+        if index >= 0 and not index % every:
+            time[0] = t
+            transform.call()
+            watch.step(virtual.item(first), virtual.item(second))
+        return watch.is_synchronised
 
-    def step(self, index: int, t: float) -> None:
-        """Look at a sample at time t, which the controller has answered."""
-        if index < 0 or index % self._every:
-            return
-        self._time[0] = t
-        self._transform.call()
-        first, second = self._columns
-        self.watch.step(self._virtual.item(first), self._virtual.item(second))
+    return step
 
 
 @final
@@ -295,8 +290,9 @@ class _Keeper:
     pushes). `watched` ends the run before its time.
     """
 
-    def __init__(self, controller: SampledStep, before: int, after: int, watched: _Watched | None) -> None:
+    def __init__(self, controller: SampledStep, before: int, after: int, watched: Watched | None) -> None:
         self.controller, self.before, self.after, self.watched = controller, before, after, watched
+        self.is_synchronised = False
         self.first, self.last = -1, -before - 1
         self.lasting = controller.sampled.feed.lasting(controller.parameters)
 
@@ -312,7 +308,7 @@ class _Keeper:
     @property
     def reason(self) -> str:
         """Reason for a planned end."""
-        return SYNCHRONISED if self.watched is not None and self.watched.watch.is_synchronised else FINISHED
+        return SYNCHRONISED if self.is_synchronised else FINISHED
 
     def end(self, reason: str, *, is_full: bool) -> str:
         """Reason for the end of the run, from that of its loop."""
@@ -331,5 +327,5 @@ class _Keeper:
         applied = controller(readings, index)
         self.last = index
         if self.watched is not None:
-            self.watched.step(index, index / controller.rate)
+            self.is_synchronised = self.watched(index, index / controller.rate)
         return applied

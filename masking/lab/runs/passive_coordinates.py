@@ -53,11 +53,6 @@ class Passive:
         return self.held.plant
 
     @property
-    def indices(self) -> list[int]:
-        """Where the coordinates are among the rig's."""
-        return self.held.passive
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates and internal states."""
         return tuple(n for n in (self.plant.state_names[i] for i in self.held.places) if not n.endswith("'"))
@@ -141,10 +136,10 @@ class Passive:
         if not kernels.meta["has_energy"]:
             return None
         rows = np.unique(np.linspace(0, len(states) - 1, _ROWS).astype(int))
-        p, found = self.plant.values(), np.empty(len(rows))
+        p, found, free = self.plant.values(), np.empty(len(rows)), self.held.passive
         for i, row in enumerate(rows):
             q, rest = states[row, :n].copy(), states[row, :n].copy()
             v, still = states[row, n:].copy(), states[row, n:].copy()
-            rest[self.indices], still[self.indices] = self.zero_dynamics.rest[: len(self.indices)], 0.0
+            rest[free], still[free] = self.zero_dynamics.rest[: len(free)], 0.0
             found[i] = kernels.energy(0.0, q, v, p) - kernels.energy(0.0, rest, still, p)
         return found
