@@ -28,7 +28,7 @@ from typing import Final, final
 
 from masking.errors import PlantMismatchError, WireError
 from masking.lab.plants import wire
-from masking.lab.plants.transport import Around, Hub, Line, Peer
+from masking.lab.plants.transport import Hub, Line, Peer
 from masking.lab.plants.wire import Kind
 
 TAG: Final = 16  # bytes
@@ -108,12 +108,11 @@ class _Tags:
 
 
 @final
-class AuthenticatedLine(Around):
+class AuthenticatedLine:
     """The controller's end of a line whose frames have tags, by the key that the server has, too."""
 
     def __init__(self, line: Line, key: Key) -> None:
-        super().__init__(line)
-        self._line, self._key = line, key
+        self._line, self._key, self.waits, self.close = line, key, line.waits, line.close
         self._hello = b""
         self._session = -1
         self._first = self._tags = key.tags(0)
@@ -146,12 +145,11 @@ class AuthenticatedLine(Around):
 
 
 @final
-class AuthenticatedHub(Around):
+class AuthenticatedHub:
     """The plant's end of lines whose frames have tags, by the key that its controllers have, too."""
 
     def __init__(self, hub: Hub, key: Key) -> None:
-        super().__init__(hub)
-        self._hub, self._key = hub, key
+        self._hub, self._key, self.waits, self.close = hub, key, hub.waits, hub.close
         self.address, self.is_local = hub.address, hub.is_local
         self._secret = secrets.token_bytes(32)
         self._known: dict[int, tuple[_Tags, _Tags]] = {}  # of sessions that a holder of the key has opened

@@ -71,48 +71,33 @@ def undisturbed(*, priority: bool) -> Iterator[str]:
 
     Gives a sentence about what was not permitted; empty where all was.
     """
-    collected = gc.isenabled()
-    gc.disable()  # without a collection before, which takes seconds in a large process
-    try:
-        with _prioritised(wanted=priority) as missing:
-            yield f"not permitted here: {', '.join(missing)}; ticks may be late" if missing else ""
-    finally:
-        if collected:
-            gc.enable()
-
-
-@contextlib.contextmanager
-def _prioritised(*, wanted: bool) -> Iterator[list[str]]:
-    """Put this process before others while inside, if wanted; give what was not permitted."""
-    if not wanted:
-        yield []
-    elif sys.platform == "linux":
-        library, policy, parameters = ctypes.CDLL(None), os.sched_getscheduler(0), os.sched_getparam(0)
-        missing = []
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
-        except OSError:
-            missing.append("real-time priority (ulimit -r)")
-        # What is in use stays in memory. Not MCL_FUTURE: under a limit it makes an allocation fail in mid-run. With
-        # MCL_ONFAULT the unused parts of libraries are left alone; measured: 2.8 s without it where pyarrow is loaded.
-        if library.mlockall(_MCL_CURRENT | _MCL_ONFAULT):
-            missing.append("locked memory (ulimit -l)")
-        try:
-            yield missing
-        finally:
-            library.munlockall()
-            os.sched_setscheduler(0, policy, parameters)
-    elif sys.platform == "win32":  # not tested
-        kernel = ctypes.windll.kernel32
-        process = kernel.GetCurrentProcess()
-        former = kernel.GetPriorityClass(process)
-        missing = [] if kernel.SetPriorityClass(process, _HIGH_PRIORITY_CLASS) else ["high priority"]
-        try:
-            yield missing
-        finally:
-            kernel.SetPriorityClass(process, former)
-    else:
-        yield ["real-time priority on this system"]
+    missing = list[str]()
+    with contextlib.ExitStack() as way_out:
+        if gc.isenabled():
+            gc.disable()  # without a collection before, which takes seconds in a large process
+            way_out.callback(gc.enable)
+        if sys.platform == "linux" and priority:
+            library = ctypes.CDLL(None)
+            way_out.callback(os.sched_setscheduler, 0, os.sched_getscheduler(0), os.sched_getparam(0))
+            try:
+                os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+            except OSError:
+                missing.append("real-time priority (ulimit -r)")
+            # What is in use stays in memory. Not MCL_FUTURE: under a limit it makes an allocation fail in mid-run. With
+            # MCL_ONFAULT the unused parts of libraries are left alone; measured: 2.8 s without it where pyarrow is
+            # loaded.
+            if library.mlockall(_MCL_CURRENT | _MCL_ONFAULT):
+                missing.append("locked memory (ulimit -l)")
+            way_out.callback(library.munlockall)
+        elif sys.platform == "win32" and priority:  # not tested
+            kernel = ctypes.windll.kernel32
+            process = kernel.GetCurrentProcess()
+            way_out.callback(kernel.SetPriorityClass, process, kernel.GetPriorityClass(process))
+            if not kernel.SetPriorityClass(process, _HIGH_PRIORITY_CLASS):
+                missing.append("high priority")
+        elif priority:
+            missing.append("real-time priority on this system")
+        yield f"not permitted here: {', '.join(missing)}; ticks may be late" if missing else ""
 
 
 @contextlib.contextmanager

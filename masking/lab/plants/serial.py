@@ -16,7 +16,7 @@ from masking.errors import PlantMismatchError
 from masking.lab.plants import address as addresses
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.remote import RemotePlant
-from masking.lab.plants.transport import Around, Peer
+from masking.lab.plants.transport import Peer
 from masking.lab.plants.wire import Splitter, to_stream
 
 FORM: Final = "serial:///dev/ttyACM0?baud=115200"
@@ -99,7 +99,7 @@ class SerialLine:
 
 
 @final
-class SerialHub(Around):
+class SerialHub:
     """The plant's end of a serial line, which has one controller."""
 
     is_local = True
@@ -115,7 +115,7 @@ class SerialHub(Around):
             raise PlantMismatchError(f"{address} cannot be served ({error}); choose another port") from error
         self.address = f"serial://{port.name}" if isinstance(port, _PseudoTerminal) else address
         self._line, self._peer = SerialLine(port), (self.address,)
-        super().__init__(self._line)
+        self.waits, self.close = self._line.waits, self._line.close
 
     def send(self, frame: bytes, peer: Peer) -> None:
         """Send a frame."""

@@ -23,21 +23,6 @@ class End(Protocol):
         """Give the line back; never raises."""
 
 
-class Around:
-    """An end that is made of another one, which it waits for and closes."""
-
-    def __init__(self, inner: End) -> None:
-        self._inner = inner
-
-    def waits(self, seconds: float) -> bool:
-        """Whether a frame waits to be read, or comes within a time."""
-        return self._inner.waits(seconds)
-
-    def close(self) -> None:
-        """Give the line back."""
-        self._inner.close()
-
-
 class Line(End, Protocol):
     """The controller's end: a ConnectionError where the plant is gone, a BlockingIOError where nothing passes now."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -63,12 +64,6 @@ def column(tables: Sequence[Array], index: int) -> Array:
 
 def _parts(tables: Sequence[Array]) -> Iterator[Array]:
     """Rows in parts of a size that is written at once."""
-    held, rows = list[Array](), 0
-    for table in tables:
-        held.append(table)
-        rows += len(table)
-        if rows >= _ROWS:
-            yield np.concatenate(held)
-            held, rows = [], 0
-    if held:
-        yield np.concatenate(held)
+    ends = zip(itertools.accumulate(map(len, tables)), tables, strict=True)
+    for _, held in itertools.groupby(ends, lambda pair: (pair[0] - 1) // _ROWS):
+        yield np.concatenate([table for _, table in held])
