@@ -6,7 +6,8 @@ reached from outside has a `listen` beside, which `masking.lab.plants.serve` use
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, NoReturn, cast
 
@@ -26,26 +27,20 @@ def connect(address: str, key: Key | None = None) -> Plant:
     `key` is that which its server has, too. A PlantMismatchError where no adapter has this scheme, its library is
     missing, the address is wrong, or a key is given where there are no frames; a PlantError where the adapter fails.
     """
-
-    def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to
+    with _adapter(address) as adapter:
         if key is None:
-            return adapter(address)
+            return cast(Plant, adapter(address))
         if not (isinstance(adapter, type) and issubclass(adapter, RemotePlant)):
             raise PlantMismatchError(f"{address} has no frames that a key could stand for; leave out --key")
         return adapter(address, key=key)
 
-    return cast(Plant, _call(address, opened))
-
 
 def listen(address: str) -> Hub:
     """Line at which a plant is served; raises what `connect` does, also where none is served at such addresses."""
-
-    def opened(adapter: Any) -> object:  # noqa: ANN401  # whatever an entry point leads to
+    with _adapter(address) as adapter:
         if not callable(getattr(adapter, "listen", None)):
             raise PlantMismatchError(f"{address} cannot be served at; use udp://127.0.0.1:5005 or serial:pty")
-        return adapter.listen(address)
-
-    return cast(Hub, _call(address, opened))
+        return cast(Hub, adapter.listen(address))
 
 
 def schemes() -> tuple[str, ...]:
@@ -53,10 +48,12 @@ def schemes() -> tuple[str, ...]:
     return tuple(sorted(entry_points(group=GROUP).names))
 
 
-def _call(address: str, use: Callable[[Any], object]) -> object:
+@contextmanager
+def _adapter(address: str) -> Iterator[Any]:
+    """What the entry point of an address leads to; what goes wrong with it is in our words."""
     entry = _entry(address)
     try:
-        return use(entry.load())
+        yield entry.load()
     except MaskingError:
         raise
     except ImportError as error:

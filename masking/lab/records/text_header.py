@@ -9,10 +9,9 @@ that is broken, and is refused with its line. All else above is a preamble, whic
 from __future__ import annotations
 
 import csv
-import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,7 +100,8 @@ def header(file: Path, text: str, heading: Sequence[str], rows: int | None) -> H
     `heading` are the names of its columns, if they are given, and `rows` the number of lines above its numbers.
     A RecordError where there are no names, or too few or too many of them.
     """
-    lines = list(itertools.islice(_lines(text), _HEADER))
+    lines = text.split("\n", _HEADER)[:_HEADER]
+    lines = lines if lines[-1] else lines[:-1]
     if not any(line.strip() and not line.strip().startswith(REMARKS[:2]) for line in lines):
         raise RecordError(f"{file}: the table is empty")
     if rows is not None and not 0 <= rows < len(lines):
@@ -134,29 +134,13 @@ def header(file: Path, text: str, heading: Sequence[str], rows: int | None) -> H
     if heading and not shape.counts[0] <= len(heading) <= shape.counts[1]:
         many = shape.counts[0]
         raise RecordError(f"{file}: {many} columns have {len(heading)} names, {', '.join(heading)}; name each")
-    body = text[_offset(text, first) :]
+    body = text[sum(map(len, lines[:first])) + first :]
     return Header(names, shape.separator, first + 1, body, [] if heading else units, stamps, clock)
 
 
 def shown(text: str) -> str:
     """Text in a message, cut off where it is long."""
     return text if len(text) <= 40 else f"{text[:40]}..."
-
-
-def _lines(text: str) -> Iterator[str]:
-    start = 0
-    while start < len(text):
-        end = text.find("\n", start) % (len(text) + 1)
-        yield text[start:end]
-        start = end + 1
-
-
-def _offset(text: str, line: int) -> int:
-    """Index in a text at which a line begins."""
-    at = 0
-    for _ in range(line):
-        at = text.find("\n", at) + 1
-    return at
 
 
 def _trimmed(row: list[str]) -> list[str]:
@@ -277,4 +261,4 @@ def _unknown(file: Path, text: str, lines: Sequence[str], heading: Sequence[str]
     if names is None:
         raise RecordError(f"{file}: line {index + 1}: a quote is not closed")
     first = index if heading else index + 1
-    return Header(list(heading) or names, separator, first + 1, text[_offset(text, first) :])
+    return Header(list(heading) or names, separator, first + 1, text[sum(map(len, lines[:first])) + first :])

@@ -66,15 +66,11 @@ def _nanoseconds(stamp: re.Match[str], is_day_first: bool) -> int | None:
 
 def _day(stamp: re.Match[str], is_day_first: bool) -> int | None:
     """Number of the day of an instant, 0 where it has no date; None where there is no such day."""
-    if stamp["year"]:
-        year, month, day = stamp["year"], stamp["month"], stamp["day"]
-    elif stamp["year2"]:
-        year, (day, month) = stamp["year2"], (stamp["a"], stamp["b"]) if is_day_first else (stamp["b"], stamp["a"])
-    elif stamp["year3"]:
-        name = stamp["name"].lower()
-        year, month, day = stamp["year3"], str(_MONTHS.index(name) + 1 if name in _MONTHS else 0), stamp["day3"]
-    else:
+    year, name = stamp["year"] or stamp["year2"] or stamp["year3"], (stamp["name"] or "").lower()
+    if not year:
         return 0
+    month = stamp["month"] or stamp["b" if is_day_first else "a"] or 1 + (*_MONTHS, name).index(name)
+    day = stamp["day"] or stamp["a" if is_day_first else "b"] or stamp["day3"]
     try:
         return date(int(year), int(month), int(day)).toordinal()
     except ValueError:
