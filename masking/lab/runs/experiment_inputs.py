@@ -172,7 +172,7 @@ def live_inputs(sampled: SampledController, run: TwinRun, inputs: VirtualInputs)
     names = [name for name, one in sources.items() if one.sensor is not None]
     found = {n: one.factor * run.readings[:, one.sensor] for n, one in zip(names, feed.sensors, strict=True)}
     names = [name for name, one in sources.items() if one.push is not None]
-    if not names or run.disturbances is None or run.lasting is None:
+    if not names or not run.disturbances.shape[1]:
         return found
     p, forces = sampled.values(), np.empty((len(run.times), len(names)))
     for t, y, d, row in zip(run.times, run.estimates, run.disturbances, forces, strict=True):

@@ -56,10 +56,8 @@ class TwinRun:
     applied: Array  # commands after limits (m, actuators)
     # mean power of each actuator as the controller reckons it (m, actuators), W; 0 where it is not limited
     power: Array
-    # accelerations that the controller's model lacks, as it estimates them (m, n), SI units
-    disturbances: Array | None = None
-    # what the controller took for lasting of each push before the first sample (1, pushes), SI units
-    lasting: Array | None = None
+    disturbances: Array  # accelerations that the controller's model lacks, as far as it estimates them (m, .), SI units
+    lasting: Array  # what the controller took for lasting of each push before the first sample (1, pushes), SI units
 
 
 _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
@@ -67,8 +65,7 @@ _AnyRun = TypeVar("_AnyRun", bound=Run | TwinRun)
 
 def cut(run: _AnyRun, rows: int) -> _AnyRun:
     """First rows of a run."""
-    parts = {part.name: getattr(run, part.name) for part in fields(run)}
-    return replace(run, **{name: part[:rows] for name, part in parts.items() if part is not None})
+    return replace(run, **{part.name: getattr(run, part.name)[:rows] for part in fields(run)})
 
 
 def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
@@ -76,8 +73,7 @@ def joined(chunks_of_run: Iterable[_AnyRun]) -> _AnyRun:
     runs = [*chunks_of_run]
     if len(runs) == 1:
         return runs[0]
-    kept = {part.name: getattr(runs[0], part.name) for part in fields(runs[0]) if part.name != "lasting"}
-    names = [name for name, part in kept.items() if part is not None]
+    names = [part.name for part in fields(runs[0]) if part.name != "lasting"]
     parts: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
     return replace(runs[0], **parts)
 
@@ -252,7 +248,7 @@ def twin_chunks(
         if end > 0 and (end % span == 0 or end == samples):
             states, memories, readings, demanded, applied = out
             estimates, power = memories[:, : sizes.states], memories[:, sizes.power]
-            disturbances = memories[:, sizes.states : sizes.states + sizes.disturbed] if sizes.order else None
+            disturbances = memories[:, sizes.states : sizes.states + (sizes.disturbed if sizes.order else 0)]
             yield TwinRun(rows / rate, states, estimates, readings, demanded, applied, power, disturbances, lasting)
 
 
