@@ -27,7 +27,7 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.runs import hardware, safety_limits
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.loop_rows import StreamedRows, known
+from masking.lab.runs.loop_rows import known, recorder
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.realtime import Hooks, run_rig
 from tests.benchmarks.operator_page import EXPERIMENT, Nobody, looked_at
@@ -109,8 +109,8 @@ def parts() -> dict[str, Array]:
 
     with tempfile.TemporaryDirectory() as folder, Operator(lambda *_: Nobody()) as operator:
         operator.begin(experiment, controller, rules)
-        streamed = StreamedRows(experiment, Path(folder) / "run", Path(folder))
-        record, show = timed("recording", streamed.put), timed("page", operator.put or print)
+        streamed = recorder(experiment, Path(folder) / "run", Path(folder))
+        record, show = timed("recording", streamed.ring.put), timed("page", operator.put or print)
         ran = run_rig(
             timed("controller", lambda tick, readings: controller(readings, tick - sampled.before)),
             SimulatedPlant(twin),
@@ -120,7 +120,7 @@ def parts() -> dict[str, Array]:
             hooks=Hooks(on_row=[record, show], look=timed("look for a stop", operator.look)),
             known=known(controller, sampled.feed.lasting(controller.parameters)),
         )
-        streamed.end(keep=False)
+        streamed.discard()
     found = {part: np.array(times) for part, times in taken.items()}
     found["safety chain and row"] = ran.work - sum(found.values())
     return {part: 1e6 * times for part, times in found.items()}

@@ -69,9 +69,9 @@ class RowLayout:
         index, answered = (table[:, i].astype(np.int64) for i in (INDEX, ANSWERED))
         kept = np.flatnonzero((answered > 0) & (index >= 0) & (index < after) & (index % every == 0))
         parts = {name: np.ascontiguousarray(table[kept, place]) for name, place in self.slices.items()}
-        estimates, others = parts["estimate"], ("sensor", "demanded", "input", "power", "disturbance")
+        estimates, sensed = parts["estimate"], (parts["sensor"], parts["demanded"], parts["input"], parts["power"])
         lasting = parts["lasting"][:1] if len(kept) else np.empty((1, parts["lasting"].shape[1]))
-        return TwinRun(index[kept] / rate, estimates, estimates, *(parts[name] for name in others), lasting)
+        return TwinRun(index[kept] / rate, estimates, estimates, *sensed, parts["disturbance"], lasting)
 
     def recording(self, table: Array, after: int, *, lockstep: bool, outcome: Mapping[str, object]) -> Recording:
         """Recording of a run on a plant that runs by itself, of rows as `run` takes them.

@@ -16,6 +16,7 @@ import numpy as np
 from masking.errors import MaskingError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.feasibility import feasibility
+from masking.lab.runs.varied_experiment import parameter
 from masking.model.declaration import schema
 from masking.model.declaration.quantities import number
 from masking.model.effects import SATURATION
@@ -122,7 +123,7 @@ def _gains(experiment: Experiment, names: Mapping[str, Any]) -> Iterator[Remedy]
 
 def _scaling(experiment: Experiment, errors: Mapping[str, float]) -> dict[str, float]:
     """Parameters of the controller's model that scale actuators by 1 + e, by their errors, and change nothing else."""
-    known, found = experiment.instruments, dict[str, float]()
+    known, found, declared = experiment.instruments, dict[str, float](), partial(parameter, experiment.law.model)
     model, allocation = known.model, known.allocation
     dynamics, driven = known.linear()
     for actuator, error in errors.items():
@@ -131,19 +132,13 @@ def _scaling(experiment: Experiment, errors: Mapping[str, float]) -> dict[str, f
         for name in experiment.assembly.controller_model.parameters.keys() - found.keys():
             if not model.parameter_values().get(name):
                 continue
-            changed = model.with_parameters(**{name: _declared(experiment, name) * (1.0 + error)})
+            changed = model.with_parameters(**{name: declared(name)[0] * (1.0 + error)})
             other, scaled = replace(known, model=changed).linear()
             size = np.abs(driven).max() or 1.0
             if np.allclose(other, dynamics, rtol=_EXACT) and np.abs(scaled - wanted).max() <= _EXACT * size:
-                found[name] = float(f"{_declared(experiment, name) * (1.0 + error):.6g}")
+                found[name] = float(f"{declared(name)[0] * (1.0 + error):.6g}")
                 break
     return found if len(found) == len(errors) else {}
-
-
-def _declared(experiment: Experiment, name: str) -> float:
-    """Parameter of the controller's model in its declared unit."""
-    model = experiment.law.model
-    return model.value(name) / model.units.conversions[model.declaration.parameters[name].unit].factor
 
 
 def _smaller(experiment: Experiment) -> Iterator[Remedy]:

@@ -38,7 +38,7 @@ def place(experiment: Experiment, name: str) -> Place:
     virtual = Model(experiment.assembly.virtual_model, declaration.parameters)
     head, _, rest = name.partition(".")
     if name in virtual.parameters:
-        return Place(("parameters", name), *_parameter(virtual, name))
+        return Place(("parameters", name), *parameter(virtual, name))
     if name in virtual.state_names:
         start, unit = _initial(virtual, name)
         return Place(("initial", name), declaration.initial.get(name, start), unit)
@@ -46,7 +46,7 @@ def place(experiment: Experiment, name: str) -> Place:
         return Place((name,), getattr(declaration, name))
     if head == PLANT and rest in experiment.assembly.plant_model.parameters:
         own = {n: x for n, x in plant.parameters.items() if n in experiment.assembly.plant_model.parameters}
-        return Place((PLANT, rest), *_parameter(Model(experiment.assembly.plant_model, own), rest))
+        return Place((PLANT, rest), *parameter(Model(experiment.assembly.plant_model, own), rest))
     effects = {effect.label: effect for effect in experiment.twin.effects} | {
         effect.path.removeprefix("effects."): effect for effect in experiment.twin.effects
     }
@@ -75,7 +75,7 @@ def _unit_of(experiment: Experiment, effect: PlacedEffect, key: str) -> str:
     return known.unit if known else combined(effect.entry.parameters[key].unit, letters)
 
 
-def _parameter(model: Model, name: str) -> tuple[float, str]:
+def parameter(model: Model, name: str) -> tuple[float, str]:
     """Parameter in its declared unit, and that unit."""
     unit = model.declaration.parameters[name].unit
     return model.value(name) / model.units.conversions[unit].factor, unit
