@@ -82,12 +82,13 @@ def discover(
     train, unseen = record, validation
     if unseen is None:
         train, unseen = train_validation_split(record, settings.rules.held_out)
-    reading = Reading.of(rig, train, unseen, settings)
-    found = _explained(reading, say)
-    for others in readings.OTHERS:
-        reading, found = _otherwise(others(reading, found), reading, found, say)
-    stated = with_grades(_stated(beside_names(found, reading.problem.substeps, say)))
-    return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
+    with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
+        reading = Reading.of(rig, train, unseen, settings)
+        found = _explained(reading, say)
+        for others in readings.OTHERS:
+            reading, found = _otherwise(others(reading, found), reading, found, say)
+        stated = with_grades(_stated(beside_names(found, reading.problem.substeps, say)))
+        return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
 
 
 def _otherwise(others: Iterator[Reading], reading: Reading, found: Discovery, say: Tell) -> tuple[Reading, Discovery]:
@@ -111,8 +112,7 @@ def _stated(found: Discovery) -> Discovery:
     for part, start in ((found.problem, known.start), (found.validation, found.after.start)):
         fine = replace(part, substeps=FINER * part.substeps)
         try:
-            with threadpool_limits(1):
-                made = fitting.fit(fine, known.instances, theta=known.theta, start=start, frozen=True)
+            made = fitting.fit(fine, known.instances, theta=known.theta, start=start, frozen=True)
         except IntegrationError:
             return found
         stated.append(fine.errors(made.squares))
@@ -125,7 +125,7 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
     if found.record.hold != "zero-order" or not found.twin.actuators:
         return None
     problem = replace(found.problem, record=found.record.first_order())
-    with threadpool_limits(1), suppress(IntegrationError):
+    with suppress(IntegrationError):
         other = fitting.fit(problem)
         size = found.record.readings.size
         if other.cost - size < problem.rules.first_order_hold_fraction * (found.explanation.cost - size):
@@ -136,20 +136,19 @@ def _with_first_order_hold(found: Discovery) -> dict[str, float] | None:
 def _explained(reading: Reading, say: Tell) -> Discovery:
     """Discovery in one reading of the records."""
     problem = reading.problem
-    with threadpool_limits(1):  # small matrices: more threads of BLAS only wait for each other
-        search = instrument_errors.searched(problem, say)
-        known = search.problem
-        validation = replace(known, record=reading.unseen, sigma=reading.noise)
-        declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-        before = unseen_data.validated(validation, declared.hypothesis)
-        base = held_out.simulated(search.base, validation)
-        without = base.unseen or Unseen(before, before)
-        left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
-        if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):
-            without = Unseen(before, before)  # parameters that are worse on unseen data are not kept
-        say("comparing explanations on data that were not used", 0.95)
-        rivals = held_out.likeliest(search, base, validation)
-        given = held_out.no_worse((rivals, (base,), (declared,)), known, validation, before)
+    search = instrument_errors.searched(problem, say)
+    known = search.problem
+    validation = replace(known, record=reading.unseen, sigma=reading.noise)
+    declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
+    before = unseen_data.validated(validation, declared.hypothesis)
+    base = held_out.simulated(search.base, validation)
+    without = base.unseen or Unseen(before, before)
+    left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
+    if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):
+        without = Unseen(before, before)  # parameters that are worse on unseen data are not kept
+    say("comparing explanations on data that were not used", 0.95)
+    rivals = held_out.likeliest(search, base, validation)
+    given = held_out.no_worse((rivals, (base,), (declared,)), known, validation, before)
     chosen, rules, size = given.explanation, problem.rules, problem.record.readings.size
     after = given.unseen.alone
     without = given.unseen if given.rivals[0] is base else without
@@ -203,9 +202,8 @@ def _separating(
     second = min(others, key=lambda one: min(instead.index(key) for key in one.names if key in instead))
     pairs = (cause.name, cause.on), instead[0]
     names = [f"{name} at {on}" if on else name for name, on in pairs]
-    with threadpool_limits(1):
-        limits = declared_limits(problem.rig.twin)
-        return next_experiment(problem, rivals[0].hypothesis, second.hypothesis, (names[0], names[1]), limits)
+    limits = declared_limits(problem.rig.twin)
+    return next_experiment(problem, rivals[0].hypothesis, second.hypothesis, (names[0], names[1]), limits)
 
 
 def _scored(explanation: Explanation, search: SearchResult) -> Scored:
@@ -224,7 +222,7 @@ def _scored(explanation: Explanation, search: SearchResult) -> Scored:
 def _is_absorbed(search: SearchResult, explanation: Explanation, i: int) -> bool:
     """Whether parameters of the model do what a cause does, beside the others, whose law has their form."""
     instance, others = explanation.hypothesis.instances[i], explanation.without(i)[1]
-    with suppress(IntegrationError), threadpool_limits(1):
+    with suppress(IntegrationError):
         unique = Screen(search.problem, search.base.hypothesis, search.motion, others).unique(instance)
         return unique < search.problem.rules.unique_fraction
     return False

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, unseen_data
@@ -27,9 +26,8 @@ def graded(found: Discovery) -> tuple[Grade, ...]:
     for i, (name, on) in enumerate(explanation.names):
         others, known = explanation.without(i)[1], explanation.hypothesis
         try:
-            with threadpool_limits(1):
-                fitted = fitting.fit(found.problem, others, theta=known.theta, start=known.start) if others else None
-                left = found.adjusted if fitted is None else unseen_data.validated(unseen, fitted)
+            fitted = fitting.fit(found.problem, others, theta=known.theta, start=known.start) if others else None
+            left = found.adjusted if fitted is None else unseen_data.validated(unseen, fitted)
             without = unseen.errors(left.squares)
         except IntegrationError:
             without = dict.fromkeys(errors, np.inf)

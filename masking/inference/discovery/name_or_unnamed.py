@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import closed_form, fitting, unseen_data, verdict
@@ -110,9 +109,8 @@ def evidence(found: Discovery, law: UnnamedLaw) -> float:
     written = form.explanation.hypothesis
     fine, other = (closed_form.knowing(one, written.instances) for one in (law.free.problem, unseen))
     try:
-        with threadpool_limits(1):
-            names = fitting.together(known, seen, named.hypothesis, found.after.start)
-            rival = fitting.together(fine, other, written, form.validated.start)
+        names = fitting.together(known, seen, named.hypothesis, found.after.start)
+        rival = fitting.together(fine, other, written, form.validated.start)
     except IntegrationError:
         return -np.inf
     like = fitting.nearest([names, rival])
@@ -125,8 +123,7 @@ def _is_explainable(found: Discovery) -> bool:
 
     Where the rest does not follow the motion of a place, no law does better than the names.
     """
-    with threadpool_limits(1):
-        taken = explainable(found)
+    taken = explainable(found)
     base, names = (
         verdict.excess_cost(one.cost, found.record.readings.size) for one in (found.search.base, found.explanation)
     )

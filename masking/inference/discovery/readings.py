@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from threadpoolctl import threadpool_limits
-
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
 from masking.inference.discovery import shooting_intervals, units_after_search, verdict
@@ -47,13 +45,12 @@ class Reading:
         twin, rules = rig.twin, settings.rules
         prior, most = prior_of(twin, rig, settings.tolerance, rules), max(1, twin.substeps(train.rate) // 2)
         work = Work.allowed(len(train), len(twin.state_names) + len(twin.free) + len(prior.mean))
-        with threadpool_limits(1):
-            noise = noise_of(twin, train)
-            whole = EstimationProblem(rig, train, prior, noise, most, rules=rules, work=work, trace=Trace())
-            whole = centred(whole)
-            declared = cls(whole, unseen, noise_of(twin, unseen), settings)
-            doubt = units_after_search.doubted(whole)
-            return declared.in_intervals(settings.shooting_interval) if doubt is None else declared.in_unit(doubt)
+        noise = noise_of(twin, train)
+        whole = EstimationProblem(rig, train, prior, noise, most, rules=rules, work=work, trace=Trace())
+        whole = centred(whole)
+        declared = cls(whole, unseen, noise_of(twin, unseen), settings)
+        doubt = units_after_search.doubted(whole)
+        return declared.in_intervals(settings.shooting_interval) if doubt is None else declared.in_unit(doubt)
 
     def in_intervals(self, seconds: float | None) -> Reading:
         """Same in shooting intervals of some length, or of that which suits the model."""
@@ -92,8 +89,7 @@ def shorter_intervals(reading: Reading, found: Discovery) -> Iterator[Reading]:
 def another_unit(reading: Reading, found: Discovery) -> Iterator[Reading]:
     """Another unit or sign of a channel, where a gain or a parameter is far off or nothing is found."""
     if reading.doubt is None and (found.verdict == "unknown" or found.is_far_off):
-        with threadpool_limits(1):
-            doubt = units_after_search.suspected(replace(reading.problem, interval=0), found.explanation.hypothesis)
+        doubt = units_after_search.suspected(replace(reading.problem, interval=0), found.explanation.hypothesis)
         if doubt is not None:
             yield reading.in_unit(doubt)
 
@@ -112,8 +108,7 @@ def directed_places(reading: Reading, found: Discovery) -> Iterator[Reading]:
     part = {"coordinate": problem.rules.score_fraction}
     wanted = {place.name: part.get(place.directed, 1.0) for place in rig.places if place.directed}
     try:
-        with threadpool_limits(1):
-            seen = Ground.beside(problem, found.search.base).screened(found.search.base)
+        seen = Ground.beside(problem, found.search.base).screened(found.search.base)
     except IntegrationError:
         return
     scores = [] if seen is None else seen[1]

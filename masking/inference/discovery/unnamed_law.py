@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
@@ -145,14 +144,13 @@ def law_of(found: Explained, validation: EstimationProblem, substeps: int, part:
     found = replace(found, problem=replace(found.problem, work=found.problem.work.kept(part)))
     rules, size = found.problem.rules, found.record.readings.size
     steps = min(found.problem.substeps, MOST_FINER * substeps)
-    with threadpool_limits(1):
-        law = _in_steps(found, validation, steps)
-        if law is None or found.problem.work.ends():
-            return law
-        if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, rules):
-            return law  # smaller steps would make nothing of it
-        needed = finer(law.free.problem, law.free.hypothesis, substeps)
-        return law if needed <= steps else _in_steps(found, validation, needed) or law
+    law = _in_steps(found, validation, steps)
+    if law is None or found.problem.work.ends():
+        return law
+    if not verdict.leaves_little(law.free.hypothesis.cost, found.search.base.cost, size, rules):
+        return law  # smaller steps would make nothing of it
+    needed = finer(law.free.problem, law.free.hypothesis, substeps)
+    return law if needed <= steps else _in_steps(found, validation, needed) or law
 
 
 def _in_steps(found: Explained, validation: EstimationProblem, steps: int) -> UnnamedLaw | None:
