@@ -72,13 +72,8 @@ class EffectInstance:
         made = dict(enumerate(self.values)) | dict(zip(at, map(float, values), strict=True))
         return replace(self, values=tuple(made.values()))
 
-    def with_free_times(self, factor: float) -> EffectInstance:
-        """Instance with its estimated parameters multiplied."""
-        return self.with_values(self.free, (self.values[i] * factor for i in self.free))
-
-    def with_factors_times(self, factor: float) -> EffectInstance:
-        """Instance with a part of the effect."""
-        at = [i for i, name in zip(self.free, self.names, strict=True) if name in self.entry.factors]
+    def times(self, factor: float, at: Sequence[int]) -> EffectInstance:
+        """Instance with some of its parameters multiplied."""
         return self.with_values(at, (self.values[i] * factor for i in at))
 
     def at_step(self, mobility: float, step: float) -> EffectInstance:
@@ -359,10 +354,6 @@ class AugmentedModel:
         by_state, by_entry = np.zeros((n, n)), np.zeros((n, self.affected))
         self.equations.slopes(0.0, self.rest, u, self.basis(theta)[0], np.zeros(n), by_state, by_entry)
         return by_state, by_entry
-
-    def at_step(self, instance: EffectInstance, step: float) -> EffectInstance:
-        """Instance that sticks with the parameters that follow a step of integration, in s."""
-        return instance.at_step(self.mobilities[instance.at], step) if instance.sticks else instance
 
     def reading(self, theta: Array, state: Array, commands: Array | None = None) -> tuple[Array, Array]:
         """Readings in a state (sensors,), and their derivatives by it (sensors, states); commands are 0 by default."""

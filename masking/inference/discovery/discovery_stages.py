@@ -7,22 +7,23 @@ and 16; the terms are physical effects with parameters and states of their own.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, MaskingError
 from masking.inference.discovery import fitting, held_out, instrument_errors, readings, unseen_data, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.discovery_result import (
     Alternative,
     Discovery,
     Errors,
     Estimate,
+    Grade,
     Named,
     SimulationError,
     least_sure,
@@ -30,7 +31,6 @@ from masking.inference.discovery.discovery_result import (
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import Explanation, Unseen, ended
 from masking.inference.discovery.fitting import Hypothesis, by_instance
-from masking.inference.discovery.grading import with_grades
 from masking.inference.discovery.ground import Tell, silent
 from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
@@ -39,10 +39,11 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.readings import Reading
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.search import SearchResult
+from masking.inference.discovery.trace import Line
 from masking.inference.discovery.verdict import Key, Scored
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records.noise import rounding_steps
-from masking.model.effects import ROUNDING
+from masking.model.effects import ROUNDING, Effect
 
 FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
 LISTED = 1e-4  # probability from which an alternative is listed: less is never chosen
@@ -87,8 +88,9 @@ def discover(
         found = _explained(reading, say)
         for others in readings.OTHERS:
             reading, found = _otherwise(others(reading, found), reading, found, say)
-        stated = with_grades(_stated(beside_names(found, reading.problem.substeps, say)))
-        return stated if stated.is_at_noise_floor else replace(stated, first_order_hold=_with_first_order_hold(stated))
+        stated = _stated(beside_names(found, reading.problem.substeps, say))
+        held = None if stated.is_at_noise_floor else _with_first_order_hold(stated)
+        return replace(stated, grades=_grades(stated), first_order_hold=held)
 
 
 def _otherwise(others: Iterator[Reading], reading: Reading, found: Discovery, say: Tell) -> tuple[Reading, Discovery]:
@@ -174,7 +176,7 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
             unexplained,
             size,
             rules,
-            composite=are_composite(chosen.names, known.rig, rules),
+            composite=chosen.is_composite(known.rig),
         ),
         rounded=not effects and any(is_much for _, is_much in rounded),
         at_noise=errors.is_noise(len(reading.unseen), rules),
@@ -295,3 +297,42 @@ def _equal_to(key: Key, ranked: Sequence[Explanation]) -> list[Key]:
             if is_same and len(one.hypothesis.added) == len(other.hypothesis.added):
                 found += [one for one in new if one not in found]
     return found
+
+
+def _grades(found: Discovery) -> tuple[Grade, ...]:
+    """Grade of each effect of an answer; a cause without which the motion is not finite takes all of the error."""
+    explanation, unseen = found.explanation, found.validation
+    if explanation.kind != "effects":
+        return ()
+    errors, floor = found.simulation_error.validation[1], found.simulation_error.validation_noise_floor
+    lines = [line for line in found.problem.trace.lines() if line.tried.reading == found.problem.trace.reading]
+    made = list[Grade]()
+    for i, (name, on) in enumerate(explanation.names):
+        others, known = explanation.without(i)[1], explanation.hypothesis
+        try:
+            fitted = fitting.fit(found.problem, others, theta=known.theta, start=known.start) if others else None
+            left = found.adjusted if fitted is None else unseen_data.validated(unseen, fitted)
+            without = unseen.errors(left.squares)
+        except IntegrationError:
+            without = dict.fromkeys(errors, np.inf)
+        worst = max(without, key=lambda sensor: without[sensor] / max(floor[sensor], 1e-300))
+        share = max(0.0, 1.0 - errors[worst] / max(without[worst], 1e-300))
+        made.append(Grade(name, on, share, without[worst], *_odds(lines, explanation.names, i, found.twin.dictionary)))
+    return tuple(made)
+
+
+def _odds(
+    lines: Sequence[Line], names: Sequence[Key], i: int, dictionary: Mapping[str, Effect]
+) -> tuple[float | None, tuple[Key, ...]]:
+    """Odds of causes against the likeliest hypothesis without one of the class of cause i, and the causes of that."""
+    name, on = names[i]
+    family = dictionary[name].family if name in dictionary else name
+
+    def is_other(line: Line) -> bool:
+        return not any(at == on and n in dictionary and dictionary[n].family == family for n, at in line.tried.names)
+
+    own = next((line for line in lines if sorted(line.tried.names) == sorted(names)), None)
+    rivals = sorted((line for line in lines if is_other(line) and not line.why), key=lambda line: line.behind)
+    if own is None or not rivals:
+        return None, ()
+    return float(np.exp(np.clip(0.5 * (rivals[0].behind - own.behind), -700.0, 700.0))), rivals[0].tried.names

@@ -15,13 +15,16 @@ import numpy as np
 
 from masking.compile.numerics import decompositions
 from masking.errors import IntegrationError
-from masking.inference.discovery import compiled_laws, fitting
-from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery import compiled_laws, fitting, verdict
+from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.trace import Tried
-from masking.inference.discovery.verdict import Key, Kind
+from masking.inference.discovery.verdict import Key, Kind, Law
 from masking.inference.discovery.work_budget import Work
+from masking.model.declaration.expression import Expression
+from masking.model.effects import Effect
 
 AT_ONCE, FEWEST = 4, 2  # fits between which it is asked whether the work ends, and those that are made where it is over
 ROUNDING = 1e-12  # eigenvalue over the largest that is 0: larger ones have four digits, smaller pay for a parameter
@@ -88,6 +91,10 @@ class Explanation:
         (key,) = old
         law = richer.hypothesis.instances[richer.names.index(key)].entry
         return new <= {(name, key[1]) for name in law.nested}
+
+    def is_composite(self, rig: AugmentedModel) -> bool:
+        """Whether its effects imitate one that the dictionary lacks."""
+        return are_composite(self.names, rig, self.hypothesis.rules)
 
     def score(self, like: Hypothesis) -> float:
         """-2 log evidence, with the residual as coloured as that of another hypothesis, see `Hypothesis.misfit`.
@@ -229,3 +236,37 @@ def _expected(instance: EffectInstance) -> list[float]:
         return [0.0]
     declared = [instance.entry.parameters[name] for name in instance.names]
     return [0.5 * (p.prior[1] - p.prior[0]) if p.unit == "1" and p.prior and not p.spread else 0.0 for p in declared]
+
+
+def are_composite(causes: Sequence[Key], rig: AugmentedModel, rules: DecisionRules = RULES) -> bool:
+    """Whether several effects imitate one that the dictionary lacks, see `verdict.is_composite`.
+
+    A coordinate that only one element moves counts as that element.
+    """
+    known = rig.twin.dictionary
+    every = [(known[name], at) for name, at in causes if name in known]
+    laws = [Law(one.is_linear, _seat(rig, at), _kind(one.reduced({})), one.family) for one, at in every]
+    return verdict.is_composite(laws, rules)
+
+
+def share_a_place(causes: Sequence[Key], rig: AugmentedModel) -> bool:
+    """Whether two forces of an explanation act at one place, which may stand for a single law."""
+    known = rig.twin.dictionary
+    seats = [_seat(rig, at) for name, at in causes if name in known and known[name].where == "element"]
+    return len({*seats}) < len(seats)
+
+
+def _seat(rig: AugmentedModel, name: str) -> str:
+    """The only element a coordinate belongs to; other names unchanged."""
+    if not any(place.name == name and place.coordinate and not place.declared for place in rig.places):
+        return name
+    elements = [(p.name, p.element.displacement) for p in rig.places if p.declared]
+    those = [element for element, displacement in elements if displacement and name in displacement.symbols]
+    return those[0] if len(those) == 1 else name
+
+
+def _kind(effect: Effect) -> str:
+    """Variables that the force of an element follows; '' for neither displacement nor rate."""
+    if effect.where != "element" or effect.absorbed_by:
+        return ""
+    return "memory" if effect.states else " and ".join(sorted(Expression(effect.expression).symbols & {"d", "d_rate"}))

@@ -253,7 +253,7 @@ def together(problem: EstimationProblem, other: EstimationProblem, known: Hypoth
 
 def repeated(problem: EstimationProblem, known: Hypothesis, rival: float = np.inf) -> Hypothesis:
     """Hypothesis that was fitted in larger steps of integration, fitted in those of a problem; errors as `fit`."""
-    begun = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known.instances]
+    begun = [*map(problem.in_steps, known.instances)]
     return fit(problem, begun, theta=known.theta, start=known.start, rounds=continuation.ROUNDS, rival=rival)
 
 

@@ -18,7 +18,6 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.explanation import Explanation, fitted
 from masking.inference.discovery.fitting import Begun, Hypothesis
 from masking.inference.discovery.ground import Ground
-from masking.inference.discovery.one_more_cause import in_steps
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score
 from masking.inference.discovery.verdict import Key
@@ -47,7 +46,7 @@ def _starts(ground: Ground, score: Score) -> Sequence[EffectInstance]:
     candidate = score.candidate
     if candidate.sticks and not candidate.entry.nested:
         every = [score.instance] if candidate.factors else candidate.instances
-        return [in_steps(ground.problem, one, candidate) for one in every]
+        return [ground.problem.in_steps(one, sticks=True) for one in every]
     is_shaped = bool(candidate.factors) and candidate.has_shape and not candidate.sticks
     return candidate.instances if is_shaped else ()
 

@@ -10,12 +10,10 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate, candidates, spans
-from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.decision_rules import DecisionRules
-from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded
+from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded, unfolded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.folded_readings import unfolded
 from masking.inference.discovery.motion_features import Kept
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen
@@ -137,10 +135,6 @@ class Ground:
     def nearly(self, least: float, since: float) -> float:
         """Cost below which nearly as much is gained, since a cost, as by the least one."""
         return since - (1.0 - self.rules.gain_fraction) * (since - least)
-
-    def is_composite(self, explanation: Explanation) -> bool:
-        """Whether its effects imitate one that the dictionary lacks."""
-        return are_composite(explanation.names, self.problem.rig, self.rules)
 
     def refusal(self, explanation: Explanation) -> str:
         """Why an explanation is not possible; '' where it is."""

@@ -20,7 +20,6 @@ from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, unseen_data, verdict
-from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, Unseen, in_both, nearest, on_unseen
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.problem import EstimationProblem
@@ -72,7 +71,7 @@ def likeliest(found: SearchResult, base: Explanation, validation: EstimationProb
     for one in found.ranked:
         if one.score(like) > most or len(near) >= problem.rules.most_fits:
             others.append(one)
-        elif is_simulated(one) and not _imitates(one, problem):
+        elif is_simulated(one) and not one.is_composite(problem.rig):
             most = min(most, one.score(like) + problem.rules.validation_margin)
 
     for one in others:
@@ -80,9 +79,14 @@ def likeliest(found: SearchResult, base: Explanation, validation: EstimationProb
             is_simulated(one)
 
     def is_idle(richer: Explanation) -> bool:
-        rules, imitates = problem.rules, _imitates(richer, problem)
+        rules, imitates = problem.rules, richer.is_composite(problem.rig)
         most = rules.much_less**2 if imitates else 1.0 - rules.gain_fraction
-        simpler = (one for one in near if _is_part(one, richer) or (imitates and _is_plainer(one, richer, problem)))
+
+        def is_simpler(one: Explanation) -> bool:
+            is_plainer = imitates and 0 < len(one.names) < len(richer.names) and not one.is_composite(problem.rig)
+            return is_plainer or _is_part(one, richer)
+
+        simpler = filter(is_simpler, near)
         return any(_does_nearly_as_much(one, richer, most) for one in simpler)
 
     idle = [*filter(is_idle, near)]
@@ -92,17 +96,8 @@ def likeliest(found: SearchResult, base: Explanation, validation: EstimationProb
     return tuple(sound[i] for i in np.argsort(in_both(sound), kind="stable")) if sound else (base,)
 
 
-def _imitates(one: Explanation, problem: EstimationProblem) -> bool:
-    """Whether causes imitate another law, and are worth a name only where they leave far less than others."""
-    return are_composite(one.names, problem.rig, problem.rules)
-
-
 def _is_part(simple: Explanation, richer: Explanation) -> bool:
     return {*simple.names} < {*richer.names} or simple.is_inside(richer)
-
-
-def _is_plainer(one: Explanation, richer: Explanation, problem: EstimationProblem) -> bool:
-    return 0 < len(one.names) < len(richer.names) and not _imitates(one, problem)
 
 
 def simulated(one: Explanation, validation: EstimationProblem) -> Explanation:

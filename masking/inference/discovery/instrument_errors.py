@@ -18,7 +18,6 @@ import numpy as np
 from masking.compile.numerics import decompositions
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.composites import are_composite
 from masking.inference.discovery.explanation import Explanation, ahead, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.ground import Tell
@@ -115,7 +114,7 @@ def _suffice(problem: EstimationProblem, known: Hypothesis) -> bool:
 def _is_complete(found: SearchResult) -> bool:
     problem, best = found.problem, found.best
     is_noise = verdict.reaches_noise(best.cost, problem.record.readings.size, problem.rules)
-    return is_noise and not are_composite(best.names, problem.rig, problem.rules)
+    return is_noise and not best.is_composite(problem.rig)
 
 
 def with_imperfections(problem: EstimationProblem) -> EstimationProblem:

@@ -20,10 +20,9 @@ from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.force_decomposition import ENDS
-from masking.inference.discovery.motion_features import MotionFeatures
+from masking.inference.discovery.motion_features import MotionFeatures, Thinning
 from masking.inference.discovery.places import is_of_one
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult

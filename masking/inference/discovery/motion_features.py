@@ -13,14 +13,17 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
-from masking.inference.discovery.averaging import Thinning, middles, thinned
 from masking.inference.discovery.candidates import Candidate
-from masking.inference.discovery.smoothing import Motion
+from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.smoothing import Motion, modes
 from masking.inference.estimation.identification_data import Data
+from masking.lab.records.noise import bandwidth
 
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 
 Features = tuple[Array, Array]  # means (m, c), and the columns where they act (c,)
+FEWEST = 200  # means of a record that are compared at least, however short it is
+BEYOND = 2.0  # times the frequency at which readings fall below their noise: means over many samples show more
 
 
 @dataclass
@@ -51,7 +54,8 @@ class MotionFeatures:
             late, at = self.signal(instance)
             later, _ = self.signal(instance.with_values((0,), (instance.values[0] + half,)))
             return np.hstack([late, (later - late) / half]), np.concatenate([at, at])
-        instance = self.rig.at_step(instance, 1.0 / self.record.rate)  # a motion that is known is followed in samples
+        if instance.sticks:  # a motion that is known is followed in samples
+            instance = instance.at_step(self.rig.mobilities[instance.at], 1.0 / self.record.rate)
         return self.signal(instance, instance.free)
 
     def by_factors(self, candidate: Candidate, instance: EffectInstance) -> Features:
@@ -106,3 +110,42 @@ class MotionFeatures:
         commands = self.record.acting[:, at]
         late = np.column_stack([np.interp(t - instance.values[0], t, command) for command in commands.T])
         return thinned(late - commands, self.thinning.motion), np.array([self.rig.columns[2][i] for i in at], float)
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """Samples over which means are taken: of motions a multiple of the stride, of readings a multiple of that.
+
+    Of a stride, a law in an element looks at the middle.
+    """
+
+    motion: int
+    readings: int
+    stride: int = 1
+
+    @classmethod
+    def of(cls, problem: EstimationProblem) -> Thinning:
+        """Thinning that keeps what a record shows."""
+        rig, record, rate = problem.rig, problem.record, problem.record.rate
+        own = np.abs(modes(rig, rig.start).imag).max(initial=0.0) / (2.0 * np.pi)
+        seen = min(problem.rules.screened_frequency, BEYOND * rate * bandwidth(record.readings))
+        highest = max(seen, 2.0 * float(own), 0.5 * FEWEST * rate / len(record))
+        motion = max(1, int(rate / (6.0 * highest)))
+        stride = max(1, motion // 2)
+        motion -= motion % stride
+        return cls(motion, motion * max(1, int(rate / (2.0 * highest) / motion)), stride)
+
+
+def middles(samples: Array, stride: int) -> Array:
+    """Middle of every `stride` samples of a table (m, c): a sample, or the mean of two."""
+    cut = samples[: len(samples) // stride * stride]
+    return np.asarray(0.5 * (cut[(stride - 1) // 2 :: stride] + cut[stride // 2 :: stride]))
+
+
+def thinned(table: Array, thin: int) -> Array:
+    """Means over `thin` samples of a table (m, c)."""
+    cut = table[: len(table) // thin * thin]
+    total = cut[0::thin].copy()
+    for i in range(1, thin):  # measured: of few columns a sixth of the time of a mean over an axis
+        total += cut[i::thin]
+    return np.asarray(np.ascontiguousarray(total / thin))

@@ -8,8 +8,8 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import closed_form, fitting, unseen_data, verdict
-from masking.inference.discovery.composites import share_a_place
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
+from masking.inference.discovery.explanation import share_a_place
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import explainable
 from masking.inference.discovery.ground import Tell

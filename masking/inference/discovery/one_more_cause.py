@@ -14,11 +14,9 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import fitting, unseen_data, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.candidates import Candidate
-from masking.inference.discovery.excluded_laws import is_excluded
+from masking.inference.discovery.excluded_laws import folds, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job
 from masking.inference.discovery.fitting import Begun
-from masking.inference.discovery.folded_readings import folds
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen
@@ -36,7 +34,7 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
     whatever it says, and count where they leave least. Of a law that does a part of what the best does, other shapes
     are fitted as well.
     """
-    if len(now.names) >= ground.rules.most_effects or (now.names and ground.is_composite(now)):
+    if len(now.names) >= ground.rules.most_effects or (now.names and now.is_composite(ground.problem.rig)):
         return []  # one more law would leave it composite
     seen = ground.screened(now)
     if seen is None:
@@ -131,7 +129,7 @@ class Addition:
         found, now = self._fitted(scores, rival), self.now.hypothesis
         if found.hypothesis.cost <= now.cost:
             return found
-        less = ([ready(self.problem, score).with_factors_times(part) for score in scores] for part in LESS)
+        less = ([_with_part(ready(self.problem, score), part) for score in scores] for part in LESS)
         here = now.theta, now.start
         better = (self._begun(scores, some, here, rival) for some in less if self._cost(some, here) < now.cost)
         return min(found, next(better, found), key=lambda e: e.hypothesis.cost)
@@ -161,14 +159,12 @@ class Addition:
         return fitting.cost(self.problem, (*self.now.hypothesis.instances, *instances), *at)
 
 
+def _with_part(one: EffectInstance, part: float) -> EffectInstance:
+    return one.times(part, [i for i, name in zip(one.free, one.names, strict=True) if name in one.entry.factors])
+
+
 def ready(problem: EstimationProblem, score: Score) -> EffectInstance:
     """Instance of a score that a fit begins with, not excluded."""
     every = (score.instance, *score.candidate.instances[::-1])
     first = next((one for one in every if not is_excluded(problem, [one])), score.instance)
-    return in_steps(problem, first, score.candidate)
-
-
-def in_steps(problem: EstimationProblem, instance: EffectInstance, candidate: Candidate) -> EffectInstance:
-    """Instance, with the step of integration if it sticks."""
-    rig, step = problem.rig, problem.dt / problem.substeps
-    return instance.at_step(rig.mobilities[instance.at], step) if candidate.sticks else instance
+    return problem.in_steps(first, sticks=score.candidate.sticks)

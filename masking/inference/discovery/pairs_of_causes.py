@@ -16,8 +16,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import verdict
-from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.explanation import Explanation
+from masking.inference.discovery.explanation import Explanation, are_composite
 from masking.inference.discovery.fitting import bounds
 from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.one_more_cause import Addition

@@ -101,6 +101,12 @@ class EstimationProblem:
             found.append(guessed_state(rig.rest, at_rest, rig.twin.free, times, read, n=len(rig.coordinates), degree=1))
         return np.array(found)
 
+    def in_steps(self, instance: EffectInstance, *, sticks: bool | None = None) -> EffectInstance:
+        """Instance with the parameters that follow the step of integration, if it sticks; by default as it does."""
+        if not (instance.sticks if sticks is None else sticks):
+            return instance
+        return instance.at_step(self.rig.mobilities[instance.at], self.dt / self.substeps)
+
     def equations(
         self,
         theta: Array,

@@ -21,10 +21,9 @@ from masking.compile.numerics.least_squares import System
 from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import MOST_COLUMNS, EffectInstance
-from masking.inference.discovery.averaging import Thinning, thinned
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.fitting import Hypothesis, bounds
-from masking.inference.discovery.motion_features import Kept, MotionFeatures
+from masking.inference.discovery.motion_features import Kept, MotionFeatures, Thinning, thinned
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 
@@ -191,7 +190,9 @@ class Screen:
         for width in ZOOMS:  # nearer to the steps of converters, whose effect has no slope to follow
             stepped = [p for p in found.values() if p.candidate.entry.quantum and p.gain > 0.0]
             parts = 1.0 + np.linspace(-width, width, 9)
-            self._settle([(p.candidate, p.instance.with_free_times(part)) for p in stepped for part in parts], found)
+            self._settle(
+                [(p.candidate, p.instance.times(part, p.instance.free)) for p in stepped for part in parts], found
+            )
         best = max((score.gain for score in found.values()), default=0.0)
         near = [p for p in found.values() if p.gain > self.rules.score_fraction * best and p.candidate.has_shape]
         sharper = self._sharpened(sorted(near, key=lambda score: -score.gain)[: self.rules.most_sharpened])
@@ -287,7 +288,7 @@ class Screen:
                 if factor <= 0.0:
                     return nothing
                 gain = max(gain, factor * float(right[0]))
-                instance = instance.with_free_times(min(factor, GROWTH))
+                instance = instance.times(min(factor, GROWTH), instance.free)
             elif instance.entry.quantum:
                 gain = max(gain, float(right[0]) ** 2 / float(diagonal[0])) if right[0] > 0.0 else 0.0
             return Score(candidate, instance, max(gain, 0.0))

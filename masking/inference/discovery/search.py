@@ -17,12 +17,10 @@ from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.from_afar import from_afar
 from masking.inference.discovery.ground import Ground, Tell
 from masking.inference.discovery.one_more_cause import one_more_cause
-from masking.inference.discovery.other_causes import other_causes
+from masking.inference.discovery.other_laws import other_causes, richer_laws, simpler_explanations
 from masking.inference.discovery.pairs_of_causes import pairs_of_causes
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.richer_laws import richer_laws
 from masking.inference.discovery.screening import Score
-from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.discovery.wrong_parameters import several_parameters, wrong_parameters
 

@@ -16,8 +16,8 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
-from masking.inference.discovery.averaging import Thinning
 from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.motion_features import Thinning
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import modes, smooth
 from masking.inference.estimation.simulation import refined
@@ -93,7 +93,7 @@ def finer(problem: EstimationProblem, found: Hypothesis, least: int) -> int:
 
     def begun(number: int) -> tuple[EstimationProblem, list[EffectInstance]]:
         fine = replace(problem, substeps=number)
-        return fine, [problem.rig.at_step(one, fine.dt / number) for one in found.instances]
+        return fine, [*map(fine.in_steps, found.instances)]
 
     def simulated(number: int) -> Array:
         fine, instances = begun(number)

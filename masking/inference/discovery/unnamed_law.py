@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
+from masking.display.json_text import Result
 from masking.errors import IntegrationError
 from masking.inference.discovery import (
     candidates,
@@ -22,17 +25,29 @@ from masking.inference.discovery import (
 )
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.closed_form import ClosedForm
-from masking.inference.discovery.coverage import Coverage
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
+from masking.inference.discovery.force_decomposition import CELLS
 from masking.inference.discovery.free_law import ALIKE, FreeLaw, likelier
 from masking.inference.discovery.latent_force import Explained, binned
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.shooting_intervals import finer
-from masking.inference.discovery.tabulated_law import tabulated
+from masking.inference.discovery.spline_bases import Curve, Term
 from masking.inference.estimation.simulation import STUCK
+from masking.model.effects import EffectParameter
 
 MOST_FINER = 4  # times the integration steps of the model alone: curves are smooth, and have many factors
+BINS = 10  # of the range of displacements, and of that of speeds
+DIGITS = 8  # of the numbers of a table
+LEAST = 1e-4  # of the strongest part of a surface: weaker ones are left out
+_UNITS = {"f": "F", "c": "F*s/D", "x": "D", "v": "D/s", "s": "D/s"}
+_MEANINGS = {
+    "f": "force at 1 in the table",
+    "c": "damping at 1 in the table",
+    "x": "displacement at 1 in the table",
+    "v": "rate at 1 in the table",
+    "s": "rate below which the sign of the rate is smooth",
+}
 
 
 @dataclass(frozen=True)
@@ -169,7 +184,7 @@ def _free_law(found: Explained) -> FreeLaw | None:
     if law is None or _is_enough(law):
         return law
     known = found.explanation.hypothesis.instances
-    others = [problem.rig.at_step(one, problem.dt / problem.substeps) for one in known if one.at != law.place.name]
+    others = [problem.in_steps(one) for one in known if one.at != law.place.name]
     law = likelier(law, free_law.fit(found, others) if others else None)
     if _is_enough(law):
         return law
@@ -209,3 +224,93 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
             if found.cost < most:
                 return part, found
     return unseen, unseen_data.validated(unseen, law.hypothesis)
+
+
+class Widest(NamedTuple):
+    """The part of a range in which a law is known least."""
+
+    band: float  # two standard deviations of the law there, rms, over the rms of the law along the motion
+    of: str  # 'displacement' or 'speed'
+    # the ends of the part
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Coverage(Result):
+    """Where a record moves a place, and how well a law without a name is known there."""
+
+    # displacement and rate: the least and the largest of the record
+    displacement: tuple[float, float]
+    rate: tuple[float, float]
+    band: float  # two standard deviations of the law, rms along the motion, over the rms of the law there
+    widest: Widest  # the part of the range in which it is known least
+    sides: tuple[str, ...]  # what the law is of: displacement `d`, rate `v`, or both
+    visited: float  # part of the rectangle of displacements and rates that the motion visits; 1 of a law of one of them
+    json_names = ("displacement", "rate", "band", "widest", "visited")
+
+    @classmethod
+    def of(cls, x: Array, rate: Array, force: Array, deviation: Array, sides: Collection[str]) -> Coverage:
+        """Coverage of a motion: displacement, rate, and force of the law there with its standard deviation (m,)."""
+        squares = (2.0 * deviation / max(float(np.sqrt((force**2).mean())), 1e-300)) ** 2
+        parts = []
+        for side, name, values in (("d", "displacement", x), ("v", "speed", np.abs(rate))):
+            many, edges = np.histogram(values, BINS)
+            sums = np.histogram(values, BINS, weights=squares)[0]
+            seen = zip(np.sqrt(sums / np.maximum(many, 1)), edges, edges[1:], strict=False)
+            parts += [Widest(float(band), name, float(low), float(high)) for band, low, high in seen if side in sides]
+        moved, moves = ((float(values.min()), float(values.max())) for values in (x, rate))
+        cells = np.histogram2d(x, rate, CELLS)[0]
+        visited = np.count_nonzero(cells) / cells.size if {*sides} >= {"d", "v"} else 1.0
+        return cls(moved, moves, float(np.sqrt(squares.mean())), max(parts), tuple(sorted(sides)), visited)
+
+
+def tabulated(law: FreeLaw) -> EffectInstance:
+    """Free law as one effect at its place, in tables of displacement and rate."""
+    parts, values, kinds = [], dict[str, float](), [term.kind for term in law.terms]
+    factors = np.split(law.factors, np.cumsum([term.size for term in law.terms])[:-1])
+    if {"free_spring", "free_damping"} <= {*kinds}:  # what the curve over the rate is at rest goes to the other
+        one, other = kinds.index("free_damping"), kinds.index("free_spring")
+        at_rest = float((law.terms[one].curves[0].values(np.zeros(1)) @ factors[one])[0])
+        factors[one], factors[other] = factors[one] - at_rest, factors[other] + at_rest  # B-splines add up to 1
+    for i, (term, of_term) in enumerate(zip(law.terms, factors, strict=True)):
+        parts += [*_written(term, of_term, "" if i == 0 else str(i + 1), values)]
+    parameters = {name: EffectParameter(_UNITS[name[0]], _MEANINGS[name[0]]) for name in values}
+    return law.written(" + ".join(parts), parameters, values.values())
+
+
+def _written(term: Term, factors: Array, label: str, values: dict[str, float]) -> Iterator[str]:
+    """Parts of a term as text; adds their parameters with their values."""
+    f, x, v, s, c = (f"{letter}{label or 0}" for letter in "fxvsc")
+    match term.kind:
+        case "free_friction":
+            values |= {f: float(factors[0]), s: term.sharp}
+            yield f"{f}*tanh(d_rate/{s})"
+        case "free_surface":
+            along, across = term.curves
+            of_rate = along.values(along.points) @ factors.reshape(along.size, across.size)
+            heights = of_rate @ across.values(across.points).T
+            left, sizes, right = decompositions.svd(heights)
+            values |= {f: float(sizes[0]) or 1.0, x: _reach(along), v: _reach(across)}
+            for size, a, b in zip(sizes, left.T, right, strict=True):
+                if size > LEAST * sizes[0]:
+                    of_x, of_v = _table(along, f"d/{x}", a), _table(across, f"d_rate/{v}", b * size / values[f])
+                    yield f"{f}*{of_x}*{of_v}"
+        case kind:
+            (curve,) = term.curves
+            heights = curve.values(curve.points) @ factors
+            by, at = (c, x) if kind == "free_resistance" else (f, v) if kind == "free_damping" else (f, x)
+            values |= {by: float(np.abs(heights).max()) or 1.0, at: _reach(curve)}
+            table = _table(curve, f"{'d_rate' if at == v else 'd'}/{at}", heights / values[by])
+            turned = {"free_resistance": "d_rate*", "free_rub": f"tanh(d_rate/{s})*"}.get(kind, "")
+            values |= {s: term.sharp} if kind == "free_rub" else {}
+            yield f"{by}*{turned}{table}"
+
+
+def _reach(curve: Curve) -> float:
+    return float(np.abs(curve.points).max())
+
+
+def _table(curve: Curve, of: str, heights: Array) -> str:
+    pairs = zip(curve.points / _reach(curve), heights, strict=True)
+    return f"interpolate({of}, {', '.join(f'{a:.{DIGITS}g}, {b:.{DIGITS}g}' for a, b in pairs)})"

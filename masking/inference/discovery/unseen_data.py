@@ -10,8 +10,8 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import continuation, fitting
+from masking.inference.discovery.excluded_laws import first_states
 from masking.inference.discovery.fitting import Begun, Hypothesis
-from masking.inference.discovery.folded_readings import first_states
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.initial_states import FIRST_READINGS
 from masking.inference.estimation.simulation import PARTS, STUCK

@@ -5,7 +5,7 @@ import pytest
 
 from masking.control.rig.twin import Twin
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.averaging import FEWEST, Thinning, middles, thinned
+from masking.inference.discovery.motion_features import FEWEST, Thinning, middles, thinned
 from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data

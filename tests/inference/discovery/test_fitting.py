@@ -12,14 +12,13 @@ from masking.errors import DeclarationError
 from masking.inference.discovery import discrepancy, fitting, shooting_intervals, unseen_data
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates, spans
-from masking.inference.discovery.composites import are_composite
-from masking.inference.discovery.explanation import Explanation, occam
+from masking.inference.discovery.explanation import Explanation, are_composite, occam
 from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.other_laws import simpler_explanations
 from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.places import opened, places
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
-from masking.inference.discovery.simpler_explanations import simpler_explanations
 from masking.inference.discovery.smoothing import smooth
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records.noise import rounding_steps

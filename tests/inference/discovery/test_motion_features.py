@@ -7,8 +7,7 @@ import pytest
 
 from masking.control.rig.twin import Twin
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
-from masking.inference.discovery.averaging import Thinning, thinned
-from masking.inference.discovery.motion_features import Kept, MotionFeatures
+from masking.inference.discovery.motion_features import Kept, MotionFeatures, Thinning, thinned
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.estimation.identification_data import Data
 from tests.app.workflows.test_discover import PLANT

@@ -21,9 +21,8 @@ from masking.inference.discovery import (
     unseen_data,
     verdict,
 )
-from masking.inference.discovery.coverage import Coverage
 from masking.inference.discovery.spline_bases import Curve, Term, pieces
-from masking.inference.discovery.tabulated_law import tabulated
+from masking.inference.discovery.unnamed_law import Coverage, tabulated
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.quantities import quantity
 from masking.reports import discovery_figures, discovery_text, fit_figures, next_experiment_text, place_text

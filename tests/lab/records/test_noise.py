@@ -5,7 +5,7 @@ import pytest
 from scipy import signal
 
 from masking.app.workflows import discovery_inputs
-from masking.inference.discovery.reading_noise import noise_of
+from masking.inference.discovery.readings import noise_of
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records.noise import bandwidth, rounding_steps, white_noise
 
