@@ -8,7 +8,7 @@ import numpy as np
 
 from masking.inference.discovery import compiled_laws, latent_force
 from masking.inference.discovery.discovery_result import Discovery, Named
-from masking.inference.discovery.localisation import LatentForces
+from masking.inference.discovery.latent_force import LatentForces
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.estimation.unit_check import UnitDoubt
 from masking.model.declaration.quantities import number, percent, quantity, with_deviation

@@ -9,9 +9,9 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
+from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.simulation import Simulated, simulate
 from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from masking.display.json_text import json_text
+from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.fit import Fit
-from masking.inference.estimation.innovations import KalmanFit
 from masking.model.declaration import registry
 from masking.reports import html, model_files, one_page
 from masking.reports.one_page import Sheet

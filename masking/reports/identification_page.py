@@ -11,9 +11,9 @@ import numpy as np
 
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError
+from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.simulation import Simulated, noise_alone, relative, simulate
 from masking.inference.procedures.measurement import Measurement, Row
 from masking.model.declaration.quantities import number, percent, with_deviation

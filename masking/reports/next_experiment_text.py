@@ -9,7 +9,7 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.localisation import LatentForces, LocatedForce
+from masking.inference.discovery.latent_force import LatentForces, LocatedForce
 from masking.inference.discovery.unnamed_law import Coverage
 from masking.model.declaration.quantities import percent, quantity
 from masking.reports.place_text import MOST, MUCH

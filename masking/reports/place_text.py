@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.localisation import LatentForces, LocatedForce
+from masking.inference.discovery.latent_force import LatentForces, LocatedForce
 from masking.inference.estimation.whiteness import Whiteness
 from masking.model.declaration.quantities import number, percent, power, quantity, work
 from masking.model.effects import CROSS_DAMPING

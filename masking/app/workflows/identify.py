@@ -16,8 +16,8 @@ from masking.errors import DeclarationError, IntegrationError, Problem, RecordEr
 from masking.inference.discovery import parameter_prior
 from masking.inference.estimation import extended_kalman, unit_check
 from masking.inference.estimation import fit as fits
+from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.innovations import KalmanFit
 from masking.lab.records.input_hold import RecordForm
 from masking.reports import fit_figures, fit_files, identification_page, one_page
 

@@ -15,8 +15,7 @@ from masking.inference.discovery.decision_rules import DecisionRules
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.held_out import Withheld
-from masking.inference.discovery.latent_force import Explained
-from masking.inference.discovery.localisation import Localisation, ResidualWhiteness, localise
+from masking.inference.discovery.latent_force import Explained, Localisation, ResidualWhiteness, localise
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.units_after_search import far_off

@@ -18,7 +18,7 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, ended
 from masking.inference.discovery.ground import Ground
-from masking.inference.discovery.one_more_cause import ready
+from masking.inference.discovery.more_causes import ready
 from masking.inference.discovery.verdict import Key
 from masking.model.effects import Effect
 

@@ -1,5 +1,7 @@
 """Extended Kalman filter: parameters of a twin as states that stay constant, found in one pass over a record.
 
+Its result says whether the innovations are as white as it assumed.
+
 The state of the twin and the parameters are estimated together. Between samples both are carried by the equations of
 the twin, their covariance by the derivatives of these; at each sample the readings correct them, one by one.
 Source: Gelb, Applied Optimal Estimation (1974), table 6.1-1, and section 6.1 for the iterated filter; Rijlaarsdam
@@ -22,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import lazy_loader as lazy
 import numpy as np
+from scipy import special
 
 from masking.compile.codegen import column_step
 from masking.compile.codegen.compiled_functions import Kernels, linked
@@ -31,10 +34,11 @@ from masking.compile.numerics.rig_sizes import COLUMN_ROWS, whole_lanes
 from masking.compile.numerics.stop_codes import LINEARISE, NOT_FINITE, NOT_POSITIVE
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, ModelError, RecordError
+from masking.inference.estimation.fit import Estimate
 from masking.inference.estimation.identification_data import Data, is_first_order
-from masking.inference.estimation.innovations import KalmanFit
 from masking.inference.estimation.sensitivity import SENSED, SLOPES, Sensitivity, terms
 from masking.inference.estimation.simulation import first_start, nearest, noise_alone, relative, validated
+from masking.inference.estimation.whiteness import autocorrelation, ljung_box
 
 if TYPE_CHECKING:
     from masking.compile.numerics import kalman_kernels
@@ -55,6 +59,7 @@ MOVED = 0.02  # relative change of a parameter after which the dependence of oth
 AFFINE = 1e-7  # relative change of that dependence that is rounding
 DOUBTED = 1e-3  # probability below which innovations are said not to be white
 FARTHER = 5.0  # initial deviations that a parameter may move before a note says so
+LAGS = 20  # of the autocorrelation of the innovations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -358,3 +363,67 @@ class _Run:
         near = 2.0 * INSIDE * self.scales.parameters
         at_bound = (found.values < low_bound + near) | (found.values > high_bound - near)
         return [*notes, *(f"{name} is held at its bound" for name in itertools.compress(found.names, at_bound))]
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class KalmanFit(Estimate):
+    """Final values of parameters that a filter found, how sure it is of them, and whether its assumptions hold.
+
+    The covariance is that of the values if the noise is as assumed by the filter.
+    """
+
+    times: Array  # of the samples, s (m,)
+    trajectory: Array  # values after each sample (m, k)
+    deviations: Array  # standard deviations after each sample (m, k)
+    states: Array  # the twin's state after each sample (m, states), in SI units
+    innovations: Array  # readings less what was expected of them, in their units (m, sensors)
+    normalised: Array  # innovations made independent with deviation 1, if the filter's assumptions hold (m, sensors)
+    final: Array  # covariance of state and parameters after the last sample (states + k, states + k)
+
+    @property
+    def nis(self) -> Array:
+        """Normalised innovation squared e^T S^-1 e of each sample (m,).
+
+        Chi-squared with as many degrees of freedom as there are sensors, if the filter's assumptions hold.
+        Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
+        """
+        return np.asarray((self.normalised**2).sum(axis=1))
+
+    @property
+    def consistency(self) -> tuple[float, float, float]:
+        """Mean of the normalised innovation squared, and the 95 % interval that it should be in."""
+        m, sensors = self.normalised.shape
+        low, high = 2.0 * special.gammaincinv(0.5 * m * sensors, [0.025, 0.975]) / m
+        return float(self.nis.mean()), float(low), float(high)
+
+    @property
+    def autocorrelation(self) -> Array:
+        """Correlation of each normalised innovation with itself 1, 2, ... samples later (lags, sensors).
+
+        About 1 / sqrt(m) and no more where innovations are white. The mean is not taken off: it should be 0.
+        """
+        lags = min(LAGS, len(self.normalised) - 1)
+        return np.column_stack([autocorrelation(e, lags) for e in self.normalised.T])
+
+    @property
+    def whiteness(self) -> dict[str, float]:
+        """Probability of innovations at least as correlated as these if they were white, by sensor."""
+        chances = ljung_box(self.autocorrelation, len(self.normalised))
+        return dict(zip(self.twin.sensors, map(float, chances), strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Fit as JSON can hold it; what is over time is left out."""
+        mean, low, high = self.consistency
+        train = {name: value if np.isfinite(value) else None for name, value in self.chi.items()}
+        return {
+            "parameters": self.parameters(),
+            "chi": {"train": train, "validation": self.validation},
+            "floor": self.floor,
+            "nis": {"mean": mean, "low": low, "high": high},
+            "whiteness": self.whiteness,
+            "notes": list(self.remarks),
+        }
+
+    def __str__(self) -> str:
+        mean, low, high = self.consistency
+        return "\n".join([*self.lines(), f"NIS {mean:.3g}, expected {low:.3g} to {high:.3g}", *self.remarks])
