@@ -171,7 +171,6 @@ def _augmented(folder: Path) -> None:
     made = MotionFeatures(rig, record, motion, record.readings, Thinning(2, 2), Kept())
     made.with_slopes(EffectInstance("hardening_spring", "spring1", (5e6,), (0,)))
     compiled_laws.library(rig.laws)
-    Sensitivity(twin, twin.equation_parameters()).kernels.simulate.prepare()
     for one in column_step.link(6, 3).values():
         one(np.zeros((24, 8)), np.zeros((24, 16)), np.zeros((6, 16)), 0.1)
 

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from masking.compile.numerics.arrays import Kernel, Matrix, Vector
+from masking.compile.numerics.arrays import Kernel, Matrix
 from masking.compile.numerics.compilation import compiled, inlined, requires
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
 from masking.compile.numerics.rig_sizes import LANES, TOGETHER
@@ -230,39 +230,6 @@ def driven_step(flow: Kernel) -> Kernel:
         step(t, y, (u, end, rows[1][: u.size]), (given, stages, work), h, rates, rows[0][: y.size])
 
     return advance
-
-
-def simulation(sensed: Kernel, derivative: Kernel) -> Kernel:
-    """Make the simulation of readings without derivatives, which `sensed(t, y, u, p, noise, s)` writes.
-
-    Returns `simulate(steps, y, p, commands, readings, work)`, which writes `readings` (count, sensors) from the state y
-    on, which is the last state afterwards.
-    """
-    advance = driven_step(motion_alone(derivative))
-
-    @compiled
-    @requires(
-        "len(y) >= max(linked.y, linked.rate) and len(p) >= linked.p",
-        "commands.shape[1] >= linked.u and readings.shape[1] >= linked.s",
-        "len(readings) >= steps.samples and len(commands) > 0",
-        "len(work) >= 10 and work.shape[1] >= max(linked.width, len(y), commands.shape[1])",
-    )
-    def simulate(steps: Steps, y: Vector, p: Vector, commands: Matrix, readings: Matrix, work: Matrix) -> None:
-        count, dt, substeps, _ = steps
-        channels, h = commands.shape[1], dt / substeps
-        rows, work = take(work, 4)
-        noise, u, end, given = rows[0], rows[1][:channels], rows[2][:channels], Late(rows[3][:channels])
-        work[:] = 0.0
-        rows[:] = 0.0
-        none = Derivatives(work, work)
-        for index in range(count):
-            t = index * dt
-            sensed(t, y, commands[index], p, noise, readings[index])
-            for step in range(substeps):
-                drive(commands, index, step, steps, given, u, end)
-                advance(t + step * h, y, u, end, p, h, none, work)
-
-    return simulate
 
 
 @inlined

@@ -38,9 +38,8 @@ else:
 
 # Functions of a twin: its equations and its readings, alone and with derivatives by state and parameter array.
 RATES, SLOPES = "rates(t: float, y, u, p, dy)", "slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)"
-READING = "reading(t: float, y, u, p, noise, s)"
 SENSED = "sensed(t: float, y, u, p, noise, s, jy: Matrix, jp: Matrix)"
-SIGNATURES = RATES, SLOPES, READING, SENSED
+SIGNATURES = RATES, SLOPES, SENSED
 
 _STEP = 1e-6  # relative, of the differences that tell how the parameters depend on each other
 
@@ -156,14 +155,6 @@ class Sensitivity:
         return accumulation(self.equations, self.sizes, max(self.states + len(self._compiled), *self.widths))
 
     @cached_property
-    def _simulation(self) -> Kernels:
-        def factories() -> dict[str, tuple[Any, ...]]:
-            return {"simulate": (motion_sensitivities.simulation, "reading", "rates")}
-
-        links = self.equations.by_signature(RATES, READING)
-        return linked("simulation", factories, links, (10, max(self.states, len(self.twin.actuators))))
-
-    @cached_property
     def equations(self) -> Kernels:
         """Compiled equations and readings of the twin, and their derivatives."""
         key = module_store.key({"sensitivity": [self.twin.structure(), list(self.affected)]})
@@ -202,13 +193,9 @@ class Sensitivity:
             IntegrationError: the motion is no longer finite.
             ModelError: `hold` is not known.
         """
-        readings, y = np.empty((len(commands), len(self.twin.sensors))), np.array(start, dtype=float)
-        given = np.ascontiguousarray(commands, dtype=float)
-        p = self.parameters(theta)
-        self._simulation.simulate(len(given), 1.0 / rate, substeps, is_first_order(hold), y, p, given, readings)
-        if not np.isfinite(readings).all():
-            raise IntegrationError("the simulated motion is no longer finite")
-        return readings
+        nothing = np.zeros((len(commands), len(self.twin.sensors)))
+        record = Data("simulated", rate, commands, nothing, hold=hold)
+        return self.normal_equations(self.basis(theta), start, record, np.ones(nothing.shape[1]), substeps).simulated
 
     def sensed(self, state: Array, commands: Array | None = None, theta: Array | None = None) -> tuple[Array, Array]:
         """Readings in a state of the twin (sensors,), and their derivatives by it (sensors, states).
@@ -335,12 +322,12 @@ def with_derivatives(
 
 
 def add_slopes(module: Module, lowered: Lowered, columns: Sequence[str]) -> None:
-    """Add the equations of a twin and its readings as `rates` and `reading`, and `with_derivatives`.
+    """Add the equations of a twin as `rates`, and those and its readings `with_derivatives`.
 
     `depends` of the module's `meta` says which derivatives there are.
     """
     module.meta["depends"], made = with_derivatives(lowered, columns)
-    for signature, results in {RATES: lowered.derivatives, READING: lowered.readings, **made}.items():
+    for signature, results in {RATES: lowered.derivatives, **made}.items():
         module.add(signature, lowered.graph, results, lowered.loads)
 
 

@@ -166,31 +166,18 @@ class Source:
 
 
 def columns(**values: ArrayLike) -> tuple[Array, ...]:
-    """Finite columns of one length, first a clock in equal steps; a RecordError for others, short or constant ones."""
-    found = {}
-    for name, value in values.items():
-        try:
-            column = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise RecordError(f"{name} is no column of real numbers ({error})") from None
-        if column.ndim == 2 and column.shape[1] == 1:
-            column = column[:, 0]
-        if column.ndim != 1:
-            raise RecordError(f"{name} has shape {column.shape}; give one column (samples,)")
+    """Columns (samples,), first a clock in equal steps; a RecordError for short, constant or not finite ones."""
+    found = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+    for name, column in found.items():
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad):
             raise RecordError(
                 f"{name} must be finite: sample {bad[0]} (counted from 0) is {column[bad[0]]}, {len(bad)} in all; take "
                 "a stretch of the record without them, or record it again"
             )
-        found[name] = column
-    lengths = {name: len(column) for name, column in found.items()}
-    if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise RecordError(f"the columns differ in length: {listed}; give all over the same samples")
     times, *others = found
-    if lengths[times] < LEAST_SAMPLES:
-        few = f"the record has {lengths[times]} samples, at least {LEAST_SAMPLES} are needed; record it longer"
+    if len(found[times]) < LEAST_SAMPLES:
+        few = f"the record has {len(found[times])} samples, at least {LEAST_SAMPLES} are needed; record it longer"
         raise RecordError(few)
     clock.rate(found[times], "the record")
     for name in others:

@@ -5,17 +5,16 @@ realisation of its random phases to the next is noise and nonlinear distortion, 
 excited is distortion, even or odd as the line is. No window is needed, as every period is whole.
 Source: Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), chapters 2 to 4.
 
-Arrays are (experiments, samples, channels); (samples, channels) and (samples,) count as one experiment, the latter with
-one channel. Spectra are those of peak amplitudes: A cos(2 pi f t + phi) gives A exp(i phi) at f.
+Arrays are (experiments, samples, channels). Spectra are those of peak amplitudes: A cos(2 pi f t + phi) gives
+A exp(i phi) at f.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import special
 
 from masking.compile.numerics.arrays import Array, Complex
@@ -110,7 +109,7 @@ class Distortion:
         return {name: float(np.sqrt(v / signal)) for name, v in (parts | {"noise": float(self.noise.mean())}).items()}
 
 
-def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float, discard: int = 1) -> Spectra:
+def spectra(inputs: Array, outputs: Array, *, period: float, rate: float, discard: int = 1) -> Spectra:
     """Spectra of the whole periods of a record, less those in which it settles.
 
     Args:
@@ -121,23 +120,16 @@ def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float
         discard: periods at the start that are left out, in which the transient dies out.
 
     Raises:
-        RecordError: values are missing or not finite, lengths differ, periods are not whole or too few, or an input
-            does not move.
+        RecordError: values are not finite, periods are not whole or too few, or a channel does not move.
         ModelError: the period is not a whole number of samples, or a setting makes no sense.
     """
     length = _period_length(period, rate)
-    if not isinstance(discard, int) or discard < 0:
+    if discard < 0:
         raise ModelError(f"discard is {discard!r}; give a whole number of periods, 0 or more")
-    u, y = _blocks("inputs", inputs), _blocks("outputs", outputs)
-    if u.shape[:2] != y.shape[:2]:
-        raise RecordError(
-            f"the inputs have {u.shape[0]} experiments of {u.shape[1]} samples, the outputs {y.shape[0]} of "
-            f"{y.shape[1]}; give both over the same samples"
-        )
-    whole, rest = divmod(u.shape[1], length)
+    whole, rest = divmod(inputs.shape[1], length)
     if rest:
         raise RecordError(
-            f"{u.shape[1]} samples are not whole periods of {length}: {rest} are left over; cut the record to "
+            f"{inputs.shape[1]} samples are not whole periods of {length}: {rest} are left over; cut the record to "
             f"{whole * length} samples, or correct the period of {period:g} s"
         )
     if whole - discard < 2:
@@ -145,12 +137,13 @@ def spectra(inputs: ArrayLike, outputs: ArrayLike, *, period: float, rate: float
             f"the record has {whole} periods, of which {discard} are discarded; at least 2 must remain to tell noise "
             f"from response: record {discard + 2} periods or more"
         )
-    for what, values in (("input", u), ("output", y)):
+    for what, values in (("input", inputs), ("output", outputs)):
+        _refuse_not_finite(f"{what}s", values)
         _refuse_constant(what, values[:, discard * length :])
-    return Spectra(float(rate), length, *(by_period(values, length, discard) for values in (u, y)))
+    return Spectra(float(rate), length, *(by_period(values, length, discard) for values in (inputs, outputs)))
 
 
-def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> FrequencyResponse:
+def frequency_response(found: Spectra, harmonics: Indices | None = None) -> FrequencyResponse:
     """Estimate the frequency response from whole periods, with its variance over periods and realisations.
 
         G_r = Y_r U_r^-1,   Y_r (outputs, inputs), U_r (inputs, inputs) of the means over periods,   G = mean_r G_r
@@ -165,13 +158,12 @@ def frequency_response(found: Spectra, harmonics: Sequence[int] | Indices | None
 
     Args:
         found: the spectra of a record.
-        harmonics: lines to look at, multiples of 1 / period; None for those that are excited.
+        harmonics: lines to look at, multiples of 1 / period (lines,); None for those that are excited.
 
     Raises:
         RecordError: there are too few experiments for the inputs, or these cannot be distinguished at a line.
-        ModelError: a harmonic is not between 1 and half the samples of a period, or appears twice.
     """
-    lines = _lines(found, harmonics)
+    lines = found.excited if harmonics is None else harmonics
     u, y = found.inputs[:, :, lines], found.outputs[:, :, lines]
     count, periods, inputs = len(u), found.periods, u.shape[3]
     if count % inputs:
@@ -216,7 +208,7 @@ def zippered_response(found: Spectra) -> tuple[FrequencyResponse, ...]:
     return tuple(frequency_response(each, np.flatnonzero(line)) for each, line in zip(alone, moved.T, strict=True))
 
 
-def nonlinear_distortion(found: Spectra, harmonics: Sequence[int] | Indices | None = None) -> Distortion:
+def nonlinear_distortion(found: Spectra, harmonics: Indices | None = None) -> Distortion:
     """Split what an odd multisine makes into best linear approximation, even and odd distortion, and noise.
 
     An odd nonlinearity answers odd lines with odd lines only, an even one with even lines only. What the output has at
@@ -224,20 +216,13 @@ def nonlinear_distortion(found: Spectra, harmonics: Sequence[int] | Indices | No
     periods the noise. What the input itself has there is taken off through the response of the neighbouring lines.
     Source: Pintelon and Schoukens (2012), section 4.3.2 (robust and fast method).
 
-    Args:
-        found: the spectra of a record of one input and one output, each experiment a realisation.
-        harmonics: excited lines; None for those that have 1 % of the largest amplitude or more.
+    The spectra are of a record of one input and one output, each experiment a realisation. The harmonics are excited
+    lines; None for those that have 1 % of the largest amplitude or more.
 
     Raises:
         RecordError: an even line is excited, or no odd line was left out.
-        ModelError: a harmonic makes no sense, or there are several inputs or outputs.
     """
-    if found.inputs.shape[3] != 1 or found.outputs.shape[3] != 1:
-        raise ModelError(
-            f"{found.inputs.shape[3]} inputs and {found.outputs.shape[3]} outputs; distortion is determined for one "
-            "input and one output at a time: select a column of each"
-        )
-    excited = _lines(found, harmonics)
+    excited = found.excited if harmonics is None else harmonics
     wrong = excited[excited % 2 == 0]
     if len(wrong):
         raise RecordError(
@@ -259,21 +244,6 @@ def nonlinear_distortion(found: Spectra, harmonics: Sequence[int] | Indices | No
     return Distortion(lines, lines * found.base, is_excited, level, noise, response)
 
 
-def _lines(found: Spectra, harmonics: Sequence[int] | Indices | None) -> Indices:
-    if harmonics is None:
-        return found.excited
-    lines = np.asarray(harmonics)
-    highest = (found.length - 1) // 2
-    if lines.ndim != 1 or not len(lines) or lines.dtype.kind not in "iu":
-        raise ModelError("the harmonics are no list of whole numbers; give such as [1, 3, 5], multiples of 1 / period")
-    outside = lines[(lines < 1) | (lines > highest)]
-    if len(outside):
-        raise ModelError(f"the harmonic {outside[0]} is not between 1 and {highest}, below half the rate")
-    if len(np.unique(lines)) < len(lines):
-        raise ModelError("a harmonic appears twice; give each once")
-    return np.sort(lines).astype(np.int64)
-
-
 def _variance(values: Complex) -> Array:
     """E|x - E x|^2 over the second axis, without bias."""
     mean = values.mean(axis=1, keepdims=True)
@@ -293,24 +263,14 @@ def _period_length(period: float, rate: float) -> int:
     return length
 
 
-def _blocks(what: str, values: ArrayLike) -> Array:
-    """Finite numbers (experiments, samples, channels)."""
-    try:
-        found = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        why = f"the {what} are no table of real numbers ({error}); give experiments of the same length"
-        raise RecordError(why) from None
-    if found.ndim not in {1, 2, 3} or not found.size:
-        raise RecordError(f"the {what} have shape {found.shape}; give (experiments, samples, channels)")
-    found = found[None, :, None] if found.ndim == 1 else found[None] if found.ndim == 2 else found
-    bad = np.argwhere(~np.isfinite(found))
+def _refuse_not_finite(what: str, values: Array) -> None:
+    bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         e, i, c = bad[0]
         raise RecordError(
-            f"the {what} must be finite: {found[e, i, c]} in experiment {e}, sample {i}, channel {c} (counted from 0), "
-            f"{len(bad)} in all; cut the record to whole periods without them, or record it again"
+            f"the {what} must be finite: {values[e, i, c]} in experiment {e}, sample {i}, channel {c} (counted from 0),"
+            f" {len(bad)} in all; cut the record to whole periods without them, or record it again"
         )
-    return found
 
 
 def _refuse_constant(what: str, values: Array) -> None:
