@@ -142,8 +142,8 @@ def as_dict(found: Discovery, out: Path, origin: Origin, sheet: Sheet | None) ->
 
 def refitted(found: Discovery) -> list[tuple[str, float, float, float]]:
     """Parameters of the model with their values, deviations and declared values, in declared units."""
-    rig = found.written_rig
-    columns = (found.written.hypothesis.theta, found.written_deviations, rig.start)  # imperfections come last
+    rig, fitted = found.written_rig, found.written.hypothesis
+    columns = (fitted.theta, fitted.deviations, rig.start)  # imperfections come last
     rows = zip(rig.names, *(column.tolist() for column in columns), strict=False)
     return [(name, value, std, declared) for name, value, std, declared in rows]
 
@@ -294,7 +294,7 @@ def _uncertain(found: Discovery) -> dict[str, tuple[float, str]]:
     """Standard deviation and unit of the parameters of causes in the equations, by the names they have there."""
     made: dict[str, tuple[float, str]] = {}
     known = labels(found)
-    deviations = iter(found.written_deviations[len(found.written_rig.start) :])
+    deviations = iter(found.written.hypothesis.deviations[len(found.written_rig.start) :])
     for instance in found.written.hypothesis.instances:
         free = {name: float(next(deviations)) for name in instance.names}
         if instance in known:

@@ -246,9 +246,9 @@ def unfollowed_readings(found: Discovery) -> str:
 def adjusted_parameters(found: Discovery) -> dict[str, tuple[float, float, bool]]:
     """Parameters that moved beside the causes: value, declared value, and whether the prior allows it."""
     off = {one.name for one in found.effects if one.name not in found.dictionary}
-    rig, prior, theta = found.rig, found.problem.prior.deviation, found.explanation.hypothesis.theta
-    moves = {}
-    for name, value, std, start, wide in zip(rig.names, theta, found.deviations, rig.start, prior, strict=False):
+    rig, prior, fitted = found.rig, found.problem.prior.deviation, found.explanation.hypothesis
+    moves, rows = {}, zip(rig.names, fitted.theta, fitted.deviations, rig.start, prior, strict=False)
+    for name, value, std, start, wide in rows:
         by = abs(float(value - start))
         if name not in off and by > MOVED * std and by > APART * abs(start):
             moves[name] = float(value), float(start), by <= MOVED * float(wide)

@@ -223,7 +223,7 @@ class AugmentedModel:
     def _forces(self) -> tuple[float, ...]:
         """Force at its place of a unit at each seat, to first order at rest."""
         _, by = self._slopes_at_rest
-        columns, many = self._ports[1], len(self.places)
+        columns, many = self.columns[1], len(self.places)
         found = [1.0] * many
         for seat in range(many, len(columns)):
             force = by[:, columns[self._yielding[(seat - many) // 2]]]
@@ -264,14 +264,9 @@ class AugmentedModel:
         made[affected] += columns[:, :k] @ (theta - self.start)[:k]
         return made, np.ascontiguousarray(np.hstack([columns[:, :k], np.zeros((len(affected), more))]))
 
-    @property
-    def columns(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-        """P-indices of the force ports, and columns of force ports and commands among the affected entries."""
-        (entries, forces, commands), many = self._ports, len(self.places)
-        return entries[:many], forces[:many], commands
-
     @cached_property
-    def _ports(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    def columns(self) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+        """P-indices of the ports of seats, and columns of these and of commands among the affected entries."""
         sensitivity, k, many = self._sensitivity, len(self.names), len(self.seats)
         _, basis = self._basis
         at = [int(np.flatnonzero(basis[:, k + i])[0]) for i in range(basis.shape[1] - k)]
@@ -337,7 +332,7 @@ class AugmentedModel:
     def mobilities(self) -> dict[str, float]:
         """Acceleration of each place at rest per unit of force, or its rate per unit of a flow."""
         moved, by = self._slopes_at_rest
-        pushed = np.split(moved @ by[:, list(self._ports[1])], 2)
+        pushed = np.split(moved @ by[:, list(self.columns[1])], 2)
         return {place.name: abs(float(pushed[place.has_rate][i, i])) for i, place in enumerate(self.places)}
 
     @cached_property
@@ -419,7 +414,7 @@ class AugmentedModel:
 
     @cached_property
     def _ported(self) -> Ported:
-        return Ported(LoweredTwin(self._opened[0]), self.seats, self._ports[0])
+        return Ported(LoweredTwin(self._opened[0]), self.seats, self.columns[0])
 
     def along(self, instance: EffectInstance, x: Array, rate: Array, dt: float, by: Sequence[int] = ()) -> Array:
         """Force or value of an effect along a known motion, and its derivatives by the parameters `by` (m, 1 + c).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -74,11 +74,6 @@ class Named(Result):
     def deviates(self) -> float:
         """Standard deviations by which the surest of its parameters differs from 0."""
         return max((abs(value) / std for value, std in self.parameters.values() if std > 0.0), default=0.0)
-
-
-def least_sure(causes: Sequence[Named]) -> Named:
-    """Cause of least probability, the last of several."""
-    return min(reversed(causes), key=lambda cause: cause.probability)
 
 
 @dataclass(frozen=True)
@@ -162,7 +157,7 @@ class Discovery(Explained):
     @property
     def least_sure(self) -> Named:
         """Cause of least probability, the last of several; there are causes."""
-        return least_sure(self.effects)
+        return min(reversed(self.effects), key=lambda cause: cause.probability)
 
     @property
     def validation_record(self) -> Data:
@@ -170,16 +165,11 @@ class Discovery(Explained):
         return self.validation.record
 
     @property
-    def deviations(self) -> Array:
-        """Standard deviations of the rig's parameters and of those of the effects (k + f,)."""
-        return self.explanation.hypothesis.deviations
-
-    @property
     def imperfections(self) -> list[Named]:
         """Small errors of sensors and actuators that were adjusted with the parameters of the model."""
         rig = self.written_rig
         first, known = len(rig.names), rig.imperfect(self.written.hypothesis.theta)
-        pairs = zip(known, map(float, self.written_deviations[first:]), strict=False)
+        pairs = zip(known, map(float, self.written.hypothesis.deviations[first:]), strict=False)
         return [Named(one.effect, one.at, {one.names[0]: Estimate(one.estimated[0], std)}, 1.0) for one, std in pairs]
 
     @property
@@ -212,17 +202,13 @@ class Discovery(Explained):
         return known if self.law is None else {**known, self.law.instance.effect: self.law.instance.entry}
 
     @property
-    def written_deviations(self) -> Array:
-        """Standard deviations of the rig's parameters and of those of the effects that are written."""
-        return self.written.hypothesis.deviations
-
-    @property
     def unnamed(self) -> Named | None:
         """Law without a name as a cause, with its parameters and their standard deviations."""
         if self.law is None:
             return None
         one = self.law.instance
-        stds = self.written_deviations[len(self.written_deviations) - len(one.free) :]
+        every = self.written.hypothesis.deviations
+        stds = every[len(every) - len(one.free) :]
         values = map(Estimate, one.estimated, map(float, stds))
         return Named(one.effect, one.at, dict(zip(one.names, values, strict=True)), 1.0)
 

@@ -26,7 +26,6 @@ from masking.inference.discovery.discovery_result import (
     Grade,
     Named,
     SimulationError,
-    least_sure,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.explanation import Explanation, Unseen, ended
@@ -181,22 +180,20 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         rounded=not effects and any(is_much for _, is_much in rounded),
         at_noise=errors.is_noise(len(reading.unseen), rules),
     )
-    return Discovery(
+    stated = Discovery(
         verdict=answer, twin=known.rig.twin, problem=known, explanation=chosen, search=search,
         effects=(*effects, *(cause for cause, _ in rounded)), simulation_error=errors,
         unexplained_fraction=unexplained, rivals=given.rivals, weights=tuple(weights), validation=validation,
         before=before, after=after, adjusted=without.alone, withheld=given.withheld,
         unit=reading.doubt, exchanged=reading.exchanged,
-        next_experiment=_separating(known, given.rivals, effects, say) if answer == "ambiguous" else None,
     )  # fmt: skip
+    return replace(stated, next_experiment=_separating(stated, say)) if answer == "ambiguous" else stated
 
 
-def _separating(
-    problem: EstimationProblem, rivals: Sequence[Explanation], causes: Sequence[Named], say: Tell
-) -> NextExperiment | None:
+def _separating(found: Discovery, say: Tell) -> NextExperiment | None:
     """Experiment that separates the least sure cause from what may be in its place; None where no rival has that."""
     say("looking for an experiment that separates them", 0.95)
-    cause = least_sure(causes)
+    problem, rivals, cause = found.problem, found.rivals, found.least_sure
     instead = [(one.name, one.on) for one in cause.alternatives]
     others = [one for one in rivals if not {(cause.name, cause.on)} & {*one.names} and {*instead} & {*one.names}]
     if not others:

@@ -104,14 +104,10 @@ class Explanation:
         return self.hypothesis.misfit(like) + self._price
 
     @cached_property
-    def _occam(self) -> float:
-        return occam(self.hypothesis)
-
-    @property
     def _price(self) -> float:
         rules = self.hypothesis.rules
         each = rules.parameter_evidence if self.kind == "parameter" else rules.effect_evidence
-        return self._occam + each * len(self.names)
+        return occam(self.hypothesis) + each * len(self.names)
 
     def tried(self, reading: str) -> Tried:
         """It as a line of a trace."""

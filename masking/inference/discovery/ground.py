@@ -71,11 +71,6 @@ class Ground:
         """Simpler effects that are nested in each effect."""
         return {name: effect.nested for name, effect in self.problem.rig.twin.dictionary.items()}
 
-    def nested_in(self, key: Key) -> set[Key]:
-        """Simpler effects at its place that are nested in one."""
-        effect, at = key
-        return {(name, at) for name in self.nested.get(effect, ())}
-
     def screen(self, looked_at: Hypothesis, found: Sequence[EffectInstance] = (), *, taken: bool = False) -> Screen:
         """Screen of a fit, with what effects explain taken out; these are in the fit already where they are `taken`."""
         return Screen(self.problem, looked_at, self.motion, found, taken=taken, kept=self.kept)

@@ -346,7 +346,7 @@ def _latent_forces(found: Explained, motion: Motion, error: Array, names: Collec
         return min(forces.followed(x, values, repeats) / (power - deviation**2), 1.0) if seen else 0.0
 
     places = {}
-    moving = zip(rig.places, motion.displacement.T, motion.rate.T, rig.columns[1], strict=True)
+    moving = zip(rig.places, motion.displacement.T, motion.rate.T, rig.columns[1], strict=False)
     for place, x, rate, column in moving:
         if place.name in names:
             force, deviation, share = at(column)

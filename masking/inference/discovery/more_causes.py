@@ -62,8 +62,9 @@ def one_more_cause(ground: Ground, now: Explanation, table: Sequence[Explanation
     found += ground.noted(move, jobs[2:], min(one.cost for one in (now, *found)))
     others = [score for score in scores if not _is_among(score, chosen.worth) and score.candidate.key not in now.names]
     least = min(one.cost for one in (now, *found))
-    folding = ground.noted(move, [adding.job((score,)) for score in others if _folds(ground, score)], least)
-    found += [one for one in folding if one.cost < least]
+    folding = [one for one in others if folds(ground.problem, one.instance)]  # the motion that they read is another
+    jobs = [adding.job((one,)) for one in folding if not is_excluded(ground.problem, [one.instance])]
+    found += [one for one in ground.noted(move, jobs, least) if one.cost < least]
     if not found:
         return []
     near = min((now, *found), key=lambda one: one.cost)
@@ -102,18 +103,13 @@ class _Chosen:
         if now.names and ground.is_noise(now.cost) and verdict.is_excess(now.cost, ground.size, rules):
             chosen = [score for score in chosen if score.gain > rules.gain_fraction * (now.cost - ground.size)]
         keys = {score.candidate.key for score in chosen}
-        simpler = set[Key]().union(*map(ground.nested_in, keys)) - keys - {*now.names}
+        simpler = {(name, at) for effect, at in keys for name in ground.nested.get(effect, ())} - keys - {*now.names}
         inside = {name for names in ground.nested.values() for name in names}
         nested = simpler | {key for key in keys if key[0] in inside}
         others = [score for score in scores if score.candidate.key in nested and not _is_among(score, chosen)]
         first = {score.candidate.key: score for score in [*others[::-1], *chosen]}
         chosen += [score for score in others if first[score.candidate.key] is score]
         return cls(chosen, [score for score in others if not _is_among(score, chosen)])
-
-
-def _folds(ground: Ground, score: Score) -> bool:
-    """Whether a law of a sensor reads the same for several values: the motion that its readings show is another one."""
-    return folds(ground.problem, score.instance) and not is_excluded(ground.problem, [score.instance])
 
 
 def _is_among(score: Score, scores: Sequence[Score]) -> bool:

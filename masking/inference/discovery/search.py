@@ -104,10 +104,8 @@ class Search:
             return None
         least = ground.nearly(best.cost, ground.base.cost)
         inside = [one for one in ranked if one.cost < least and one.is_inside(best)]
-        return next((one for one in (best, *inside[:1]) if self._is_open(one)), None)
-
-    def _is_open(self, one: Explanation) -> bool:
-        return one.kind == "effects" and _signature(one) not in self.looked_at
+        near = (one for one in (best, *inside[:1]) if one.kind == "effects")
+        return next((one for one in near if _signature(one) not in self.looked_at), None)
 
     def _look_beside(self, now: Explanation) -> None:
         """Add what the moves make of an explanation; they end where one makes it likelier with no more causes."""
