@@ -2,5 +2,5 @@
 
 In: records, and the model of a rig.
 Out: estimates with their uncertainties, and a verdict.
-Imports: compile, display, model, control, lab.
+Imports: compile, display, model, analysis, control, lab.
 """

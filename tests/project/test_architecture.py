@@ -55,7 +55,7 @@ FLOORS: dict[str, set[str]] = {
     "discovery": {
         *("numerics", "declaration", "display", "effects", "codegen", "records", "signals", "rig", "estimation"),
     },
-    "procedures": {"numerics", "declaration", "display", "modelling", "records", "rig", "estimation"},
+    "procedures": {"numerics", "declaration", "display", "modelling", "records", "analysis", "rig", "estimation"},
     "reports": {
         *("numerics", "declaration", "display", "effects", "modelling", "records", "analysis", "rig", "estimation"),
         *("discovery", "procedures"),

@@ -135,11 +135,11 @@ def synchronisation(
     except RecordError:  # fewer than three periods
         return death if is_quiet else nothing
     phases = tuple(_phase(t, x, length) for x, length in zip(signals, nothing.periods, strict=True))
-    for ratio in _ratios(t, phases, tail):
-        found = _lock(t, phases, tail, ratio)
-        if found is not None:
-            ends = (late[0].series, late[1].series)
-            return _described(ends, found, nothing, _Record(t, signals, tail, eps))
+    for n, m in _ratios(t, phases, tail):
+        difference = n * phases[0] - m * phases[1]
+        if _is_locked(t, difference, tail, (n, m)):
+            found = replace(nothing, ratio=(n, m), steady=mean_phase(difference[tail])[1], within=eps)
+            return _described((late[0].series, late[1].series), difference, found, _Record(t, signals, tail))
     if is_quiet:
         return death
     beat = _beat(t, signals)
@@ -163,12 +163,11 @@ def _checked(t: Series, a: Series, b: Series) -> tuple[Series, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """Time and analytic signals of a whole record, its end, and the part of the amplitude that is asked for."""
+    """Time and analytic signals of a whole record, and its end."""
 
     t: Series
     signals: tuple[NDArray[np.complex128], NDArray[np.complex128]]
     tail: NDArray[np.bool_]
-    within: float
 
 
 def _ratios(t: Series, phases: tuple[Series, ...], tail: Series) -> list[tuple[int, int]]:
@@ -179,22 +178,13 @@ def _ratios(t: Series, phases: tuple[Series, ...], tail: Series) -> list[tuple[i
     return sorted(near, key=lambda pair: (sum(pair), pair))
 
 
-@dataclass(frozen=True, slots=True)
-class _Lock:
-    ratio: tuple[int, int]
-    difference: Series
-    steady: float
-
-
-def _lock(t: Series, phases: tuple[Series, ...], tail: Series, ratio: tuple[int, int]) -> _Lock | None:
-    n, m = ratio
-    difference = n * phases[0] - m * phases[1]
-    _, steady = mean_phase(difference[tail])
+def _is_locked(t: Series, difference: Series, tail: Series, ratio: tuple[int, int]) -> bool:
+    """Whether a difference of phases, n of one less m of the other, neither spreads nor drifts."""
     late, whole = _Turn.of(t[tail], difference[tail]), _Turn.of(t, difference)
-    turns = late.is_sure and late.size > _TURN * max(n, m)
+    turns = late.is_sure and late.size > _TURN * max(ratio)
     # A phase that goes on evenly over the whole record is that of two frequencies.
     is_even = whole.is_sure and whole.size > _TURN and whole.stray <= _STRAIGHT * whole.size + whole.noise
-    return None if steady < _STEADY or turns or is_even else _Lock(ratio, difference, steady)
+    return not (mean_phase(difference[tail])[1] < _STEADY or turns or is_even)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,16 +216,17 @@ def _line(t: Series, phase: Series) -> tuple[float, float]:
     return slope, float(np.std(phase - slope * centred))
 
 
-def _described(ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisation, record: _Record) -> Synchronisation:
+def _described(
+    ends: tuple[Series, Series], difference: Series, found: Synchronisation, record: _Record
+) -> Synchronisation:
     """Verdict of a lock: phase, alpha, eps and the time from which on it holds; `ends` are motions at the end."""
-    (n, m), tail, (signal_a, signal_b) = lock.ratio, record.tail, record.signals
-    phase = float(np.angle(np.mean(np.exp(1j * lock.difference[tail]))))
-    first, second = nothing.periods
-    found = replace(nothing, ratio=lock.ratio, phase=phase, steady=lock.steady, within=record.within)
+    (n, m), tail, (signal_a, signal_b) = found.ratio, record.tail, record.signals
+    phase, within = float(np.angle(np.mean(np.exp(1j * difference[tail])))), found.within
+    (first, second), found = found.periods, replace(found, phase=phase)
     if n != m:
         alpha = float(np.std(ends[0]) / np.std(ends[1]))
-        turned = np.exp(1j * (lock.difference - phase))
-        time = synchronisation_time(record.t, np.abs(np.angle(_averaged(turned, record.t, first))), record.within)
+        turned = np.exp(1j * (difference - phase))
+        time = synchronisation_time(record.t, np.abs(np.angle(_averaged(turned, record.t, first))), within)
         return replace(found, kind="locked", alpha=alpha, time=time)
     kind: Kind = "in-phase" if abs(phase) <= _NEAR else "anti-phase" if abs(phase) >= math.pi - _NEAR else "locked"
     whole = first if np.std(ends[0]) >= np.std(ends[1]) else second
@@ -245,7 +236,7 @@ def _described(ends: tuple[Series, Series], lock: _Lock, nothing: Synchronisatio
     line = np.exp(-2j * np.pi * record.t / whole)
     envelope = np.abs(_averaged((signal_a - alpha * signal_b * np.exp(1j * turn)) * line, record.t, whole))
     amplitude = float(np.mean(np.abs(signal_a[tail])))
-    time = synchronisation_time(record.t, envelope, record.within * amplitude)
+    time = synchronisation_time(record.t, envelope, within * amplitude)
     return replace(found, kind=kind, alpha=alpha, eps=float(np.nanmax(np.abs(g))), time=time)
 
 

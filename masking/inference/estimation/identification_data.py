@@ -22,7 +22,6 @@ from masking.lab.records.recording import Recording
 from masking.lab.records.soundness import Signals
 from masking.lab.records.time_base import Resampling
 
-_RENAMED = {"held": "zero-order", "straight": "first-order", "smooth": "band-limited"}
 NOT_LATE = np.zeros(())
 _STILL = 4.0  # deviations of the noise: readings that vary by less do not move
 _LITTLE = 0.01  # of a range
@@ -47,8 +46,6 @@ def _hold(twin: Twin, hold: InputHold | None) -> InputHold:
 
 
 def _refusal(hold: str) -> str:
-    if hold in _RENAMED:
-        return f"hold is '{hold}': this is now called '{_RENAMED[hold]}'"
     return (
         f"hold is '{hold}': give 'zero-order' for commands that act until the next sample, 'first-order' for measured "
         "inputs, which go in straight lines between samples, or for a whole record 'band-limited' for inputs that "

@@ -9,7 +9,7 @@ Source: Ljung, System Identification (1999), section 10.3; Hairer, Norsett and W
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
@@ -19,7 +19,7 @@ import numpy as np
 
 from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
-from masking.compile.codegen.graph import Graph
+from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Results
 from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
@@ -277,21 +277,10 @@ def terms(equations: Kernels, basis: Array) -> tuple[IntMatrix, Array, IntMatrix
 class Lowered(Protocol):
     """Rates of a state and readings as nodes of a graph, by the texts that they are assigned to; see `LoweredTwin`."""
 
-    @property
-    def graph(self) -> Graph:
-        """The graph."""
-
-    @property
-    def loads(self) -> Mapping[str, str]:
-        """What reads each symbol, by its text."""
-
-    @property
-    def derivatives(self) -> Results:
-        """Rates of the state."""
-
-    @property
-    def readings(self) -> Results:
-        """Readings of the sensors."""
+    graph: Graph
+    loads: dict[str, str]  # what reads each symbol, by its text
+    derivatives: list[tuple[str, Node]]  # rates of the state
+    readings: list[tuple[str, Node]]
 
 
 def with_derivatives(

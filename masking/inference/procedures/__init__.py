@@ -2,5 +2,5 @@
 
 In: records made for one procedure.
 Out: springs, friction, actuators, frequency responses, calibration.
-Imports: numerics, declaration, display, modelling, records, rig, estimation.
+Imports: numerics, declaration, display, modelling, records, analysis, rig, estimation.
 """

@@ -12,7 +12,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
-from masking.display.printed_result import Printed
+from masking.display.printed_result import Printed, aligned
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import noise_alone, simulate
@@ -174,8 +174,7 @@ class Calibration(Printed):
             for stage in self.stages
         ]
         rows.append(["noise alone", *(f"{x:.4f}" for x in self.floor.values()), *("" for _ in sensors)])
-        widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in [head, *rows]]
+        lines = aligned([head, *rows])
         lines.append(f"written: {self.folder / 'model.yaml'}, {self.folder / 'plant.yaml'} ({self.best.name})")
         lines.append(f"report: {self.folder / PAGE}")
         return "\n".join(lines)

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from scipy import special
 
+from masking.analysis.synchronisation import period
 from masking.compile.numerics.arrays import Array
 from masking.display.printed_result import Printed
 from masking.errors import RecordError
@@ -22,7 +23,7 @@ from masking.inference.procedures.actuators import ActuatorRatio, actuator_ratio
 from masking.inference.procedures.channels import Channel, Source, columns, refuse_not_positive
 from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
 from masking.inference.procedures.springs import SpringCurve, spring_curve
-from masking.model.declaration.quantities import percent
+from masking.model.declaration.quantities import percent, quantity, with_deviation
 
 FoundT = TypeVar("FoundT")
 
@@ -119,7 +120,7 @@ def springs(
     at = 0.0 if curve.lowest < 0.0 < curve.highest else 0.5 * (curve.lowest + curve.highest)
     stiffness, sure = float(curve.stiffness(at)), stiffness_deviation(curve, at)
     slope = per(force.unit, x.unit)
-    rows = [Row("stiffness", f"stiffness at {with_unit(at, x.unit)}", stiffness, sure, slope)]
+    rows = [Row("stiffness", f"stiffness at {quantity(at, x.unit)}", stiffness, sure, slope)]
     rows += [
         Row(f"rho{j}", f"rho {j}, of (x / scale)^{j}", float(value), float(std))
         for j, (value, std) in enumerate(zip(curve.coefficients, np.sqrt(np.diag(curve.covariance)), strict=True))
@@ -137,8 +138,8 @@ def springs(
     ]
     half = float(special.stdtrit(curve.freedom, 0.5 + LEVEL / 2.0)) * sure
     sentence = (
-        f"The spring of {x.name} has a stiffness of {with_error(stiffness, half, slope)} at {with_unit(at, x.unit)}; "
-        f"friction and hysteresis hold {with_unit(curve.half_gap, force.unit)} against the motion"
+        f"The spring of {x.name} has a stiffness of {with_deviation(stiffness, half, slope)} at {quantity(at, x.unit)};"
+        f" friction and hysteresis hold {quantity(curve.half_gap, force.unit)} against the motion"
     )
     grid = np.linspace(curve.lowest, curve.highest, CURVE_POINTS)
     series = {"displacement": grid, "force": curve.at(grid), "band": curve.band(grid, LEVEL)}
@@ -183,7 +184,7 @@ def actuators(
     constant, swept = _pair(source, first, second)
     motion = source.displacement(sensor)
     times, a, b, _ = columns(times=source.times, first=constant.values, second=swept.values, motion=motion.values)
-    f = _frequency(times, a) if frequency is None else frequency
+    f = 1.0 / period(times, a) if frequency is None else frequency
     gain = _gain(source.name, times, a, b, f)
     sign = 1.0 if np.median(gain) >= 0.0 else -1.0
     found = actuator_ratio(times, motion.values, sign * gain, frequency=f, span=span)
@@ -198,7 +199,9 @@ def actuators(
     half = 0.5 * (high - low)
     weaker = found.ratio > 1.0
     much = f"{percent(found.ratio - 1.0)} weaker" if weaker else f"{percent(1.0 / found.ratio - 1.0)} stronger"
-    sentence = f"{swept.name} balances {constant.name} at a gain of {with_error(found.ratio, half)}: it is {much}"
+    sentence = (
+        f"{swept.name} balances {constant.name} at a gain of {with_deviation(found.ratio, half, '')}: it is {much}"
+    )
     series = {"gain": found.gains, "motion": np.abs(found.motion), "fitted": np.abs(found.fitted)}
     return Measurement(
         "actuators", (source.name,), {"first": constant, "second": swept, "motion": motion}, found, sentence, rows,
@@ -284,7 +287,7 @@ def _of_shift(shift: EquilibriumShift, force: Channel, x: Channel) -> tuple[list
         Row("stiffness", "stiffness where the force is zero", shift.stiffness, None, per(force.unit, x.unit)),
         Row("largest_shift", "shift after the longest travel", float(shift.shift[far]), None, x.unit),
     ]  # fmt: skip
-    moved, travel = with_unit(shift.shift[far], x.unit), with_unit(shift.travel[far], x.unit)
+    moved, travel = quantity(shift.shift[far], x.unit), quantity(shift.travel[far], x.unit)
     return rows, f"the equilibrium shifts by {moved} after a travel of {travel}"
 
 
@@ -295,7 +298,7 @@ def _of_place(place: LocatedFriction, force: Channel, x: Channel) -> tuple[list[
         Row("viscous", "force per speed", place.viscous, None, per(f"{force.unit} s".strip(), x.unit)),
     ]
     if not place.is_found:
-        ends = f"{with_unit(place.displacement[0], x.unit)} and {with_unit(place.displacement[-1], x.unit)}"
+        ends = f"{quantity(place.displacement[0], x.unit)} and {quantity(place.displacement[-1], x.unit)}"
         return rows, f"no friction element engages between {ends}"
     rows += [
         Row("edge", "displacement at which it engages", place.edge, place.deviation, x.unit),
@@ -304,7 +307,7 @@ def _of_place(place: LocatedFriction, force: Channel, x: Channel) -> tuple[list[
         Row("step", "friction that it adds", place.step, place.step_deviation, force.unit),
     ]
     way = "above" if place.side > 0 else "below"
-    return rows, f"{with_unit(place.step, force.unit)} of friction engage {way} {with_unit(place.edge, x.unit)}"
+    return rows, f"{quantity(place.step, force.unit)} of friction engage {way} {quantity(place.edge, x.unit)}"
 
 
 def _pair(source: Source, first: str | None, second: str | None) -> tuple[Channel, Channel]:
@@ -332,21 +335,6 @@ def _spread(values: Array) -> float:
     return float(sizes.std() / max(sizes.mean(), 1e-300))
 
 
-def _frequency(times: Array, values: Array) -> float:
-    """Frequency of a sine of constant size, Hz: the largest line, refined by its phase over the record."""
-    step, count = float(times[-1] - times[0]) / (len(times) - 1), len(values)
-    windowed = (values - values.mean()) * np.hanning(count)
-    line = int(np.argmax(np.abs(np.fft.rfft(windowed))[1:])) + 1
-    f = line / (count * step)
-    for _ in range(3):  # the phase drifts from the first half to the second by what the frequency is off
-        turn = np.exp(-2j * np.pi * f * times)
-        early, late = (np.sum(windowed[part] * turn[part]) for part in (slice(0, count // 2), slice(count // 2, count)))
-        weight = np.hanning(count)[: count // 2]
-        apart = 2.0 * (0.5 * count - float(np.arange(count // 2) @ weight / weight.sum())) * step
-        f += float(np.angle(late * np.conj(early))) / (2.0 * np.pi * apart)
-    return f
-
-
 def _gain(name: str, times: Array, a: Array, b: Array, frequency: float) -> Array:
     """G (samples,) of b = g a, where g is a straight line over each period; refuse what is no such pair."""
     refuse_not_positive(frequency=frequency)
@@ -366,27 +354,6 @@ def _gain(name: str, times: Array, a: Array, b: Array, frequency: float) -> Arra
             "the same sine, one of them with a swept gain (masking.lab.signals.opposed_sines makes them)"
         )
     return np.asarray(np.interp(times, centres, levels))
-
-
-def with_error(value: float, half: float, unit: str = "") -> str:
-    """Write a value with the half width of its interval to the same decimals, such as 1.078 ± 0.002 V.
-
-    The half width is not written if it is not positive and finite.
-    """
-    if not (np.isfinite(half) and half > 0.0):
-        return with_unit(value, unit)
-    digits = int(np.floor(np.log10(half)))
-    if digits >= 0 or abs(value) < 1e-3:
-        text = f"{value:.{max(int(np.floor(np.log10(max(abs(value), half)))) - digits, 0) + 2}g} ± {half:.2g}"
-    else:
-        text = f"{value:.{1 - digits}f} ± {half:.{1 - digits}f}"
-    return f"{text} {unit}".rstrip()
-
-
-def with_unit(value: float, unit: str) -> str:
-    """Write a value in three digits with its unit; metres and volts below 1 in mm and mV."""
-    small = {"m": "mm", "V": "mV", "N": "mN"}.get(unit)
-    return f"{1e3 * value:.3g} {small}" if small and abs(value) < 0.1 else f"{value:.3g} {unit}".rstrip()
 
 
 def per(above: str, below: str) -> str:

@@ -137,7 +137,7 @@ def test_without_a_plant_a_displacement_is_in_the_unit_of_the_reading(capsys, tm
     status, out, _ = run(capsys, "measure", "springs", ramp, "--sensor", "s1", "--order", "3", "--out", tmp_path)
     assert status == 0
     assert out.startswith("The spring of s1 has a stiffness of 0.04")
-    assert "V/V at 0 mV" in out
+    assert "V/V at 0 V" in out
     assert "note: displacement is in the unit of the sensor's reading; name the plant" in out
     assert f"page: {tmp_path / 'springs.html'}" in out
 

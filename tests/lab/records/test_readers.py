@@ -457,7 +457,7 @@ def test_a_hold_that_there_is_not_is_refused(mass):
     words = "hold is 'cubic': give 'zero-order' for .*, 'first-order' for .*, or .* 'band-limited' for .* filter"
     with pytest.raises(ModelError, match=words):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="cubic")
-    with pytest.raises(ModelError, match="hold is 'smooth': this is now called 'band-limited'"):
+    with pytest.raises(ModelError, match="hold is 'smooth': give 'zero-order' for commands"):
         Data.of(Recording({"t": T, "f": T, "x": T}), mass, hold="smooth")
 
 
