@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate as interpolation
 
 from masking.errors import RecordError
+from masking.lazy_imports import interpolate as interpolation
 
 Series = NDArray[np.float64]
 

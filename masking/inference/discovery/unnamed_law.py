@@ -19,7 +19,6 @@ from masking.inference.discovery import (
     closed_form,
     free_law,
     further_places,
-    grammar,
     unseen_data,
     verdict,
 )
@@ -95,7 +94,7 @@ class UnnamedLaw:
 
     def force(self, x: Array, rate: Array) -> Array:
         """Force of the law as it is written at displacements and rates (m,)."""
-        return grammar.force(self.instance, x, rate) if self.is_formula else self.free.force(x, rate)
+        return closed_form.force(self.instance, x, rate) if self.is_formula else self.free.force(x, rate)
 
     @cached_property
     def curves(self) -> tuple[Array, Array]:

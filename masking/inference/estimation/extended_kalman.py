@@ -20,9 +20,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import lazy_loader as lazy
 import numpy as np
 from scipy import special
 
@@ -39,11 +38,7 @@ from masking.inference.estimation.identification_data import Data, is_first_orde
 from masking.inference.estimation.sensitivity import SENSED, SLOPES, Sensitivity, terms
 from masking.inference.estimation.simulation import first_start, nearest, noise_alone, relative, validated
 from masking.inference.estimation.whiteness import autocorrelation, ljung_box
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import kalman_kernels
-else:
-    kalman_kernels = lazy.load("masking.compile.numerics.kalman_kernels", suppress_warning=True)
+from masking.lazy_imports import kalman_kernels
 
 Progress = Callable[[float], None]
 Variances = float | Sequence[float] | Array

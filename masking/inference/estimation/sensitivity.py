@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
-import lazy_loader as lazy
 import numpy as np
 
 from masking.compile.codegen import column_step, module_store
@@ -30,11 +29,7 @@ from masking.control.rig.twin import LoweredTwin, Twin
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.inference.estimation.identification_data import Data, is_first_order
 from masking.lab.records.input_hold import Hold
-
-if TYPE_CHECKING:
-    from masking.compile.numerics import motion_sensitivities
-else:
-    motion_sensitivities = lazy.load("masking.compile.numerics.motion_sensitivities", suppress_warning=True)
+from masking.lazy_imports import motion_sensitivities
 
 # Functions of a twin: its equations and its readings, alone and with derivatives by state and parameter array.
 RATES, SLOPES = "rates(t: float, y, u, p, dy)", "slopes(t: float, y, u, p, dy, jy: Matrix, jp: Matrix)"

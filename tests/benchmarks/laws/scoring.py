@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import masking
+from masking.inference.discovery.closed_form import force
 from masking.inference.discovery.discovery_result import Discovery
-from masking.inference.discovery.grammar import force
 from tests.benchmarks.answers.reliability import bins
 from tests.benchmarks.laws import records
 from tests.benchmarks.laws.records import NAMES, Case, Rig

@@ -15,7 +15,6 @@ import masking
 from masking.inference.discovery import (
     closed_form,
     force_decomposition,
-    grammar,
     latent_force,
     name_or_unnamed,
     unseen_data,
@@ -233,11 +232,11 @@ def test_one_sine_visits_an_ellipse(sides, visited, of, ends):
 
 
 def test_every_shape_of_the_grammar_is_a_safe_expression_of_zero_and_one():
-    for atom in grammar.atoms(True, True):
+    for atom in closed_form.atoms(True, True):
         names = [f"p{i}" for i in range(atom.count)]
         for values in atom.starts():
             known = {"d": np.array([0.0, 0.5]), "d_rate": np.array([0.0, -0.3]), "x0": 1.0, "v0": 1.0}
-            made = grammar.evaluated(atom.text(names), {**known, **dict(zip(names, values, strict=True))})
+            made = closed_form.evaluated(atom.text(names), {**known, **dict(zip(names, values, strict=True))})
             exact = [
                 Expression(atom.text(names)).evaluate(
                     {**dict(zip(names, values, strict=True)), "d": d, "d_rate": v, "x0": 1.0, "v0": 1.0}
