@@ -22,7 +22,7 @@ from masking.analysis.stability.orbits import orbit
 from masking.analysis.stability.settling import settling_time
 from masking.analysis.synchronisation import period
 from masking.model.modelling.model import Model, load_model
-from masking.reports.stability_figures import basins_figure, sweep_figure
+from masking.reports.stability_page import basins_figure, sweep_figure
 
 CLOCKS = """
 name: two clocks on a beam

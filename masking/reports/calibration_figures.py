@@ -13,7 +13,7 @@ from masking.display.palette import NOISE
 from masking.display.symbols import in_figure
 from masking.inference.procedures.calibration_findings import HIGHEST, Calibration, Curve
 from masking.model.declaration.quantities import percent, quantity
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, Span, drawn, either_side
 from masking.reports.style import COLOURS, GRID, INK, LIMIT, MUTED, SIZE, CaptionedFigure

@@ -18,7 +18,7 @@ from masking.inference.estimation.simulation import Simulated
 from masking.model.declaration.quantities import percent, quantity
 from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, error_panel, fit_figures, force_map, one_page, place_text, style
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports.force_map import AFTER, BEFORE, CLOUD, MISSING, POINTS
 from masking.reports.panels import Level, Line, Panel, Span, bars, drawn, either_side, plain_numbers, spectrum
 from masking.reports.style import COLOURS, GRID, MUTED, SIZE, CaptionedFigure

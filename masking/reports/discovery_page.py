@@ -1,4 +1,4 @@
-"""Page of a discovery: HTML that needs no other file, all its files, and a summary for the terminal."""
+"""Page of a discovery: HTML that needs no other file, all its files, and a summary and its trace for the terminal."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from masking.display.printed_result import aligned
 from masking.inference.discovery import latent_force
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.explanation import in_both
+from masking.inference.discovery.trace import Line
 from masking.inference.discovery.verdict import noise_threshold
 from masking.inference.estimation.whiteness import DOUBTED
 from masking.model.declaration.quantities import number, percent, with_deviation
@@ -16,7 +17,6 @@ from masking.reports import (
     discovery_figures,
     discovery_files,
     discovery_text,
-    discovery_trace,
     html,
     one_page,
     place_text,
@@ -26,7 +26,7 @@ from masking.reports.discovery_files import Files, Origin
 from masking.reports.html import Tile
 from masking.reports.one_page import Sheet
 from masking.reports.style import CaptionedFigure
-from masking.reports.text import capital, probability_text
+from masking.reports.text import capital, listed, probability_text
 
 MOST_TRIED = 20
 MOST_TILES = 3  # of causes
@@ -67,8 +67,8 @@ def page(found: Discovery, figures: Sequence[CaptionedFigure], origin: Origin, f
         doubted=DOUBTED,
         tried=discovery_figures.tried(found)[:MOST_TRIED],
         rivals=_rivals(found),
-        trace=discovery_trace.rows(found),
-        trace_head=discovery_trace.HEAD,
+        trace=trace(found),
+        trace_head=TRACE_HEAD,
         refitted=discovery_files.refitted(found),
         known=found.written_rig.twin.base.parameters,
         records=origin.records,
@@ -176,3 +176,46 @@ def tiles(found: Discovery) -> list[Tile]:
     most = noise_threshold(len(found.validation_record), found.problem.rules)
     what = f"error in {name}{' with it' * has_finding}"
     return [*made, Tile(what, percent(after), f"noise {percent(floor)}", after > most * floor)]
+
+
+TRACE_HEAD = ("explanation", "suggested by", "behind", "error over noise", "why not")
+MOST_TRACED = 20  # hypotheses of each reading that are shown
+
+
+def trace(found: Discovery) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Each reading of the record with its hypotheses, the likeliest first; the answer and the model alone are shown."""
+    made, lines = dict[str, list[tuple[str, ...]]](), [*found.problem.trace.lines()]
+    answer = next((line.behind for line in lines if _is_taken(found, line)), 0.0)
+    for line in lines:
+        part = made.setdefault(line.tried.reading, [])
+        if len(part) < MOST_TRACED or not line.tried.names or _is_taken(found, line):
+            one, why = line.tried, _why(found, line, answer)
+            causes = listed([discovery_text.cause_name(found, *name) for name in one.names]) or "no cause"
+            part.append((causes, one.move, number(line.behind, 3), number(one.over_noise, 3), why))
+    return [*made.items()]
+
+
+def trace_text(found: Discovery) -> str:
+    """Table for the terminal."""
+    lines = list[str]()
+    for reading, part in trace(found):
+        lines += [f"Hypotheses in the record, {reading}:", *aligned([TRACE_HEAD, *part])]
+    return "\n".join([*lines, "behind: -2 log of the odds against the likeliest hypothesis of the same reading"])
+
+
+def _is_taken(found: Discovery, line: Line) -> bool:
+    is_here = line.tried.reading == found.problem.trace.reading
+    return is_here and sorted(line.tried.names) == sorted(found.explanation.names)
+
+
+def _why(found: Discovery, line: Line, answer: float) -> str:
+    """Why a hypothesis was not taken, or that it was; the answer is `answer` behind."""
+    if _is_taken(found, line):
+        return "the answer"
+    if line.why:
+        return line.why
+    if line.tried.reading != found.problem.trace.reading:
+        return "another reading of the record is the answer"
+    if line.behind > answer:
+        return "less likely"
+    return "the answer has fewer causes" if len(line.tried.names) > len(found.explanation.names) else ""

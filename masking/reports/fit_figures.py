@@ -15,7 +15,7 @@ from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated, simulate
 from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, drawn, either_side, spectrum
 from masking.reports.style import COLOURS, INK, CaptionedFigure

@@ -16,7 +16,7 @@ from masking.inference.discovery.force_decomposition import SEEN
 from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty
 from masking.reports import discovery_text, style
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports.panels import Band, Level, Line, Panel, Part, drawn
 from masking.reports.style import COLOURS, INK, MUTED, CaptionedFigure
 from masking.reports.text import capital, listed

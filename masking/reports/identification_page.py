@@ -18,7 +18,7 @@ from masking.inference.estimation.simulation import Simulated, noise_alone, rela
 from masking.inference.procedures.measurement import Measurement, Row
 from masking.model.declaration.quantities import number, percent, with_deviation
 from masking.model.declaration.units import pretty
-from masking.reports import figure_parts, html, one_page, procedure_figures
+from masking.reports import html, one_page, panels, procedure_figures
 from masking.reports.error_panel import NOISE
 from masking.reports.html import Tile
 from masking.reports.one_page import Sheet
@@ -92,7 +92,7 @@ def save_simulation(made: Simulated, figures: Sequence[CaptionedFigure], sentenc
 
 def _tile(row: Row) -> Tile:
     """Number with its unit and deviation; small lengths, voltages and forces with a prefix."""
-    by, unit = figure_parts.shown(row.unit, [row.value])
+    by, unit = panels.shown(row.unit, [row.value])
     if not row.unit and row.key.startswith(("even_", "odd_")):
         by, unit = 100.0, "%"
     deviation = "" if row.std is None else f" ± {number(by * row.std, 2)}"

@@ -20,7 +20,7 @@ from masking.inference.procedures.measured_response import Response
 from masking.inference.procedures.measurement import LEVEL, Friction, Measurement
 from masking.inference.procedures.springs import SpringCurve
 from masking.model.declaration.quantities import percent
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, Part, Span, drawn, plain_numbers
 from masking.reports.style import BAND, COLOURS, INK, MUTED, SIZE, CaptionedFigure

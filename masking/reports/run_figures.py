@@ -13,7 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from masking.analysis.synchronisation import principal, running_peak
 from masking.model.declaration.quantities import percent
-from masking.reports import figure_parts as parts
+from masking.reports import panels as parts
 from masking.reports import style
 from masking.reports.panels import Band, Level, Line, Panel, Part, Range, bars, drawn, either_side
 from masking.reports.run_study import SUM_WINDOW_PERIODS, InputUse, Study

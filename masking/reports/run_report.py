@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from masking.display.printed_result import Printed
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
@@ -32,6 +32,10 @@ class Report(Printed):
 
     def __str__(self) -> str:
         return f"{self.summary}\nreport: {self.path}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its files as JSON can hold them."""
+        return {"report": str(self.path), "figures": [str(figure) for figure in self.figures]}
 
 
 def report(recording: Recording, folder: str | Path) -> Report:

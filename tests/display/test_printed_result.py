@@ -134,7 +134,7 @@ def test_a_run_prints_what_its_verb_prints_and_a_part_of_it_its_own(capsys, tmp_
 def test_a_comparison_is_read_in_a_line():
     t = np.linspace(0.0, 10.0, 101)
     first, second = (Recording({"t": t, "virtual.x": np.sin(w * t)}, {"name": "a"}) for w in (1.0, 2.0))
-    from masking.reports.run_comparison import Comparison
+    from masking.reports.comparison_page import Comparison
 
     assert repr(Comparison(first, second, ("a", "b"))) == "<Comparison No parameter differs.>"
 

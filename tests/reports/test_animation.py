@@ -21,8 +21,7 @@ from masking.lab.records.recording import Recording
 from masking.model.declaration import catalogue, registry
 from masking.model.modelling.scales import Units
 from masking.reports import animation_frames
-from masking.reports.animation import Animation
-from masking.reports.system_drawing import Drawing
+from masking.reports.animation import Animation, Drawing
 
 MODEL = """
 name: a pendulum

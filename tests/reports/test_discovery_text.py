@@ -13,7 +13,7 @@ from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.model.declaration.quantities import number, power, quantity
 from masking.model.effects import EFFECTS
-from masking.reports import discovery_page, discovery_text, figure_parts, force_map
+from masking.reports import discovery_page, discovery_text, force_map, panels
 from masking.reports.text import capped, signed
 from tests.inference.discovery.test_force_decomposition import INSTANCES, discoveries, rig
 
@@ -232,7 +232,7 @@ def test_the_shooting_interval_is_stated(discoveries):
     ],
 )
 def test_figures_have_the_unit_of_what_they_show(unit, largest, shown):
-    assert figure_parts.shown(unit, np.array([0.0, -largest]), [0.5 * largest]) == shown
+    assert panels.shown(unit, np.array([0.0, -largest]), [0.5 * largest]) == shown
 
 
 def test_numbers_read_as_people_write_them():

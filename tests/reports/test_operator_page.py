@@ -21,8 +21,7 @@ from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import Ring, RingReader
 from masking.lab.records.stop_switch import Presser, Switch, switches
 from masking.reports import local_page
-from masking.reports.live_monitor import BINS, Monitor, phase_between
-from masking.reports.operator_page import OperatorPage
+from masking.reports.operator_page import BINS, Monitor, OperatorPage, phase_between
 from tests.support import chromium, stub_loop
 
 browser = pytest.mark.skipif(chromium.PATH is None, reason="needs Chromium; on Debian 'apt-get install chromium'")

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import sympy as sp
 from sympy.simplify.fu import TR8
 
-from masking.analysis.stability.algebra import is_zero, normal
+from masking.analysis.stability.algebra import is_zero, normal, squares
 from masking.analysis.stability.branch_and_bound import is_positive
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.sums_of_squares import squares
 from masking.errors import ModelError
 
 

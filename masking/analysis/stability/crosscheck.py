@@ -14,10 +14,9 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import solve_ivp
 
-from masking.analysis.stability.dissipation import default_box
+from masking.analysis.stability.dissipation import along, default_box
 from masking.analysis.stability.equilibria import STABLE, UNSTABLE, Box, stability_of
 from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.growth import along
 from masking.analysis.stability.lasalle import InvariantSet
 from masking.analysis.stability.modes import state_matrix
 from masking.compile.codegen.graph import Graph
@@ -26,10 +25,8 @@ from masking.errors import ModelError
 from masking.model.modelling.model import Model
 
 _NEUTRAL = 1e-12  # of the largest eigenvalue: a real part below this is the rounding of one that is 0
-_DIGITS, _DECAY = (
-    60,
-    1e-20,
-)  # of exact eigenvalues, and of the largest: a mode that decays has a real part below minus this
+_DIGITS = 60  # of exact eigenvalues
+_DECAY = 1e-20  # of the largest: a mode that decays has a real part below minus this
 _OUTSIDE = 1e-6  # of the largest amplitude: further from a relation than this, a mode is outside of a set
 _RADIANS = 20.0  # of the fastest mode: duration of a simulation
 _ROWS = 41

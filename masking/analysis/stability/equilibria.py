@@ -5,6 +5,10 @@ is exactly one equilibrium in it, if mpmath's intervals confirm that; other boxe
 cut stays undecided, such as equilibria that are not isolated. Where these are lines along free directions, each is
 found once, where it meets a plane.
 
+Along a free direction no force at rest changes: the angle of a shaft that turns freely is one (a cyclic coordinate),
+and the common motion of two bodies that only a spring between them holds. An expression is a sum of functions of the
+coordinates, each with a coefficient: what is linear in forces or in their slopes is found from these exactly.
+
 Source: Moore, Kearfott and Cloud, Introduction to Interval Analysis (2009), section 8.2.
 """
 
@@ -14,13 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
-
 import numpy as np
 import sympy as sp
-
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.confirmation import enclosed_again, has_root
-from masking.analysis.stability.free_directions import free_directions, independent
 from masking.analysis.stability.free_equations import check_continuous
 from masking.analysis.stability.modes import eigenvalues, is_smooth, state_matrix
 from masking.compile.codegen.graph import Graph, Node
@@ -31,6 +32,10 @@ from masking.display.printed_result import Printed
 from masking.errors import ModelError, nearest
 from masking.model.modelling.model import Model
 from masking.model.modelling.scales import Shown
+from collections.abc import Sequence
+import sympy as sp
+from sympy.polys.matrices import DomainMatrix
+from masking.model.modelling.gradient import jacobian
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -423,3 +428,33 @@ def _determinant(matrix: list[list[Any]]) -> Any:  # noqa: ANN401  # intervals, 
     for k, part in enumerate(parts[1:]):
         total = total + part if k % 2 else total - part
     return total
+
+
+def free_directions(force: Sequence[sp.Expr], q: Sequence[sp.Symbol]) -> tuple[sp.Matrix, tuple[int, ...]]:
+    """Directions (r, n), constant vectors along which forces without parameters (n,) never change; and what holds them.
+
+    That are the indices of r coordinates, of which each direction moves one, by 1.
+    """
+    slopes = jacobian(force, q)
+    null = _coefficients([slopes.col(j) for j in range(len(q))], q).transpose().nullspace()
+    reduced, pivots = null.rref()
+    return reduced.to_Matrix(), tuple(pivots)
+
+
+def independent(force: Sequence[sp.Expr], q: Sequence[sp.Symbol]) -> tuple[int, ...]:
+    """Indices of forces of which the others are sums with constant factors, the first ones that will do."""
+    return tuple(_coefficients([[f] for f in force], q).transpose().rref()[1])
+
+
+def _coefficients(rows: Sequence[Sequence[sp.Expr]], q: Sequence[sp.Symbol]) -> DomainMatrix:
+    """Coefficients of rows of expressions (m, k), a column for each function of the coordinates in each of the k."""
+    columns, found = dict[tuple[int, sp.Expr], int](), list[tuple[int, int, sp.Expr]]()
+    for i, row in enumerate(rows):
+        for k, expression in enumerate(row):
+            for term in sp.Add.make_args(sp.expand(expression)):
+                factor, function = term.as_independent(*q, as_Add=False)
+                found.append((i, columns.setdefault((k, function), len(columns)), factor))
+    matrix = sp.zeros(len(rows), len(columns))
+    for i, column, factor in found:
+        matrix[i, column] += factor
+    return DomainMatrix.from_Matrix(matrix).to_field()

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy as sp
 
-from masking.analysis.stability.algebra import normal
+from masking.analysis.stability.algebra import normal, squares
 from masking.analysis.stability.boundedness import Boundedness, is_kinetic, parts_of_energy
 from masking.analysis.stability.branch_and_bound import Bound, faces
 from masking.analysis.stability.dissipation import default_box
@@ -26,7 +26,6 @@ from masking.analysis.stability.equilibria import Equilibria, equilibria
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.lasalle import invariant_set
-from masking.analysis.stability.sums_of_squares import squares
 from masking.compile.codegen.intervals import Interval
 from masking.compile.numerics.arrays import Array
 from masking.display.printed_result import Printed

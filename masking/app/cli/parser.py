@@ -9,13 +9,13 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from masking.app.cli import declaration_verbs, identification_verbs, rig_verbs, run_verbs
+from masking.app.cli import rig_verbs, verbs
 from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
 from masking.app.cli.terminal import printable
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError, Problem
 
-VERBS: tuple[Verb, ...] = (*declaration_verbs.VERBS, *run_verbs.VERBS, *identification_verbs.VERBS, *rig_verbs.VERBS)
+VERBS: tuple[Verb, ...] = (*verbs.VERBS, *rig_verbs.VERBS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from masking.lab.runs.operator_link import Operator
 
 
+_GO_ON = "masking: interrupted; start the same again to go on with {out}"
+
+
 def _key(file: str | None) -> Key | None:
     from masking.lab.plants.authentication import Key
 
@@ -150,13 +153,13 @@ def _run(call: Call) -> int:
     "app.workflows.batch:run",
     out="results/{plan}",
     doing="running",
-    interrupted="masking: interrupted; start the same again to go on with {out}",
+    interrupted=_GO_ON,
     metavars={"plant": "ADDRESS"},
 )
 def _batch(call: Call) -> int:
     """Make the runs of a plan unattended; started again, go on with it. Exit status 1 if one did not end as planned."""
     found = call.do()
-    call.answer(found.as_dict(), f"{found}\npage: {call.out / 'batch.html'}")
+    call.answer(found, f"{found}\npage: {call.out / 'batch.html'}")
     return int(found.done < len(found.runs))
 
 
@@ -196,27 +199,21 @@ def _stop(call: Call) -> int:
     return int(not stopped)
 
 
-@verb(
+_CALIBRATE = Verb(
+    "calibrate",
+    "Excite a rig, fit its plant file to the records, and validate the fit by a record held out.",
     "app.workflows.calibrate:calibrate_at",
     out="results/{plant}_calibration",
     doing="calibrating",
     interrupted="masking: interrupted; the records stay in {out}/records: run the same again to go on from there",
 )
-def _calibrate(call: Call) -> int:
-    """Excite a rig, fit its plant file to the records, and validate the fit by a record held out."""
-    return call.answered()
-
-
-@verb(
+_LEARN = Verb(
+    "learn",
+    "Let a rig find out by itself what it is: excite it, find what its plant file lacks, and put that into control.",
     "app.workflows.learn:learn_at",
     out="results/{plant}_learning",
     doing="learning",
-    interrupted="masking: interrupted; start the same again to go on with {out}",
+    interrupted=_GO_ON,
 )
-def _learn(call: Call) -> int:
-    """Let a rig find out by itself what it is: excite it, find what its plant file lacks, and put that into control."""
-    return call.answered()
-
-
 _TEXT = "Run on a plant that runs by itself, or serve a twin that stands in for one."
-VERBS = (Verb("rig", _TEXT, verbs=(_check, _serve, _run, _batch, _stop, _calibrate, _learn)),)
+VERBS = (Verb("rig", _TEXT, verbs=(_check, _serve, _run, _batch, _stop, _CALIBRATE, _LEARN)),)

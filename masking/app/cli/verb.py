@@ -30,7 +30,8 @@ class Verb:
     doing: str = ""  # what the progress bar says; empty where the verb takes no time
     interrupted: str = NOTHING_SAVED  # what an interrupt leaves, with `{out}`
     flags: Mapping[str, str] = field(default_factory=dict)  # options without a value that are its own, with their help
-    has_json_file: bool = False  # whether `--json` takes a file
+    page: str = ""  # file of the page in that folder; empty where the text says where it is, or there is none
+    numbers: str = ""  # file of the JSON in that folder, which `--json` prints, or writes to another file
     metavars: Mapping[str, str] = field(default_factory=dict)  # placeholders of arguments by their parameters
     note: str = ""  # below the help
     # those of the function's parameters that are arguments; by default all
@@ -90,7 +91,7 @@ def _add_arguments(sub: argparse.ArgumentParser, verb: Verb) -> None:
     arguments.add(sub, verb.parameters(), verb.metavars, {"out": verb.out} if verb.out else {})
     for name, text in verb.flags.items():
         sub.add_argument(f"--{name}", action="store_true", help=text)
-    if verb.has_json_file:
+    if verb.numbers:
         text = "print JSON, or write it to a file; give it after the other arguments"
         sub.add_argument("--json", metavar="FILE", nargs="?", const=True, help=text)
     else:
@@ -144,10 +145,13 @@ class Call:
             check_folder(Path(self.written["json"]).parent)
         raise_interrupts()
 
-    def answered(self) -> int:
-        """Do the verb, print its result, and return the exit status 0."""
-        found = self.do()
-        return self.answer(found.as_dict(), found)
+    def answered(self, out: str | Path | None = None) -> int:
+        """Do the verb, print its result and its page, and return the exit status 0; `out` may be another folder."""
+        found = self.do(**({"out": Path(out)} if out else {}))
+        if not self.verb.page:
+            return self.answer(found, found)
+        page = Path(out or self.out) / self.verb.page
+        return self.answer(found if self.verb.numbers else {**found.as_dict(), "page": page}, f"{found}\npage: {page}")
 
     def answer(self, content: object, text: object) -> int:
         """Print the result of a verb, as JSON for programs or as text for people, and return the exit status 0."""
@@ -155,7 +159,8 @@ class Call:
         if wanted:
             from masking.display.json_text import json_text
 
-            numbers = content if isinstance(content, str) else json_text(content)
+            file = self.out / self.verb.numbers
+            numbers = file.read_text(encoding="utf-8") if self.verb.numbers else json_text(content)
             if wanted is True:
                 print(numbers, end="")
                 return 0

@@ -7,7 +7,7 @@ from pathlib import Path
 from masking.app.workflows.output_folders import beside, own_folder
 from masking.lab.records.recording import Recording
 from masking.reports import comparison_page
-from masking.reports.run_comparison import Comparison
+from masking.reports.comparison_page import Comparison
 
 
 def compare(

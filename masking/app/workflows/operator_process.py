@@ -23,8 +23,7 @@ from masking.lab.records.child_process import Child
 from masking.lab.records.datagrams import Datagrams
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import Switch, is_running
-from masking.reports.live_monitor import Monitor
-from masking.reports.operator_page import OperatorPage
+from masking.reports.operator_page import Monitor, OperatorPage
 
 GONE: Final = 3.0  # s without a request of the page, after which nobody looks any more
 UNREAD: Final = 300.0  # the same of a page that has been looked at, after a trip; hidden pages ask once a minute

@@ -35,6 +35,10 @@ class Description(Printed):
     def __str__(self) -> str:
         return self.text
 
+    def as_dict(self) -> dict[str, Any]:
+        """The same as JSON can hold it."""
+        return self.content
+
     __repr__ = __str__  # whoever asks to see a declaration wants all of it
 
 

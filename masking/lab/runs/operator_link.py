@@ -176,7 +176,7 @@ def _motion(model: Model) -> list[str]:
 
 
 def _bounds(controller: SampledStep, rules: Rules) -> Iterator[dict[str, Any]]:
-    """Limits that the chain watches, in the declared units, as `live_monitor` takes them."""
+    """Limits that the chain watches, in the declared units, as `operator_page` takes them."""
     # The columns of the rig are in SI units, those of sensors in their own.
     known = controller.sampled.instruments
     declared = known.plant.limits

@@ -17,7 +17,7 @@ from masking.app.workflows import sweep_work
 from masking.errors import DeclarationError, RecordError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.sweep_values import Design
-from masking.reports.sweep_figures import figures
+from masking.reports.sweep_page import figures
 from masking.reports.text import share
 from tests.benchmarks.killed_sweeps import RUNS, compared, killed
 

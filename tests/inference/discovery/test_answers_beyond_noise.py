@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from masking.app import cli
 from masking.app.workflows.discover import discover
-from masking.reports import discovery_text, discovery_trace
+from masking.reports import discovery_page, discovery_text
 
 MODEL = """
 name: mass on a spring
@@ -97,7 +97,7 @@ def test_the_trace_has_the_answer_and_what_was_refused(found):
     names = [line.tried.names for line in lines]
     assert () in names
     assert found.explanation.names in names
-    text = discovery_trace.table(found)
+    text = discovery_page.trace_text(found)
     assert "the answer" in text
     assert "no cause" in text
 

@@ -27,7 +27,7 @@ from masking.lab.records.stop_switch import Presser, Switch
 from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.operator_link import ABSENCE, Operator
-from masking.reports.live_monitor import Monitor
+from masking.reports.operator_page import Monitor
 from tests.benchmarks.operator_page import run
 from tests.lab.plants.test_wire import MassSpring, damped
 from tests.support import chromium

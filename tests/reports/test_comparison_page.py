@@ -11,7 +11,7 @@ from masking.app.cli import main
 from masking.errors import RecordError
 from masking.lab.records.recording import Recording
 from masking.reports import comparison_page
-from masking.reports.run_comparison import Comparison, Measure
+from masking.reports.comparison_page import Comparison, Measure
 
 MANIFEST = {
     "name": "run",
