@@ -8,15 +8,13 @@ Source: Cox, Little and O'Shea, Ideals, Varieties, and Algorithms (2015), chapte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-import sympy as sp
-from masking.analysis.stability.hypotheses import Hypotheses
-from masking.errors import ModelError
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
 import sympy as sp
+
 from masking.analysis.stability.hypotheses import Hypotheses
+from masking.errors import ModelError
 
 _HYPERBOLIC = (sp.sinh, sp.cosh, sp.tanh)
 _MOST_ROUNDS = 40

@@ -8,26 +8,19 @@ operation has no enclosure, such as `max` or `heaviside`, by exact arithmetic: s
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
 import numpy as np
 import sympy as sp
+
 from masking.analysis.stability.algebra import Square, normal, squares, without_void
 from masking.analysis.stability.confirmation import enclosed_again
 from masking.analysis.stability.equilibria import Box, check_box, halves
 from masking.analysis.stability.free_equations import Motion, jumps_of
 from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.modes import state_matrix
-from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.intervals import Interval, enclose
-from masking.compile.numerics.arrays import Array
-from masking.errors import ModelError
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-import numpy as np
-import sympy as sp
-from masking.analysis.stability.confirmation import enclosed_again
-from masking.analysis.stability.free_equations import Motion
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.graph_values import ARRAYS, function_of, values_of
 from masking.compile.codegen.intervals import Interval, enclose

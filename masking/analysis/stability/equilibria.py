@@ -18,8 +18,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+
 import numpy as np
 import sympy as sp
+from sympy.polys.matrices import DomainMatrix
+
 from masking.analysis.stability.algebra import is_zero
 from masking.analysis.stability.confirmation import enclosed_again, has_root
 from masking.analysis.stability.free_equations import check_continuous
@@ -30,12 +33,9 @@ from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array, Complex
 from masking.display.printed_result import Printed
 from masking.errors import ModelError, nearest
+from masking.model.modelling.gradient import jacobian
 from masking.model.modelling.model import Model
 from masking.model.modelling.scales import Shown
-from collections.abc import Sequence
-import sympy as sp
-from sympy.polys.matrices import DomainMatrix
-from masking.model.modelling.gradient import jacobian
 
 Box = Mapping[str, tuple[float, float]]
 

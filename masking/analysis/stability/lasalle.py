@@ -17,19 +17,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+
 import sympy as sp
 from sympy.simplify.fu import TR9
-from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants
+
+from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants, without_void
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
 from masking.analysis.stability.poles import Cancellation, oscillators
 from masking.display.printed_result import Printed
 from masking.errors import ModelError
-from collections.abc import Sequence
-import sympy as sp
-from masking.analysis.stability.algebra import normal, without_void
-from masking.analysis.stability.free_equations import Motion
-from masking.analysis.stability.hypotheses import Hypotheses
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
 
