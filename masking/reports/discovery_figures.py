@@ -80,7 +80,7 @@ def _gap(found: Discovery) -> CaptionedFigure:
     words = CaptionedFigure("gap", "Simulation error", caption)
     sides = {record: by_model(found, record) for record in errors(found)}
     ends = error_panel.reach(*sides.values()) or (1e-3, 1.0)
-    row = [error_panel.panel(side, error_panel.Look(one_page.RELATIVE, title), ends) for title, side in sides.items()]
+    row = [error_panel.panel(side, ends, one_page.RELATIVE, title) for title, side in sides.items()]
     return drawn(words, [row], 0.34 * len(found.twin.sensors) + 0.35, heading=capital(said))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 from matplotlib.axes import Axes
@@ -29,36 +28,38 @@ _FIRST: Final[dict[str, Any]] = {"colour": PAPER, "marker": "o", "size": 6.5, "e
 _LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
 
 
-@dataclass(frozen=True)
-class Look:
-    """How errors are shown."""
+def panel(
+    errors: Errors,
+    ends: tuple[float, float],
+    label: str,
+    title: str = "",
+    *,
+    by: float = 100.0,
+    has_values: bool = False,
+) -> Panel:
+    """Panel of errors, whose axis has ends and a label; those that are not positive are left out.
 
-    label: str  # of their axis
-    title: str = ""
-    in_percent: bool = True
-    has_values: bool = False  # whether those of the first and of the last model stand at the right of the axes
+    They are shown times a factor, 100 in percent. With `has_values`, those of the first and of the last model stand at
+    the right of the axes.
+    """
+    is_in_percent = by == 100.0
 
-    def said(self, error: float) -> str:
-        """Error as a text."""
+    def said(error: float) -> str:
         if not math.isfinite(error):
             return "not finite"
-        return percent(error) if self.in_percent else number(error, 2)
+        return percent(error) if is_in_percent else number(error, 2)
 
-
-def panel(errors: Errors, look: Look, ends: tuple[float, float]) -> Panel:
-    """Panel of errors, whose axis has ends; those that are not positive are left out."""
     models = [name for name in errors if name != NOISE]
-    channels, by = list(errors[models[0]]), 100.0 if look.in_percent else 1.0
+    channels = list(errors[models[0]])
 
     def finish(axes: Axes) -> None:
         bars(axes, [style.symbol(name) for name in channels])
-        plain_numbers(axes.xaxis, " %" * look.in_percent)
+        plain_numbers(axes.xaxis, " %" * is_in_percent)
         axes.xaxis.set_minor_locator(NullLocator())
-        for i, name in enumerate(channels if look.has_values else ()):
+        for i, name in enumerate(channels if has_values else ()):
             each = [errors[model][name] for model in dict.fromkeys((models[0], models[-1]))]
-            said = " → ".join(map(look.said, each))
-            axes.annotate(said, (1.0, i), (6, 0), ("axes fraction", "data"), textcoords="offset points", va="center",
-                          fontsize=SIZE - 1.0, color=INK)  # fmt: skip
+            axes.annotate(" → ".join(map(said, each)), (1.0, i), (6, 0), ("axes fraction", "data"),
+                          textcoords="offset points", va="center", fontsize=SIZE - 1.0, color=INK)  # fmt: skip
 
     joined = []
     for i, name in enumerate(channels):
@@ -70,7 +71,7 @@ def panel(errors: Errors, look: Look, ends: tuple[float, float]) -> Panel:
         for model, part in errors.items()
     ]  # fmt: skip
     first, last = ends
-    return Panel([*joined, *dots], "", look.label, (by * first, by * last), log="x", title=look.title, finish=finish)
+    return Panel([*joined, *dots], "", label, (by * first, by * last), log="x", title=title, finish=finish)
 
 
 def reach(*sides: Errors) -> tuple[float, float] | None:

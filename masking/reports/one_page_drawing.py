@@ -176,7 +176,7 @@ class _Page:
         beside = max(_length(name, _SMALL) for name in names) + 0.15
         across = _TEXT - beside - _VALUES
         label = _fitting(sheet.errors_label, across, style.SIZE)
-        drawing = error_panel.panel(whole, error_panel.Look(label, "", sheet.in_percent, has_values=True), ends)
+        drawing = error_panel.panel(whole, ends, label, by=100.0 if sheet.in_percent else 1.0, has_values=True)
         handles, room = list[Artist](), _TEXT - _KEY * len(whole)
         each = math.inf if sum(_length(model, _SMALL) for model in whole) <= room else room / len(whole)
         for part in drawing.parts if len(whole) > 1 else ():

@@ -188,14 +188,14 @@ def _masking_error(study: Study) -> CaptionedFigure:
 
 def _budget(study: Study) -> CaptionedFigure:
     title, found = "What limits the masking error", study.budget
-    if found is None:
+    if not found:
         return style.absent("budget", title, "it was not asked for; 'masking run --budget' finds it out")
-    rows, whole = found.by_worth[1:], found.whole.rms
+    rows, whole = found[1:], found[0].rms
     largest = max((row.rms for row in rows if math.isfinite(row.rms)), default=whole)
     most = 1.08 * min(max(largest, whole), 2.0 * whole) if math.isfinite(whole) and whole > 0.0 else 1.0
     caption = (
-        f"{found.sentence} Each bar runs from the masking error of the run, the dashed line, to that of the same run "
-        "without one cause: to the left, correcting it helps."
+        f"{study.recording.manifest['budget']['sentence']} Each bar runs from the masking error of the run, the dashed "
+        "line, to that of the same run without one cause: to the left, correcting it helps."
     )
     start = min(whole, most)
 

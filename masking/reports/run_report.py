@@ -83,10 +83,11 @@ def sheet(recording: Recording, what: str) -> Sheet:
     changed = [text for kind, text in _lead(study, parameters(recording)) if kind == "changed"]
     errors, budget = {"masking error": study.chi}, study.budget
     helps = list[str]()
-    if budget is not None:
-        errors = {row.title: row.chi for row in (budget.whole, budget.without_all)}
-        better = [row for row in budget.by_worth[1:-1] if row.rms < budget.whole.rms]
-        helps = [f"{capital(row.title)}: {'; '.join(run_text.worth(row, budget.whole))}." for row in better]
+    if budget:
+        whole, *rows, without_all = budget
+        errors = {row.title: row.chi for row in (whole, without_all)}
+        better = [row for row in rows if row.rms < whole.rms]
+        helps = [f"{capital(row.title)}: {'; '.join(run_text.worth(row, whole))}." for row in better]
     sections = {
         one_page.FOUND: [" ".join(run_text.headline(study)), *changed],
         one_page.LIMITS: run_text.warnings(study),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -125,25 +125,6 @@ class BudgetRow:
             "all of these": "without all",
         }
         return titles.get(self.cause, f"without {self.cause}")
-
-    def chi_of(self, names: Iterable[str]) -> list[float]:
-        """Masking error of some coordinates, NaN where it is not known."""
-        return [self.chi.get(name, math.nan) for name in names]
-
-
-@dataclass(frozen=True, slots=True)
-class Budget:
-    """The error budget: chi of the run as it is, without each cause, and without all; `sentence` sums it up."""
-
-    sentence: str
-    whole: BudgetRow
-    rows: tuple[BudgetRow, ...]
-    without_all: BudgetRow
-
-    @property
-    def by_worth(self) -> list[BudgetRow]:
-        """The run as it is, those without a cause, the most worthwhile first, and the run without all."""
-        return [self.whole, *sorted(self.rows, key=lambda row: row.rms), self.without_all]
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,9 +293,13 @@ class Study:
         return max(used, key=lambda use: use.demanded_part, default=None)
 
     @cached_property
-    def budget(self) -> Budget | None:
-        """The error budget, None where there is none."""
-        return _budget(self.recording)
+    def budget(self) -> tuple[BudgetRow, ...]:
+        """Error budget: the run as it is, without each cause, the most worthwhile first, and without all; or none."""
+        content = nested(self.recording.manifest, "budget")
+        if not content:
+            return ()
+        whole, *rows, without_all = map(_row, (content, *content["rows"], content["without_all"]))
+        return whole, *sorted(rows, key=lambda row: row.rms), without_all
 
     def _verdict(self, second: str) -> Synchronisation | None:
         """Synchronisation of the first oscillator and another; None for too short a record."""
@@ -445,19 +430,10 @@ def _use(recording: Recording, name: str, shown: Recording) -> InputUse:
     )
 
 
-def _budget(recording: Recording) -> Budget | None:
-    content = nested(recording.manifest, "budget")
-    if not content:
-        return None
-
-    def row(entry: Mapping[str, Any]) -> BudgetRow:
-        cause, remedy, note = (str(entry.get(key, "")) for key in ("cause", "remedy", "note"))
-        chi = {name: float(value) for name, value in entry["chi"].items()}
-        remedied = entry.get("remedied")
-        return BudgetRow(cause, chi, float(entry["rms"]), remedy, note, None if remedied is None else float(remedied))
-
-    whole, *rows, without_all = map(row, (content, *content["rows"], content["without_all"]))
-    return Budget(str(content["sentence"]), whole, tuple(rows), without_all)
+def _row(entry: Mapping[str, Any]) -> BudgetRow:
+    cause, remedy, note = (str(entry.get(key, "")) for key in ("cause", "remedy", "note"))
+    chi, remedied = {name: float(value) for name, value in entry["chi"].items()}, entry.get("remedied")
+    return BudgetRow(cause, chi, float(entry["rms"]), remedy, note, None if remedied is None else float(remedied))
 
 
 def _parameter(manifest: Mapping[str, Any], name: str, entry: Any) -> Parameter:  # noqa: ANN401  # JSON

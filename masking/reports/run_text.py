@@ -240,8 +240,8 @@ def headline(facts: Study) -> list[str]:
         start, end = facts.sum_ends
         to = with_unit(end, sum_unit(facts))
         sentences.append(f"The peak of {sum_name(facts)} went from {number(start)} to {to}.")
-    if facts.budget is not None:
-        sentences.append(facts.budget.sentence)
+    if facts.budget:
+        sentences.append(str(manifest["budget"]["sentence"]))
     return sentences
 
 
