@@ -24,7 +24,6 @@ from masking.inference.procedures.calibration_findings import (
 from masking.model.declaration.quantities import number, percent, quantity, with_deviation
 from masking.model.declaration.units import pretty
 from masking.reports import html, one_page, panels, style
-from masking.reports.error_panel import NOISE
 from masking.reports.html import Tile
 from masking.reports.one_page import Sheet
 from masking.reports.panels import Band, Level, Line, Panel, Span, drawn, either_side
@@ -90,7 +89,7 @@ def sheet(found: Calibration) -> Sheet:
         subject=[", ".join(found.twin.declaration.files)],
         tiles=[Tile(f"error in {name}, unseen", percent(chi)) for name, chi in best.fit.validation.items()],
         sections={heading: said for heading, said in sections.items() if said},
-        errors=one_page.finite({**models, NOISE: found.unseen_floor}),
+        errors=one_page.finite({**models, panels.NOISE: found.unseen_floor}),
         errors_title="Simulation error, unseen record",
         page=PAGE,
     )

@@ -15,8 +15,7 @@ from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated, simulate
 from masking.model.declaration.quantities import percent
 from masking.model.declaration.units import pretty
-from masking.reports import panels as parts
-from masking.reports import style
+from masking.reports import panels, style
 from masking.reports.panels import Band, Level, Line, Panel, drawn, either_side, spectrum
 from masking.reports.style import COLOURS, INK, CaptionedFigure
 
@@ -63,7 +62,7 @@ def overview(made: Simulated) -> CaptionedFigure:
     anew = " in each interval" if made.shooting_interval else ""
     caption = (
         f"{made.record.name}: measured, simulated from the initial state that fits best{anew}, and the residual."
-        f"{parts.first_of(_MOST_SENSORS, len(made.sensors), 'sensors')}"
+        f"{panels.first_of(_MOST_SENSORS, len(made.sensors), 'sensors')}"
     )
     words = CaptionedFigure("overview", "The whole record", caption)
     return _over_time(words, made, lines, [(0.0, float(made.times[-1]))], made.verdict())
@@ -85,7 +84,7 @@ def comparison(before: Simulated, after: Simulated, labels: tuple[str, str], hea
     caption = (
         f"{after.record.name}: measured, and simulated from the initial state that fits best, {labels[0]} and "
         f"{labels[1]}; right, {seconds:.3g} s of it, where the first is furthest off. What is far beyond the measured "
-        f"motion is cut off.{parts.first_of(_MOST_SENSORS, len(after.sensors), 'sensors')}"
+        f"motion is cut off.{panels.first_of(_MOST_SENSORS, len(after.sensors), 'sensors')}"
     )
     words = CaptionedFigure("comparison", "Measured, before and after", caption)
     return _over_time(words, after, lines, [(0.0, whole), (start, min(start + seconds, whole))], heading)
@@ -104,7 +103,7 @@ def _over_time(
     """
     rows = []
     for i, name in enumerate(made.sensors[:_MOST_SENSORS]):
-        by, unit = parts.shown(pretty(made.units[i]), made.record.readings[:, i])
+        by, unit = panels.shown(pretty(made.units[i]), made.record.readings[:, i])
         row = list[Panel]()
         for span in spans:
             part = (made.times >= span[0]) & (made.times <= span[1])
@@ -131,7 +130,7 @@ def fit(made: Simulated, which: Which) -> CaptionedFigure:
     for i, name in enumerate(made.sensors[:_MOST_SENSORS]):
         unit, noise = pretty(made.units[i]), made.record.noise[i]
         measured, simulated, left = made.record.readings[:, i], made.readings[part, i], made.residual[:, i]
-        (by, y_unit), (small, rest_unit) = parts.shown(unit, measured[part]), parts.shown(unit, left[part])
+        (by, y_unit), (small, rest_unit) = panels.shown(unit, measured[part]), panels.shown(unit, left[part])
         motion = [
             Line(t, by * measured[part], COLOURS[0], 1.8, "measured"),
             Line(t, by * simulated, INK, 0.9, is_dashed=True),
@@ -161,13 +160,13 @@ def estimates(found: KalmanFit) -> CaptionedFigure:
     chi = max(found.chi.values())
     error = f"with an error of {percent(chi)} or less" if np.isfinite(chi) else "but the simulation is not finite"
     sentence = f"One pass of {found.times[-1]:.3g} s estimates {last}; the final values reproduce the record {error}"
-    panels = [_estimate(found, i) for i in range(len(names))]
-    rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
+    each = [_estimate(found, i) for i in range(len(names))]
+    rows = [each[i : i + columns] for i in range(0, len(each), columns)]
     rows[-1] += [Panel(finish=lambda axes: axes.set_visible(False))] * (columns - len(rows[-1]))
     caption = (
         "The estimate of each parameter after each sample, and two standard deviations of it, which hold if the noise "
         "is what the filter assumes; above each, the final value."
-        f"{parts.first_of(len(names), len(found.names), 'parameters')}"
+        f"{panels.first_of(len(names), len(found.names), 'parameters')}"
     )
     return drawn(CaptionedFigure("estimates", "Estimates over time", caption), rows, 1.15, heading=sentence)
 

@@ -22,7 +22,7 @@ from matplotlib.textpath import text_to_path
 
 from masking.display.palette import INK, LIGHT, LIMIT, MUTED
 from masking.display.symbols import in_figure
-from masking.reports import error_panel, html, style
+from masking.reports import html, panels, style
 from masking.reports.html import Tile
 from masking.reports.one_page import PAGE, PICTURE, Sheet
 from masking.reports.panels import bars
@@ -167,8 +167,8 @@ class _Page:
         shown, models = channels[:_MOST_CHANNELS], list(sheet.errors)[:_MOST_MODELS]
         self.is_cut |= len(channels) > _MOST_CHANNELS or len(sheet.errors) > _MOST_MODELS
         whole = {model: {name: sheet.errors[model].get(name, math.inf) for name in shown} for model in models}
-        ends = error_panel.reach(whole)
-        if ends is None or whole.keys() <= {error_panel.NOISE}:
+        ends = panels.error_reach(whole)
+        if ends is None or whole.keys() <= {panels.NOISE}:
             return
         self.y -= 0.9 * self.size / _INCH
         self.write([sheet.errors_title], 1.2 * self.size, weight="bold", colour=LIGHT["accent"])
@@ -176,7 +176,7 @@ class _Page:
         beside = max(_length(name, _SMALL) for name in names) + 0.15
         across = _TEXT - beside - _VALUES
         label = _fitting(sheet.errors_label, across, style.SIZE)
-        drawing = error_panel.panel(whole, ends, label, by=100.0 if sheet.in_percent else 1.0, has_values=True)
+        drawing = panels.error_panel(whole, ends, label, by=100.0 if sheet.in_percent else 1.0, has_values=True)
         handles, room = list[Artist](), _TEXT - _KEY * len(whole)
         each = math.inf if sum(_length(model, _SMALL) for model in whole) <= room else room / len(whole)
         for part in drawing.parts if len(whole) > 1 else ():

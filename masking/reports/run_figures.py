@@ -13,8 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from masking.analysis.synchronisation import principal, running_peak
 from masking.model.declaration.quantities import percent
-from masking.reports import panels as parts
-from masking.reports import style
+from masking.reports import panels, style
 from masking.reports.panels import Band, Level, Line, Panel, Part, Range, bars, drawn, either_side
 from masking.reports.run_study import SUM_WINDOW_PERIODS, InputUse, Study
 from masking.reports.style import COLOURS, DASHED, INK, LIMIT, MUTED, SIZE, CaptionedFigure, Series
@@ -56,7 +55,7 @@ def _displacements(study: Study) -> CaptionedFigure:
             label = "" if is_alike else f"({unit or '1'})"
             rows.append([_zoom(part, alike, text, label) for part, text in ((head, "first"), (tail, "last"))])
             heights.append(1.9)
-    more = parts.first_of(len(names), len(study.oscillators))
+    more = panels.first_of(len(names), len(study.oscillators))
     words = CaptionedFigure("displacements", title, _meanings(study, names) + more + _band_words(study))
     return drawn(words, rows, heights, keys=_keys(study, names, COLOURS))
 
@@ -136,7 +135,7 @@ def _inputs(study: Study) -> CaptionedFigure:
     lines = "Dashed red lines are the limits. " if any(map(_is_near, uses)) else ""
     lines += "Thin orange lines are what was demanded. " if any(use.is_cut for use in uses) else ""
     far = f"The limits of {', '.join(hidden)} lie far outside the axes." if hidden else ""
-    more = parts.first_of(len(uses), len(study.inputs))
+    more = panels.first_of(len(uses), len(study.inputs))
     words = CaptionedFigure("inputs", title, f"{lines}{far}{more}".strip() or "The inputs of the plant.")
     return drawn(words, [[_input(study, use)] for use in uses], 1.15)
 

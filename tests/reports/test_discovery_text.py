@@ -13,7 +13,7 @@ from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.model.declaration.quantities import number, power, quantity
 from masking.model.effects import EFFECTS
-from masking.reports import discovery_page, discovery_text, force_map, panels
+from masking.reports import discovery_figures, discovery_page, discovery_text, panels
 from masking.reports.text import capped, signed
 from tests.inference.discovery.test_force_decomposition import INSTANCES, discoveries, rig
 
@@ -184,19 +184,19 @@ def test_the_map_credits_each_law_with_its_own_part(discoveries):
     friction, hypothesis = INSTANCES["friction"], found.explanation.hypothesis
     weak = EffectInstance("hardening_spring", "spring1", (1e-3,), (0,))
     both = (hypothesis.instances[0], weak)
-    laws = [force_map.along(found, latent, [instance]) for instance in both]
-    assert np.allclose(force_map.along(found, latent, both), sum(laws))
+    laws = [discovery_figures.along(found, latent, [instance]) for instance in both]
+    assert np.allclose(discovery_figures.along(found, latent, both), sum(laws))
     assert laws[0].max() == pytest.approx(friction.values[0], rel=0.05)
-    assert force_map.share(latent, laws[0]) > 0.8
-    assert force_map.share(latent, laws[1]) < 0.01
+    assert discovery_figures.share(latent, laws[0]) > 0.8
+    assert discovery_figures.share(latent, laws[1]) < 0.01
     effects = tuple(Named(instance.effect, instance.at, {}, 1.0) for instance in both)
     together = replace(
         found, effects=effects, explanation=replace(found.explanation, hypothesis=replace(hypothesis, instances=both))
     )
-    said = force_map._explained(together, latent, "force", laws[0])
+    said = discovery_figures._explained(together, latent, "force", laws[0])
     assert said.startswith("Dry friction in spring1 and hardening spring in spring1 together explain ")
     alone = replace(together, effects=effects[1:])  # the other is not offered at this place
-    part = force_map._explained(replace(alone, explanation=together.explanation), latent, "force", laws[1])
+    part = discovery_figures._explained(replace(alone, explanation=together.explanation), latent, "force", laws[1])
     assert part.startswith("Hardening spring in spring1 explains ")
     assert "; the whole finding explains " in part
 
@@ -205,7 +205,7 @@ def test_no_force_is_told_where_a_parameter_explains_it(discoveries):
     found = discoveries("friction")
     latent = latent_force.force_at(found, "spring1")
     small = replace(latent, before=1e-9 * latent.before)
-    told = force_map._explained(replace(found, verdict="parameter"), small, "force", None)
+    told = discovery_figures._explained(replace(found, verdict="parameter"), small, "force", None)
     assert told.startswith("With the parameters that were found, the record shows no force at spring1")
 
 

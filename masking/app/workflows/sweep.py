@@ -19,8 +19,7 @@ import numpy as np
 
 from masking.app.workflows.output_folders import own_folder
 from masking.app.workflows.settings_keywords import with_fields_of
-from masking.app.workflows.sweep_runs import ERROR, Measure, Plan
-from masking.app.workflows.sweep_work import work
+from masking.app.workflows.sweep_work import ERROR, Measure, Plan, work
 from masking.display import fragments
 from masking.display.json_text import json_text
 from masking.display.printed_result import Printed
