@@ -11,7 +11,6 @@ are taken, a new connection gets that of the oldest one that has not shown it.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hmac
 import http.client
 import io
@@ -28,14 +27,12 @@ from typing import Any, Final, Self
 from masking.errors import OperatorError
 
 HOST: Final = "127.0.0.1"
-_PAUSE: Final = 0.04  # s after a connection that the system refuses
 _DEADLINE: Final = 1.0  # s from the first byte of a request to its last; a stranger's first byte comes as soon
 _PATIENCE: Final = 5.0  # s that a client may take to read an answer
 _CONNECTIONS: Final = 512
 _WAITING: Final = 4096  # connections that wait to be accepted
 _HEAD: Final = 16_384  # bytes of a request without its content
 _LONGEST: Final = 1024  # bytes of a request's content
-_CHUNK: Final = 65_536
 _HEADERS: Final = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -118,7 +115,6 @@ class LocalPage(ABC):
         except (OSError, OverflowError) as error:
             message = f"{option} {port}: this port cannot be had ({error}); name another, or none{more}"
             raise OperatorError(message) from error
-        self.listener.setblocking(False)
         self.port = int(self.listener.getsockname()[1])
         self._names = {f"{name}:{self.port}" for name in (HOST, "localhost")}
         self._origins = {None, *(f"http://{name}" for name in self._names)}
@@ -143,80 +139,62 @@ class LocalPage(ABC):
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     def _run(self) -> None:
-        with self._rows, self.listener, self._runner:
+        with self._rows, self._runner:
             self._runner.run(self._serve())
 
     async def _serve(self) -> None:
-        tasks = [asyncio.create_task(work) for work in (self._accept(), *self._work())]
-        await self._ended.wait()
-        for task in tasks:
+        """Answer connections until the service ends."""
+        tasks = [asyncio.create_task(work) for work in self._work()]
+        async with await asyncio.start_server(self._converse, sock=self.listener, limit=_HEAD, backlog=_WAITING):
+            await self._ended.wait()
+        for task in (*tasks, *self._strangers, *self._holders):
             task.cancel()
 
-    async def _accept(self) -> None:
-        """Accept connections until the service ends."""
-        while True:
-            if len(self._strangers) + len(self._holders) >= _CONNECTIONS:
-                self._drop()
-            try:
-                connection, _ = await self._loop.sock_accept(self.listener)
-            except OSError:  # such as too many open files
-                self._drop()
-                await asyncio.sleep(_PAUSE)
-                continue
-            task = asyncio.create_task(self._converse(connection))
-            self._strangers[task] = None
-            task.add_done_callback(self._forget)
-            await asyncio.sleep(0)  # others go on
-
-    def _drop(self) -> None:
-        task = next(iter(self._strangers or self._holders), None)
-        if task is not None:
-            self._forget(task)
-            task.cancel()
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer the requests of a connection, and close it."""
+        task, is_last = asyncio.current_task(), False
+        assert task is not None  # noqa: S101  # each connection has one
+        if len(self._strangers) + len(self._holders) >= _CONNECTIONS:
+            oldest = next(iter(self._strangers or self._holders))
+            self._forget(oldest)
+            oldest.cancel()
+        self._strangers[task] = None
+        task.add_done_callback(self._forget)
+        writer.transport.set_write_buffer_limits(0)  # an answer is sent once it is read
+        try:
+            while not is_last:
+                request = await self._request(reader, task)
+                answer = await self._answer(request)
+                is_last = request.is_last or answer.status != HTTPStatus.OK
+                writer.write(answer.encoded(self.frames, is_last=is_last))
+                async with asyncio.timeout(_PATIENCE):
+                    await writer.drain()
+            writer.close()
+        except (
+            OSError,
+            EOFError,
+            asyncio.CancelledError,
+        ):  # gone, too late, or another has its place
+            writer.transport.abort()
 
     def _forget(self, task: _Task) -> None:
         self._strangers.pop(task, None)
         self._holders.pop(task, None)
 
-    async def _converse(self, connection: socket.socket) -> None:
-        """Answer the requests of a connection, and close it."""
-        held, is_last = bytearray(), False
-        with connection, contextlib.suppress(OSError):  # it has gone, or a deadline has passed
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            while not is_last:
-                request = await self._request(connection, held)
-                answer = await self._answer(request)
-                is_last = request.is_last or answer.status != HTTPStatus.OK
-                async with asyncio.timeout(_PATIENCE):
-                    await self._loop.sock_sendall(connection, answer.encoded(self.frames, is_last=is_last))
-
-    async def _request(self, connection: socket.socket, held: bytearray) -> _Request:
-        """Next request, of which `held` has what came with the one before."""
-        task = asyncio.current_task()
-        assert task is not None  # noqa: S101  # each connection has one
-        is_idle = task in self._holders and not held
-        async with asyncio.timeout(None if is_idle else _DEADLINE) as limit:
-            while (end := held.find(b"\r\n\r\n")) < 0:
-                if len(held) > _HEAD:
-                    return _Request(refused=HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
-                held += await self._received(connection)
-                if limit.when() is None:
-                    limit.reschedule(self._loop.time() + _DEADLINE)
-            request = _Request.of(bytes(held[: end + 4]))
-            del held[: end + 4]
+    async def _request(self, reader: asyncio.StreamReader, task: _Task) -> _Request:
+        """Next request; whoever has shown the token may take any time to begin one."""
+        async with asyncio.timeout(None if task in self._holders else _DEADLINE) as limit:
+            try:
+                first = await reader.readexactly(1)
+                limit.reschedule(self._loop.time() + _DEADLINE)
+                request = _Request.of(first + await reader.readuntil(b"\r\n\r\n"))
+            except asyncio.LimitOverrunError:
+                return _Request(refused=HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
             if self._is_known(request):
                 self._forget(task)
                 self._holders[task] = None
-            while len(held) < request.length:
-                held += await self._received(connection)
-            del held[: request.length]
+            await reader.readexactly(request.length)
         return request
-
-    async def _received(self, connection: socket.socket) -> bytes:
-        found = await self._loop.sock_recv(connection, _CHUNK)
-        if not found:
-            raise ConnectionError
-        return found
 
     def _is_known(self, request: _Request) -> bool:
         """Whether a request has the token and is for this host."""
