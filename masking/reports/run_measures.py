@@ -36,10 +36,6 @@ def _end(run: Study) -> str:
     return _ends(a[None], b[None])[0]
 
 
-def _used(run: Study) -> float:
-    return max((use.used for use in run.inputs if use.used is not None), default=math.nan)
-
-
 def _peaks(run: Study) -> dict[str, float]:
     return {use.name: use.peak for use in run.inputs}
 
@@ -56,10 +52,6 @@ def _maxima(run: Study, name: str) -> Array:
     before, here, after = x[at - 1], x[at], x[at + 1]
     slope, bend = 0.5 * (after - before), after - 2.0 * here + before
     return np.asarray(here - 0.5 * slope**2 / bend)
-
-
-def _at_end(run: Study, name: str) -> float:
-    return float(_last(run, name)[-1])
 
 
 def _section(run: Study, names: str) -> Array:
@@ -82,7 +74,7 @@ _OF_MANY: Final[Mapping[str, Callable[[Array, Array], list[str]]]] = {"end": _en
 _ONLY_WITH_A_RIG: Final[_OfRun] = {
     "chi": lambda run: max(run.chi.values(), default=math.nan),
     "peak": lambda run: max(_peaks(run).values(), default=math.nan),
-    "used": _used,
+    "used": lambda run: max((use.used for use in run.inputs if use.used is not None), default=math.nan),
 }
 _MEASURES: Final[_OfRun] = {**_WITH_TWO, **_ONLY_WITH_A_RIG, "period": lambda run: run.period}
 _OF_ONE: Final[Mapping[str, Callable[[Study, str], Measured]]] = {
@@ -90,7 +82,7 @@ _OF_ONE: Final[Mapping[str, Callable[[Study, str], Measured]]] = {
     "peak": lambda run, name: _peaks(run)[name],
     "maxima": _maxima,
     "section": _section,
-    "end": _at_end,
+    "end": lambda run, name: float(_last(run, name)[-1]),
 }
 MEANINGS: Final = {
     "alpha": "ratio of the amplitudes of the oscillators in anti-phase (5.3)",

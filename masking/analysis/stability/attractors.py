@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from masking.analysis.stability.lyapunov_exponent import INTERVALS, Exponent, exponent_along
+from masking.analysis.stability.lyapunov_exponent import INTERVALS, exponent_along
 from masking.compile.numerics.arrays import Array
 from masking.errors import MaskingError
 from masking.model.modelling.model import Model
@@ -203,13 +203,9 @@ def _chaos(model: Model, times: Array, made: Array, wanted: Array) -> Chaos | No
     _, typical = _followed(model, times, wanted[-1], whole=True)
     distance, own = (max(_distances(one[len(one) // 2 :], typical)) for one in (made, wanted))
     predicted = max(0.0, math.log(_PARTED / first)) / found.value
-    is_alike = _is_alike(found, along) and distance <= max(_ALIKE, _TIMES * own)
+    off = max(_EXPONENT * found.value, _SURE * math.hypot(found.error, along.error))
+    is_alike = abs(along.value - found.value) <= off and distance <= max(_ALIKE, _TIMES * own)
     return Chaos(found.value, found.error, along.value, time, first, predicted, distance, own, is_alike)
-
-
-def _is_alike(wanted: Exponent, along: Exponent) -> bool:
-    error = math.hypot(wanted.error, along.error)
-    return abs(along.value - wanted.value) <= max(_EXPONENT * wanted.value, _SURE * error)
 
 
 def _distances(first: Array, second: Array) -> Iterator[float]:

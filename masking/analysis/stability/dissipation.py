@@ -78,23 +78,23 @@ def dissipation(motion: Motion, box: Box | None = None) -> Dissipation:  # noqa:
         return Dissipation(rate, "proved", "V' vanishes identically: the energy is constant")
     losses = _losses(rate, motion)
     if losses is not None:
-        is_plain = bool(losses.squares)
-        method = "a sum of squares of velocities" if is_plain else "a sum of velocities times forces against them"
-        return Dissipation(rate, "proved", method, losses.squares, losses.forms)
+        found, forms = losses
+        method = "a sum of squares of velocities" if found else "a sum of velocities times forces against them"
+        return Dissipation(rate, "proved", method, found, forms)
     sides = default_box(motion, box or {})
     try:
         growth = Growth(motion, rate)
     except ModelError as error:
         return Dissipation(rate, "open", f"not looked at: {error}")
-    if (found := _grown(growth, rate, sides, box or {}, _FURTHER)) is not None:
-        return found
+    if (grown := _grown(growth, rate, sides, box or {}, _FURTHER)) is not None:
+        return grown
     if rate.has(sp.DiracDelta):
         at = ", ".join(sorted({f"{f.args[0]} = 0" for f in rate.atoms(sp.DiracDelta)}))
         return Dissipation(rate, "open", f"the energy jumps at {at}; declare one that is continuous")
     if _is_negative(motion, rate, sides):
         return Dissipation(rate, "proved", "interval arithmetic on a box", box=sides)
-    if (found := _grown(growth, rate, sides, box or {}, _FARTHEST)) is not None:
-        return found
+    if (grown := _grown(growth, rate, sides, box or {}, _FARTHEST)) is not None:
+        return grown
     return Dissipation(rate, "supported numerically", f"V' <= 0 at {SAMPLES} sampled states", box=sides)
 
 
@@ -110,19 +110,12 @@ def _grown(
     return None
 
 
-@dataclass(frozen=True)
-class _Losses:
-    """Terms of which -V' is the sum, none of them ever negative, and forms of the velocities that are 0 where they are.
+def _losses(rate: sp.Expr, motion: Motion) -> tuple[tuple[Square, ...], tuple[sp.Expr, ...]] | None:
+    """-V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2.
 
-    A term may have no form. Squares are all terms, or none where some are of another kind.
+    None of the terms is ever negative. Those that are squares, none where some are of another kind, and forms of the
+    velocities that are 0 where the terms are; a term may have no form.
     """
-
-    squares: tuple[Square, ...]
-    forms: tuple[sp.Expr, ...]
-
-
-def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
-    """-V' as a sum of terms even in the velocities, and of resistances such as c v tanh(k v) and c |v| v^2."""
     v, given = motion.v, motion.given
     left, forms = sp.expand(-rate, power_exp=False), list[sp.Expr]()  # exp(a + b) is not split: parts may underflow
     held = [f for f in left.atoms(*_ODD, sp.sign, sp.Abs) if f.args[0].free_symbols & {*v}]
@@ -148,7 +141,7 @@ def _losses(rate: sp.Expr, motion: Motion) -> _Losses | None:
         found += terms
         forms += [z for term in terms for z in _zeros(term.coefficient, term.form.as_base_exp()[0], motion)]
     is_lipschitz = not any(f.has(sp.sign, sp.Heaviside, sp.floor, sp.ceiling) for f in motion.force)
-    return _Losses(() if held else tuple(found), tuple(dict.fromkeys(forms)) if is_lipschitz else ())
+    return () if held else tuple(found), tuple(dict.fromkeys(forms)) if is_lipschitz else ()
 
 
 def _even(part: sp.Expr, degree: int, motion: Motion) -> list[Square] | None:

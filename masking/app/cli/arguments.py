@@ -8,6 +8,7 @@ text. Callbacks are no arguments.
 from __future__ import annotations
 
 import argparse
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
@@ -50,7 +51,8 @@ def add(
 
 def is_positional(parameter: Parameter) -> bool:
     """Whether an argument is known by its position."""
-    return parameter.is_positional and parameter.is_required and parameter.name != "out"
+    is_keyword = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    return not is_keyword and parameter.is_required and parameter.name != "out"
 
 
 def value(parameter: Parameter, written: Any) -> Any:  # noqa: ANN401  # as the type of the parameter says

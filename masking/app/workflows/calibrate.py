@@ -31,15 +31,6 @@ _LOCKSTEP, _PARAMETER, _REPORT = 0.03, 0.01, 0.1
 NUMBERS = "calibration.json"
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """A model to fit: what it is called, the plant that has it, and the parameters that are fitted."""
-
-    name: str
-    twin: Twin
-    parameters: tuple[str, ...]
-
-
 @dataclass(frozen=True, kw_only=True)
 class RigCalibration:
     """How a rig at an address is calibrated.
@@ -103,18 +94,16 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
         folder, tell = Path(settings.out), settings.say or (lambda text: None)
         candidates = tuple(_candidates(twin, settings.model))
         costs = [len(NAMES) * (_LOCKSTEP if lockstep else 1.0)]
-        costs += [*(_PARAMETER * len(candidate.parameters) for candidate in candidates), _REPORT]
+        costs += [*(_PARAMETER * len(shared) for _, _, shared in candidates), _REPORT]
         parts = iter(_parts(progress, costs))
         rig = Rig(twin, plant, lockstep=lockstep, say=tell)
         made = calibration_excitation.make(rig, folder / "records", seconds=seconds, progress=next(parts))
         stages = []
-        for candidate, part in zip(candidates, parts, strict=False):
-            names = independent(candidate.twin, made.fit, candidate.parameters)
-            tell(f"fitting {candidate.name}: {len(names)} parameters")
-            found = fit(
-                candidate.twin, made.fit, names, validation=made.unseen, shared=candidate.parameters, progress=part
-            )
-            stages.append(Stage(candidate.name, found, candidate.parameters))
+        for (name, base, shared), part in zip(candidates, parts, strict=False):
+            names = independent(base, made.fit, shared)
+            tell(f"fitting {name}: {len(names)} parameters")
+            found = fit(base, made.fit, names, validation=made.unseen, shared=shared, progress=part)
+            stages.append(Stage(name, found, shared))
         calibration = Calibration(twin, made, tuple(stages), folder)
         fit_files.save(calibration.best.fit, folder, calibration_page.sheet(calibration))
         calibration_page.save(calibration)
@@ -135,18 +124,17 @@ def _parts(progress: Progress, costs: list[float]) -> Iterator[Progress]:
         before += cost
 
 
-def _candidates(twin: Twin, model: str | Path | None) -> Iterator[_Candidate]:
-    """Models to fit, from the simplest to the whole plant file, with their parameters."""
+def _candidates(twin: Twin, model: str | Path | None) -> Iterator[tuple[str, Twin, tuple[str, ...]]]:
+    """What is fitted, from the simplest model to the whole plant file: its name, the plant that has it, parameters."""
     base = twin.as_model()
-    yield _Candidate("the model alone", base, parameter_prior.uncertain(base))
+    yield "the model alone", base, parameter_prior.uncertain(base)
     if model is not None:
         base = twin.as_model(model)
-        yield _Candidate(str(model), base, parameter_prior.uncertain(base))
+        yield str(model), base, parameter_prior.uncertain(base)
     used = {e.path.removeprefix("effects."): e.kind for e in twin.effects if e.enabled and e.entry.calibrated}
     if used:
         known = {**base.declaration.effects, **{name: twin.declaration.effects[name] for name in used}}
         changes = {**base.changes, **{name: twin.changes[name] for name in used if name in twin.changes}}
         whole = replace(base, declaration=base.declaration.model_copy(update={"effects": known}), changes=changes)
         more = [f"{e.label}_{name}" for e in whole.effects for name in e.entry.calibrated if e.enabled]
-        uncertain = (*parameter_prior.uncertain(whole), *more)
-        yield _Candidate(f"with {', '.join(sorted(set(used.values())))}", whole, uncertain)
+        yield f"with {', '.join(sorted(set(used.values())))}", whole, (*parameter_prior.uncertain(whole), *more)

@@ -59,11 +59,8 @@ def check(
     Returns:
         one result for each file, with every problem found; none are raised.
     """
-    return tuple(_check(file, kind, changes or {}, compiling) for file in files for kind in _kinds(file))
-
-
-def _kinds(file: str | Path) -> tuple[str, ...]:
-    return tuple(kind for kind in catalogue.KINDS if str(file) in catalogue.names(kind)) or ("",)
+    kinds = [(file, [kind for kind in catalogue.KINDS if str(file) in catalogue.names(kind)] or [""]) for file in files]
+    return tuple(_check(file, kind, changes or {}, compiling) for file, every in kinds for kind in every)
 
 
 def _check(file: str | Path, kind: str, changes: Mapping[str, float], compiling: Callable[[], None] | None) -> Checked:

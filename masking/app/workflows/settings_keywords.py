@@ -38,11 +38,6 @@ class Parameter:
         return bool(self.kind is inspect.Parameter.VAR_POSITIONAL)
 
     @property
-    def is_positional(self) -> bool:
-        """Whether arguments need no keyword."""
-        return bool(self.kind is not inspect.Parameter.KEYWORD_ONLY)
-
-    @property
     def is_required(self) -> bool:
         """Whether it has no default."""
         return self.default is inspect.Parameter.empty

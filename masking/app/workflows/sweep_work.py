@@ -316,44 +316,33 @@ def work(plan: Plan, missing: Sequence[tuple[int, int]], *, workers: int) -> Ite
     """
     if workers > 1:
         with _processes(plan, workers) as submit:
-            yield from _together(plan, missing, submit, _AHEAD * workers)
+            yield from _chunks(plan, missing, submit, _AHEAD * workers)
         return
-    sizes = _Sizes(plan.chain)
-    for first, last in missing:
-        at = first
-        while at < last:
-            one = made(plan, at, min(last, at + sizes.rows))
-            sizes.learn(one[1] - at, one[3])
-            yield one
-            at = one[1]
+
+    def at_once(first: int, last: int) -> Future[Made]:
+        future = Future[Made]()
+        future.set_result(made(plan, first, last))
+        return future
+
+    yield from _chunks(plan, missing, at_once, 1)
 
 
-class _Sizes:
-    """How many rows a chunk has, by what the last ones took."""
-
-    def __init__(self, chain: int) -> None:
-        self.chain, self.rows = chain, chain
-
-    def learn(self, rows: int, seconds: float) -> None:
-        """Take note of a chunk."""
-        wanted = min(_MOST, int(_SECONDS / max(seconds / rows, 1e-9)), 4 * self.rows)
-        self.rows = max(1, wanted // self.chain) * self.chain
-
-
-def _together(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ahead: int) -> Iterator[Made]:
-    sizes, pending, left = _Sizes(plan.chain), set[Future[Made]](), [*missing]
+def _chunks(plan: Plan, missing: Sequence[tuple[int, int]], submit: Submit, ahead: int) -> Iterator[Made]:
+    """Chunks as they are made, each with as many rows as the last ones say that two seconds take."""
+    rows, pending, left = plan.chain, set[Future[Made]](), [*missing]
     try:
         while left or pending:
             while left and len(pending) < ahead:
                 first, last = left.pop(0)
-                end = min(last, first + sizes.rows)
+                end = min(last, first + rows)
                 if end < last:
                     left.insert(0, (end, last))
                 pending.add(submit(first, end))
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 one = future.result()
-                sizes.learn(one[1] - one[0], one[3])
+                wanted = min(_MOST, int(_SECONDS / max(one[3] / (one[1] - one[0]), 1e-9)), 4 * rows)
+                rows = max(1, wanted // plan.chain) * plan.chain
                 yield one
     except BrokenProcessPool:
         raise MaskingError(

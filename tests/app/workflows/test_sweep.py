@@ -5,6 +5,8 @@ import json
 import shutil
 import subprocess
 import sys
+from concurrent.futures import Future
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -292,7 +294,18 @@ def test_rows_that_are_missing_are_found():
     assert missing([], 0, 5) == [(0, 5)]
     assert missing([(0, 2), (1, 3), (7, 9)], 0, 12) == [(3, 7), (9, 12)]
     assert missing([(0, 20)], 5, 12) == []
-    assert sweep_work._Sizes(3).rows == 3
+
+
+def test_chunks_are_of_whole_chains_and_grow_up_to_two_seconds():
+    def submit(first, last):
+        future = Future()
+        future.set_result((first, last, {}, 1e-2 * (last - first)))
+        return future
+
+    chunks = [one[:2] for one in sweep_work._chunks(SimpleNamespace(chain=3), [(0, 60), (90, 1200)], submit, 1)]
+    assert [row for first, last in chunks for row in range(first, last)] == [*range(60), *range(90, 1200)]
+    assert chunks[:3] == [(0, 3), (3, 15), (15, 60)]
+    assert max(last - first for first, last in chunks) == 198
 
 
 def test_rows_of_another_sweep_and_every_changed_byte_of_a_plan_are_refused(tmp_path):
