@@ -10,7 +10,6 @@ import numpy as np
 
 from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
-from masking.reports import parted_text
 from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, nested, parameters
 from masking.reports.text import capital, short
 
@@ -46,8 +45,7 @@ def warnings(study: Study) -> list[str]:
             f"Sampled at {rate_words(rate)}, inputs act half a sample ({late_words}) late on average, and nothing here "
             "compensates for it; 'observer: disturbance' does, and a higher controller.rate reduces it."
         )
-    if missed(manifest):
-        found.append(missed(manifest))
+    found += [missed(study)] if missed(study) else []
     free = manifest.get("passive") or {}
     if free.get("verdict") == "unstable":
         found.append(
@@ -68,7 +66,8 @@ def strayed(study: Study) -> str:
     """Coordinates that moved otherwise than wanted; nothing where none did, something else is held, or it is chaos."""
     far = [f"{name} {number(chi, 2)}" for name, chi in study.chi.items() if not chi <= _OTHER]
     manifest = study.recording.manifest
-    if not far or regulation(manifest) or (parted_text.is_as_wanted(manifest) and not cut(study.inputs)):
+    is_chaos = nested(manifest, "parting", "chaos").get("is_alike")  # a large error says nothing against such a run
+    if not far or regulation(manifest) or (is_chaos and not cut(study.inputs)):
         return ""
     return f"The masking error is above 1 ({', '.join(far)}): a rig at rest would be nearer to the wanted motion."
 
@@ -83,20 +82,20 @@ def tardy(manifest: Mapping[str, Any]) -> str:
     return f"{words}; lower controller.rate, or take load off the machine and the line." if part > _TARDY else ""
 
 
-def passive(manifest: Mapping[str, Any]) -> str:
+def passive(facts: Study) -> str:
     """Reach, energy and own stability of the passive coordinates."""
-    free = manifest["passive"]
-    far = [f"{n} up to {with_unit(x, unit_of(manifest, f'rig.{n}'))}" for n, x in free["peak"].items()]
+    free = facts.recording.manifest["passive"]
+    far = [f"{n} up to {with_unit(x, facts.unit(f'rig.{n}'))}" for n, x in free["peak"].items()]
     if free.get("energy"):
         far.append(f"energy up to {with_unit(free['energy']['peak'], free['energy']['unit'])}")
     return f"{', '.join(far)}; zero dynamics {free['verdict']} ({free['how']})"
 
 
-def missed(manifest: Mapping[str, Any]) -> str:
+def missed(facts: Study) -> str:
     """Distance of the rig from its initial state after homing; nothing where it is there."""
-    start = manifest.get("start") or {}
+    start = facts.recording.manifest.get("start") or {}
     wanted, reached = start.get("wanted") or {}, start.get("reached") or {}
-    units = {name: unit_of(manifest, f"virtual.{name}") for name in wanted}
+    units = {name: facts.unit(f"virtual.{name}") for name in wanted}
     size, short = max(map(abs, wanted.values()), default=0.0), []
     for name, value in wanted.items():
         alike = max(abs(other) for n, other in wanted.items() if units[n] == units[name])
@@ -228,7 +227,7 @@ def headline(facts: Study) -> list[str]:
         sentences = [f"{plant} {verb} {virtual}: masking error chi {size} {over}."]
         if possible and not chi <= _ROUGH:
             error, unit = f"masking error chi {size} {over}", length(facts)[1]
-            sentences = parted_text.sentences(facts, plant, virtual, error, unit) or sentences
+            sentences = _parted(facts, plant, virtual, error, unit) or sentences
         if held:
             sentences = [f"{plant} {'moved' if possible else 'would move'} as {virtual} {held}, {over}."]
     if still:
@@ -282,14 +281,6 @@ def _phase_sentence(pair: PhasePair) -> str:
     return f"{who} went from {ends[0]} to {ends[1]}."
 
 
-def _since(facts: Study) -> str:
-    """Time from which two oscillators are synchronised, by definition 8.1."""
-    found = facts.pairs[0].verdict if facts.pairs else None
-    if found is None or not math.isfinite(found.time):
-        return ""
-    return f"; within {percent(found.within)} of the amplitude from {number(found.time, 4)} on"
-
-
 def _state(phase: float, steady: float) -> str:
     if steady < _STEADY:
         return _NO_PHASE
@@ -306,10 +297,10 @@ def summary(facts: Study) -> str:
         against = ", against the system without regulation" if regulation(manifest) else ""
         rows.append(("error", "  ".join(f"{name} {number(chi, 2)}" for name, chi in facts.chi.items()) + against))
     if facts.anti_phase is not None and facts.anti_phase.alpha > 0:
-        fit = facts.anti_phase
-        words = (
-            f"alpha = {fit.alpha:.4f}, eps = {with_unit(fit.eps, sum_unit(facts))} over the last fifth{_since(facts)}"
-        )
+        fit, last = facts.anti_phase, facts.verdict
+        words = f"alpha = {fit.alpha:.4f}, eps = {with_unit(fit.eps, sum_unit(facts))} over the last fifth"
+        if last is not None and math.isfinite(last.time):  # by definition 8.1
+            words += f"; within {percent(last.within)} of the amplitude from {number(last.time, 4)} on"
         rows.append(("anti-phase", words))
     if facts.sum_peak is not None:
         start, end = facts.sum_ends
@@ -319,7 +310,7 @@ def summary(facts: Study) -> str:
             ("phase", f"not given: {facts.no_phase}") if facts.no_phase else ("sum", f"not given: {facts.no_sum}")
         )
     rows.append(("inputs", "  ".join(use_words(use) for use in facts.inputs)))
-    rows.append(("passive", passive(manifest) if facts.passive else ""))
+    rows.append(("passive", passive(facts) if facts.passive else ""))
     rows += [("observer", observer(facts)), ("external", external(facts))]
     if manifest.get("rig"):
         rows += [("rig", ticks(manifest)), *loop_times(manifest)]
@@ -443,12 +434,6 @@ def rate_words(rate: Any) -> str:  # noqa: ANN401  # a number of the manifest
     return f"{number(float(rate) / 1e3)} kHz" if float(rate) >= 1e3 else f"{number(rate)} Hz"
 
 
-def unit_of(manifest: Mapping[str, Any], column: str) -> str:
-    """Unit of a column of the recording; "" where it has none."""
-    unit = str(nested(manifest, "columns", column).get("unit") or "")
-    return "" if unit == "1" else unit
-
-
 def with_unit(value: float, unit: str) -> str:
     """Value with its unit, which may be none."""
     return f"{number(value)} {unit}".rstrip()
@@ -457,3 +442,55 @@ def with_unit(value: float, unit: str) -> str:
 def pi(phase: float) -> str:
     """Phase in multiples of pi."""
     return f"{phase / math.pi:.3f} pi"
+
+
+def _parted(facts: Study, plant: str, virtual: str, error: str, unit: str) -> list[str]:
+    """What became of the motion, in sentences with the masking `error` over its time; empty where that is not known.
+
+    `unit` is that of the virtual system's time.
+    """
+    found = nested(facts.recording.manifest, "parting")
+    if "chaos" in found:
+        return _chaos(found["chaos"], plant, virtual, error, unit)
+    if not found:
+        return []
+    wanted, reached = (_attractor(facts, found[which]) for which in ("wanted", "reached"))
+    if found["is_same"]:
+        where = f"{plant} settled on the attractor of {virtual} on which the wanted motion settles: {reached}."
+        return [where, f"The two differ in phase, or in how they came there: {error}."]
+    return [f"{plant} settled on another attractor of {virtual}, {reached}, than the wanted motion, {wanted}: {error}."]
+
+
+def _chaos(found: Mapping[str, Any], plant: str, virtual: str, error: str, unit: str) -> list[str]:
+    rate, along = (number(found[name], 2) for name in ("exponent", "along"))
+    first, time, predicted = percent(found["first"]), number(found["time"], 2), number(found["predicted"], 2)
+    spread, own = percent(found["distribution"]), percent(found["wanted"])
+    if found["is_alike"]:
+        said = f"{plant} moved as {virtual}, whose motions are chaotic and part whatever moves them: {error}."
+    else:
+        said = f"{plant} did not move as {virtual}, whose motions are chaotic: {error}."
+    parted = (
+        f"With a largest Lyapunov exponent of {rate}, a difference of {first}, as there was at first, parts two "
+        f"motions in {predicted} {unit} by itself; these parted after {time} {unit}."
+    )
+    measured = (
+        f"The parts of the time in which states are below any value differ from those of the wanted system by {spread} "
+        f"at most (the wanted motion itself: {own}), and the exponent along the motion is {along}."
+    )
+    return [said, parted, measured]
+
+
+def _attractor(facts: Study, found: Mapping[str, Any]) -> str:
+    """Attractor in words: where it rests, or its period and the amplitude of each coordinate."""
+
+    def places(values: Mapping[str, float], least: float = 0.0) -> str:
+        shown = {name: 0.0 if abs(x) <= least else x for name, x in values.items()}
+        return ", ".join(f"{n} = {number(x)} {facts.unit(f'virtual.{n}')}".rstrip() for n, x in shown.items())
+
+    if found["kind"] == "rest":
+        return f"rest at {places(found['middle'])}"
+    least = 1e-3 * max(found["amplitude"].values())
+    return (
+        f"a periodic motion (period {number(found['period'])}; amplitude {places(found['amplitude'])}; about "
+        f"{places(found['middle'], least)})"
+    )

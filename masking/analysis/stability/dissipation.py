@@ -22,7 +22,7 @@ from masking.analysis.stability.free_equations import Motion, jumps_of
 from masking.analysis.stability.hypotheses import factors
 from masking.analysis.stability.modes import state_matrix
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.graph_values import ARRAYS, function_of, values_of
+from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.codegen.intervals import Interval, enclose
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError
@@ -299,8 +299,8 @@ class Growth:
         span = float(np.max(np.abs([low, high]), initial=0.0)) or 1.0
         digits = 2 - int(np.floor(np.log10(span)))
         points = np.clip(np.round(points, digits), low, high)
-        given = self.values | {node: points[:, i] for i, node in enumerate(self.at)}
-        value, *edges = (np.broadcast_to(x, SAMPLES) for x in evaluated(self.graph, [self.node, *self.edges], given))
+        found = along(self.graph, [self.node, *self.edges], self.at, self.values)(points)
+        value, *edges = (np.broadcast_to(x, SAMPLES) for x in found)
         is_fit = np.isfinite(value) & np.all([edge != 0.0 for edge in edges], axis=0)
         value = np.where(is_fit, value, -np.inf)
         for best in np.argsort(-value, kind="stable")[:_MOST_TRIED]:
@@ -325,12 +325,6 @@ class Growth:
                 return -np.inf
             about = sp.N(value, 30)
             return float(about) * (1.0 - _ROUNDING) if value.is_Rational or about > _DISTINCT else -np.inf
-
-
-def evaluated(graph: Graph, nodes: list[Node], given: Mapping[Node, Any]) -> list[Any]:
-    """Nodes of a graph at many states at once, in floating point."""
-    with np.errstate(all="ignore"):
-        return values_of(graph, nodes, given, ARRAYS, _KIND)
 
 
 def along(

@@ -22,7 +22,7 @@ from masking.lab.plants import adapters
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Plant
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.reports import calibration_page, fit_files
+from masking.reports import calibration_page, model_files
 
 __all__ = ["Calibration", "Stage", "calibrate"]
 
@@ -105,7 +105,7 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
             found = fit(base, made.fit, names, validation=made.unseen, shared=shared, progress=part)
             stages.append(Stage(name, found, shared))
         calibration = Calibration(twin, made, tuple(stages), folder)
-        fit_files.save(calibration.best.fit, folder, calibration_page.sheet(calibration))
+        model_files.save_fit(calibration.best.fit, folder, calibration_page.sheet(calibration))
         calibration_page.save(calibration)
         (folder / NUMBERS).write_text(json_text(calibration.as_dict()), encoding="utf-8")
         progress(1.0)

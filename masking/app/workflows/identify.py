@@ -19,7 +19,7 @@ from masking.inference.estimation import fit as fits
 from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records.input_hold import RecordForm
-from masking.reports import fit_figures, fit_files, identification_page, one_page
+from masking.reports import fit_figures, identification_page, model_files, one_page
 
 Method = Literal["least-squares", "kalman"]
 METHODS = get_args(Method)
@@ -101,7 +101,7 @@ def identify(*records: str | Path, **settings: Any) -> fits.Fit | KalmanFit:  # 
         if given.out is not None:
             figures, sentence = fit_figures.figures(found, train, held_out)
             sheet = identification_page.sheet(found, twin, train, held_out, sentence)
-            fit_files.save(found, given.out, sheet)
+            model_files.save_fit(found, given.out, sheet)
             identification_page.save_fit(found, figures, sentence, given.out)
         return found
 

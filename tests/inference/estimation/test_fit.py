@@ -17,7 +17,7 @@ from masking.inference.estimation.sensitivity import Sensitivity
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry, schema
-from masking.reports.fit_files import save
+from masking.reports.model_files import save_fit as save
 
 RATE = 500.0
 ALL = ("w1", "z1", "w2", "z2", "w3", "z3", "c1", "c2", "c3", "mu1", "mu2")

@@ -24,7 +24,7 @@ from masking.model.declaration.dictionary_checks import factors
 from masking.model.declaration.schema import OwnEffect
 from masking.model.effects import EFFECTS, Effect, EffectParameter, Span
 from masking.model.modelling.model import load_model
-from masking.reports import discovery_text, fit_files
+from masking.reports import discovery_text, model_files
 
 RATE, SECONDS, SUBSTEPS = 500.0, 12.0, 4
 K, C = 400.0, 4.0  # of the leaf, per mass
@@ -277,7 +277,7 @@ class TestPlants:
 
     def test_a_fitted_plant_names_its_dictionary(self, folder):
         twin = Twin.load(folder / "rig" / "plant.yaml")
-        made = fit_files.plant(SimpleNamespace(twin=twin, names=(), values=(), std=()), folder / "results")
+        made = model_files.fitted_plant(SimpleNamespace(twin=twin, names=(), values=(), std=()), folder / "results")
         assert made["own_effects"] == ["../rig/lab/own.yaml"]
 
     @pytest.mark.parametrize(
