@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Sequence
 
-from masking.app.cli.progress import Bar, raise_interrupts
+from masking.app.cli.terminal import Bar, raise_interrupts
 from masking.errors import MaskingError
 from reproduction.document import compare
 

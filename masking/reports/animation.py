@@ -102,20 +102,17 @@ def generic(title: str, names: Sequence[str], reach: Array) -> Drawing:
 
     Raises a `RecordError` where a name cannot stand in an expression.
     """
+    shapes: list[dict[str, Any]] = []
     note = "No drawing is declared: each coordinate moves a body on a line, its largest value by one unit."
     try:
-        return Drawing(title, "", tuple(names), tuple(_on_lines(names, reach)), {}, note)
+        for i, (name, most) in enumerate(zip(names, reach, strict=True)):
+            place, y = f"{name}/{float(most)!r}" if most > 0.0 else name, -0.9 * i
+            body = {"at": [place, y], "size": [0.55, 0.55], "label": name}
+            shapes += [{"rod": {"ends": [[-1.4, y], [1.4, y]]}}, {"body": body}]
+        return Drawing(title, "", tuple(names), tuple(map(Shape.model_validate, shapes)), {}, note)
     except ValueError:  # of pydantic
         remedy = "rename its columns: a name is made of letters, digits and underscores"
         raise RecordError(f"{title}: one of {', '.join(names)} is no name of a coordinate; {remedy}") from None
-
-
-def _on_lines(names: Sequence[str], reach: Array) -> Iterator[Shape]:
-    for i, (name, most) in enumerate(zip(names, reach, strict=True)):
-        place = f"{name}/{float(most)!r}" if most > 0.0 else name
-        y = -0.9 * i
-        yield Shape.model_validate({"rod": {"ends": [[-1.4, y], [1.4, y]]}})
-        yield Shape.model_validate({"body": {"at": [place, y], "size": [0.55, 0.55], "label": name}})
 
 
 def _around(kind: str, numbers: Sequence[float]) -> list[tuple[float, float]]:
@@ -260,7 +257,8 @@ class Animation:
         )
 
     def _repr_html_(self) -> str:
-        return html.framed(self.page())
+        frame = Markup('<iframe srcdoc="{}" style="width:100%;height:46rem;border:0"></iframe>')
+        return str(frame.format(self.page()))
 
     def _scene_data(self, scene: Scene) -> dict[str, Any]:
         names = scene.drawing.coordinates

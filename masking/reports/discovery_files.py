@@ -318,8 +318,9 @@ def _in_other_units(found: Discovery, section: str = "") -> dict[str, str]:
     if doubt is None or doubt.is_sign or doubt.kind == "clock":
         return {}
     known = {name: latent_force.channel_unit(found, name, doubt.kind) for name in doubt.names}
-    keys = {name: discovery_text.unit_key(found, doubt, name).partition(".")[0] for name in doubt.names}
-    return {n: doubt.of_declared(known[n]) for n, where in keys.items() if not section or where == section}
+    of_plant = {name for name in doubt.names if doubt.kind != "actuator" or name in found.twin.declaration.actuators}
+    sections = {name: f"{doubt.kind}s" if name in of_plant else "inputs" for name in doubt.names}
+    return {n: doubt.of_declared(known[n]) for n, where in sections.items() if not section or where == section}
 
 
 def _in_found_units(found: Discovery, effects: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -10,7 +10,6 @@ from masking.inference.discovery import compiled_laws, latent_force
 from masking.inference.discovery.discovery_result import Discovery, Named
 from masking.inference.discovery.latent_force import LatentForces
 from masking.inference.discovery.unnamed_law import UnnamedLaw
-from masking.inference.estimation.unit_check import UnitDoubt
 from masking.model.declaration.quantities import number, percent, quantity, with_deviation
 from masking.model.declaration.units import combined, describe, dimension_of, pretty
 from masking.model.effects import Effect
@@ -100,13 +99,6 @@ def unit_remark(found: Discovery) -> str:
     *first, last = doubt.sentences(found.twin, found.record.sources, ", as the record is taken here")
     more = f"{taken}, the record would need {listed(needed)} as declared" if needed else ""
     return ". ".join(filter(None, [*first, more, last]))
-
-
-def unit_key(found: Discovery, doubt: UnitDoubt, name: str) -> str:
-    """Key of the unit of a channel: in a plant, or in a model for an input that the plant does not name."""
-    plant = found.twin.declaration
-    of_model = doubt.kind == "actuator" and name not in plant.actuators
-    return f"{'inputs' if of_model else f'{doubt.kind}s'}.{name}"
 
 
 def withheld_causes(found: Discovery) -> str:

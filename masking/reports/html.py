@@ -51,11 +51,6 @@ def render(template: str, **facts: object) -> str:
     return environment().get_template(f"{template}.html").render(**facts)
 
 
-def framed(page: str) -> str:
-    """Page within another one, such as a notebook, as HTML."""
-    return str(Markup('<iframe srcdoc="{}" style="width:100%;height:46rem;border:0"></iframe>').format(page))
-
-
 def save(
     page: Path,
     template: str,

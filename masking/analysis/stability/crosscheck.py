@@ -52,16 +52,15 @@ def misjudged(model: Model, points: Iterable[tuple[Mapping[str, float], str]]) -
     return ""
 
 
-def contradiction_on_a_box(motion: Motion, box: Box) -> str:
-    """Simulated motion that gains energy before it leaves a box; '' where there is none."""
-    try:
-        return _Motions(motion, (), None, box).contradiction(())
-    except ModelError:  # a function that cannot be evaluated
-        return ""
-
-
-def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet | None, *, is_bounded: bool) -> str:
-    """Sentence that contradicts a proof that energy does not grow; '' where nothing does.
+def contradiction(
+    motion: Motion,
+    forms: Sequence[sp.Expr] = (),
+    found: InvariantSet | None = None,
+    *,
+    is_bounded: bool = False,
+    box: Box | None = None,
+) -> str:
+    """Sentence that contradicts a proof that energy does not grow, before motion leaves a box; '' where nothing does.
 
     V' is 0 where the forms, linear in the velocities, are; `found` is the largest invariant set there, None where it
     was not looked for.
@@ -89,7 +88,7 @@ def contradiction(motion: Motion, forms: Sequence[sp.Expr], found: InvariantSet 
                 )
     neutral = [vectors[:, i] for i in range(len(values)) if abs(values[i].real) <= slack < values[i].imag]
     try:
-        return _Motions(motion, forms, found, None).contradiction(neutral)
+        return _Motions(motion, forms, found, box).contradiction(neutral if box is None else ())
     except ModelError:  # a function that cannot be evaluated
         return ""
 

@@ -15,7 +15,7 @@ import sympy as sp
 
 from masking.analysis.stability.algebra import normal, radical, solved_for
 from masking.analysis.stability.boundedness import Boundedness, boundedness, is_positive_definite
-from masking.analysis.stability.crosscheck import contradiction, contradiction_on_a_box, misjudged
+from masking.analysis.stability.crosscheck import contradiction, misjudged
 from masking.analysis.stability.dissipation import Dissipation, Status, dissipation
 from masking.analysis.stability.equilibria import UNDECIDED, Box, equilibria, stability_of
 from masking.analysis.stability.free_equations import Motion
@@ -179,7 +179,7 @@ def _withdrawn(proof: Certificate, motion: Motion) -> Certificate:
     if proof.status != "proved" or proof.dissipation is None:
         against = ""
     elif proof.dissipation.box is not None:
-        against = contradiction_on_a_box(motion, proof.dissipation.box)
+        against = contradiction(motion, box=proof.dissipation.box)
     else:
         is_bounded = proof.boundedness is not None and proof.boundedness.is_shown
         against = misjudged(motion.model, ((point.values, point.stability) for point in proof.others or ()))

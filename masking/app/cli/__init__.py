@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from masking.app.cli.progress import end_at_interrupts
+from masking.app.cli.terminal import end_at_interrupts
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

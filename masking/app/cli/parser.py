@@ -10,8 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from masking.app.cli import rig_verbs, verbs
-from masking.app.cli.progress import INTERRUPTED, NOTHING_SAVED
-from masking.app.cli.terminal import printable
+from masking.app.cli.terminal import INTERRUPTED, NOTHING_SAVED, printable
 from masking.app.cli.verb import Call, Verb, VerbParser, add_verbs
 from masking.errors import NO_PLACE, RENAMED, DeclarationError, MaskingError, Problem
 

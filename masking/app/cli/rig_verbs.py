@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from masking.app.cli.progress import Bar, raise_interrupts
+from masking.app.cli.terminal import Bar, raise_interrupts
 from masking.app.cli.verb import Call, Verb, verb
 from masking.errors import OperatorError
 

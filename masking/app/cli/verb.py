@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from masking.app.cli import arguments
-from masking.app.cli.progress import NOTHING_SAVED, Bar, raise_interrupts
+from masking.app.cli.terminal import NOTHING_SAVED, Bar, raise_interrupts
 from masking.app.workflows.settings_keywords import Parameter, parameters
 
 

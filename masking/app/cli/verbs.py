@@ -9,7 +9,7 @@ import sys
 import time
 from functools import partial
 
-from masking.app.cli.progress import Bar, raise_interrupts, say_compiling
+from masking.app.cli.terminal import Bar, raise_interrupts, say_compiling
 from masking.app.cli.verb import Call, Verb, verb
 from masking.app.workflows.settings_keywords import Parameter, parameters
 from masking.errors import MaskingError

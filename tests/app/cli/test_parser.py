@@ -10,7 +10,7 @@ import yaml
 
 import masking
 from masking.app import cli
-from masking.app.cli import progress
+from masking.app.cli import terminal
 from masking.app.cli.parser import VERBS
 from masking.control.exports.target_text import c_name
 from masking.model.declaration import catalogue, registry
@@ -70,8 +70,8 @@ def test_an_interrupt_while_packages_load_is_told_in_one_line(tmp_path):
 
 def test_an_interrupt_of_a_verb_waits_for_a_package_that_is_loading():
     code = (
-        "import signal, time; from masking.app.cli import progress\n"
-        "signal.signal(signal.SIGINT, signal.SIG_DFL); progress.raise_interrupts()\n"
+        "import signal, time; from masking.app.cli import terminal\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL); terminal.raise_interrupts()\n"
         "load = 'signal.raise_signal(signal.SIGINT); time.sleep(0.2)'\n"
         "exec(compile(load, '<frozen importlib._bootstrap>', 'exec')); print('loaded')\n"
         "try: time.sleep(30)\n"
@@ -341,9 +341,9 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(capsys, short
 
 
 def test_progress_is_written_in_lines_where_there_is_no_terminal(monkeypatch, capsys):
-    with progress.Bar("reading") as bar:
+    with terminal.Bar("reading") as bar:
         bar.tell("screening", 0.2)  # too soon after the beginning
-        monkeypatch.setattr(progress, "APART", -1.0)
+        monkeypatch.setattr(terminal, "APART", -1.0)
         bar.tell("fitting", 0.3)
         bar.tell("screening once more", 0.2)  # a search that begins anew
     assert capsys.readouterr().err == " 30%  fitting\n 30%  screening once more\n"
