@@ -9,7 +9,7 @@ import sys
 import time
 from functools import partial
 
-from masking.app.cli.terminal import Bar, raise_interrupts, say_compiling
+from masking.app.cli.terminal import raise_interrupts, say_compiling
 from masking.app.cli.verb import Call, Verb, verb
 from masking.app.workflows.settings_keywords import Parameter, parameters
 from masking.errors import MaskingError
@@ -55,42 +55,29 @@ def _schema(call: Call) -> int:
     return 0
 
 
-@verb(out="results/{name_or_path}", metavars=_EXPERIMENT)
+@verb(out="results/{name_or_path}", doing="running", metavars=_EXPERIMENT)
 def _run(call: Call) -> int:
     """Run an experiment, save its recording and write its report; exit status 1 where chi is above 1."""
-    from masking.app.workflows.output_folders import RUN, own_folder
-    from masking.app.workflows.run import record, save
-    from masking.lab.runs.experiment import Experiment
     from masking.reports import run_report
 
-    written = call.written
-    changes = dict(written.get("changes", ()))
-    made = Experiment.load(written["name_or_path"], plant=written.get("plant"), changes=changes)
-    out = call.out
-    with own_folder(out, *RUN, overwrite=written.get("overwrite", False)):
-        before = None  # when the recording was made that is there
-        with contextlib.suppress(OSError, ValueError, KeyError):
-            before = str(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["created"])
-        if not made.is_compiled:
-            say_compiling()
-        raise_interrupts()
-        try:
-            with Bar("running") as bar:
-                recording = record(made, out, written.get("budget"), bar)
-        except MaskingError:
-            if before:
-                print(f"{out} still holds the run of {before}", file=sys.stderr)
-            raise
-        page = save(recording, out)
+    before = ""  # when the recording was made that is there
+    with contextlib.suppress(OSError, ValueError, KeyError):
+        before = str(json.loads((call.out / "manifest.json").read_text(encoding="utf-8"))["created"])
+    try:
+        recording = call.do(compiling=say_compiling)
+    except MaskingError:
+        if before and "overwrite" in call.written:
+            print(f"{call.out} still holds the run of {before}", file=sys.stderr)
+        raise
     content = {
         "masking_error": recording.manifest["masking_error"],
         "limits_used": run_report.limits_used(recording),
         "warnings": run_report.warnings(recording),
-        "recording": str(out),
-        "report": str(page.path),
+        "recording": call.out,
+        "report": call.out / run_report.PAGE,
     }
     replaced = f" (replaces the run of {before})" if before else ""
-    call.answer(content, f"{page}{replaced}")
+    call.answer(content, f"{recording}\nreport: {content['report']}{replaced}")
     return int(bool(run_report.strayed(recording)))
 
 

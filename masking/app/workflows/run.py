@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ def run(
     overwrite: bool = False,
     budget: bool | None = None,
     progress: Progress | None = None,
+    compiling: Callable[[], None] | None = None,
 ) -> Recording:
     """Run an experiment: the plant under the controller, and the virtual system by itself beside it.
 
@@ -38,34 +39,27 @@ def run(
         overwrite: whether an earlier run in that folder may be replaced.
         budget: whether to make an error budget, by further runs; by default if these take a few seconds.
         progress: called with the fraction done.
+        compiling: called before an experiment is compiled, which takes some ten seconds.
 
     Raises:
         MaskingError: a declaration is wrong, the rig cannot be masked as asked, or the run could not go on.
     """
     wanted = Experiment.load(name_or_path, plant=plant, changes=changes)
     with own_folder(out, *RUN, overwrite=overwrite):
-        made = record(wanted, out, budget, progress)
+        if compiling is not None and not wanted.is_compiled:
+            compiling()
+        if out is None or not long_run.is_long(wanted):
+            made = error_budget.run(wanted, budget, progress)
+        elif budget:
+            raise ModelError(
+                f"{wanted.declaration.name}: the runs of a budget stay in memory, and this one is too long for that; "
+                "make the budget of a shorter duration"
+            )
+        else:  # into its folder while it runs, in which it replaces an earlier one
+            made = long_run.run(wanted, out, overwrite=True, progress=progress)
         if out is not None:
             save(made, Path(out))
     return replace(made, text=run_report.summary)
-
-
-def record(
-    experiment: Experiment, out: str | Path | None, budget: bool | None = None, progress: Progress | None = None
-) -> Recording:
-    """Recording of a run; one that is long goes into its folder while it runs, in which it replaces an earlier one.
-
-    The budget is as that of `run`. Raises a `MaskingError` where the run could not go on, or a budget is wanted of a
-    long one.
-    """
-    if out is None or not long_run.is_long(experiment):
-        return error_budget.run(experiment, budget, progress)
-    if budget:
-        raise ModelError(
-            f"{experiment.declaration.name}: the runs of a budget stay in memory, and this one is too long for that; "
-            "make the budget of a shorter duration"
-        )
-    return long_run.run(experiment, out, overwrite=True, progress=progress)
 
 
 def save(recording: Recording, folder: Path) -> run_report.Report:
