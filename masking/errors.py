@@ -135,6 +135,10 @@ class RootError(MaskingError):
     """Newton's method reached no root; says where it ended."""
 
 
+class HoursUsedError(MaskingError):
+    """The time for which a rig may be used is over."""
+
+
 class RecordError(MaskingError):
     """A recording cannot be read or written."""
 

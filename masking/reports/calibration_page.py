@@ -13,7 +13,6 @@ import numpy as np
 from masking.display import palette
 from masking.inference.procedures.calibration_findings import (
     ALIKE,
-    HIGHEST,
     NAMES,
     PAGE,
     Calibration,
@@ -270,10 +269,10 @@ def _spectra(found: Calibration) -> CaptionedFigure:
             _, of = panels.spectral_density(left[:, i], record.rate, 1, _BINS_PER_DECADE)
             lines.append(Line(f, of, colour, key=_named(stage)))
         rows.append([
-            Panel([*lines, Level(level, key="white noise"), Span(f[0], HIGHEST, GRID)],
+            Panel([*lines, Level(level, key="white noise"), Span(f[0], found.records.highest, GRID)],
                   f"{style.symbol(name)} ({_unit(found, name)}/√Hz)", "frequency (Hz)", (f[0], f[-1]),
                   (0.3 * level, 2.0 * float(whole.max())), log="xy",
-                  title="" if rows else f"excited up to {HIGHEST:g} Hz")
+                  title="" if rows else f"excited up to {found.records.highest:g} Hz")
         ])  # fmt: skip
     caption = (
         "Amplitude density of the unseen record (grey line) and of the residual of each model. The dashed line is the "
@@ -330,7 +329,7 @@ def _excitation(found: Calibration) -> CaptionedFigure:
             Panel([Line(each.times, each.values, colour, 0.8), *limits],
                   style.with_unit(style.symbol(each.name), each.unit), "time (s)", (0.0, each.times[-1]),
                   (-reach, reach), note=use),
-            Panel([stems], f"amplitude (m{each.unit})", "frequency (Hz)", (0.0, 1.08 * HIGHEST),
+            Panel([stems], f"amplitude (m{each.unit})", "frequency (Hz)", (0.0, 1.08 * found.records.highest),
                   (0.0, 1.25 * float(size.max())), ticks=3, note=f"{len(each.lines)} lines"),
         ])  # fmt: skip
     caption = (

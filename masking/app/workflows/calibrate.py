@@ -82,13 +82,13 @@ def calibrate(twin: Twin, plant: Plant, settings: RigCalibration) -> Calibration
 
     Raises:
         RecordError: the folder cannot be written, or holds an earlier result.
-        ModelError: the plant file has no limits to stay within, or records are too short.
+        ModelError: the plant file has no limits to stay within or no sensors, or records are too short.
         PlantError: the plant is lost, refuses, or has other channels.
         MaskingError: a recording was interrupted.
         RecordError: the rig does not move, or a record in the folder cannot be read or was made with other settings.
     """
     seconds, lockstep, progress = settings.seconds, settings.lockstep, settings.progress or (lambda part: None)
-    calibration_excitation.check_length(seconds)
+    calibration_excitation.check(twin, seconds)
     with own_folder(settings.out, NUMBERS, overwrite=settings.overwrite):
         twin.validate()
         folder, tell = Path(settings.out), settings.say or (lambda text: None)

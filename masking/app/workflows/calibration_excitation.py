@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,11 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from masking.compile.numerics import safety_tables
 from masking.compile.numerics.arrays import Array
-from masking.compile.numerics.controller_sizes import LARGEST
+from masking.compile.numerics.controller_sizes import LARGEST, TIME
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
-from masking.errors import MaskingError, ModelError, RecordError
+from masking.errors import HoursUsedError, MaskingError, ModelError, RecordError
 from masking.inference.estimation.fit import part_of
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import HIGHEST, NAMES, PERIOD, Records, reached
@@ -35,18 +37,26 @@ from masking.lab.runs import safety_limits
 from masking.lab.runs.batch_plan import PEOPLE
 from masking.lab.runs.holding import Holding
 from masking.lab.runs.realtime import Hooks, Look, RigRun, check_channels, every, run_rig
-from masking.lab.runs.stopping import FINISHED
+from masking.lab.runs.stopping import FINISHED, STOPPED
 from masking.lab.signals import Multisine, minimise_crest
 
 RATE: Final = 1000.0
 PART: Final = 0.8  # of a limit that a record may reach
 SMALL: Final = 0.02  # of the largest command: the first record, at most
 LITTLE: Final = 0.3  # of a limit that the first record reaches, by the plant file, at most
-REST: Final = 1.0  # s that what is held gets to come to rest
+BEGIN: Final = 2.0  # s on the wall's clock in which a run begins and is saved
+REST: Final = 1.0  # s that what is held is braked after a run
 SMALLER: Final = 0.7  # of its size, with which an excitation is made again that was too large
 LEAST: Final = 0.01  # of its size
+NEAR: Final = 0.9  # of a limit, within which what nothing holds must be able to come to rest
+STILL: Final = 0.01  # of the largest command, that would bring it back to its middle: it is there
+QUIET: Final = 0.25  # s for which it must be
 # What an excitation does that is too large.
 TOO_FAR: Final = {Cause.POSITION_LIMIT, Cause.VELOCITY_LIMIT, Cause.SENSOR_RANGE, Cause.THERMAL, Cause.COMMAND_RATE}
+# Of the fastest natural frequency: the excitation ends between these, at HIGHEST where that is between them.
+ABOVE: Final = (1.5, 10.0)
+PART_OF_RATE: Final = 0.25  # highest frequency that a rate shows
+LINES: Final = round(HIGHEST * PERIOD)  # of all actuators, at most: harmonics, or some of them at equal ratios
 STARTS: Final = 5  # of the search for a small crest factor
 SEED: Final = 0  # of the phases; records made with others are not mixed
 _REMEDY = "calibrate that plant, or give the plant file of the one that is there"
@@ -61,8 +71,8 @@ Progress = Callable[[float], None]
 class Rig:
     """A rig that is excited within the limits of its plant file, run after run.
 
-    What no spring holds is held by a controller, so that no excitation drives it away; a run that its motion ends is
-    made again with less excitation.
+    What no spring holds is held by a controller, so that no excitation drives it away, and braked before its limits are
+    reached; a run that its motion ends is made again with less excitation.
     """
 
     twin: Twin
@@ -74,7 +84,13 @@ class Rig:
     retries: int = 0  # after a trip that is not by its motion
     look: Look | None = None  # called with the safety chain, which it may stop, and the tick of each sample
     used: float = 0.0  # s that the rig was driven
+    until: float = math.inf  # s of `now` at which its time is over
     trips: int = 0  # after which a run was made again
+
+    @property
+    def now(self) -> float:
+        """Time of the rig in s, from any beginning: in lockstep that in which it was driven."""
+        return self.used if self.lockstep else time.monotonic()
 
     @cached_property
     def known(self) -> Instruments:
@@ -91,6 +107,41 @@ class Rig:
         """Controller of what no spring holds; None where there is nothing to hold."""
         return Holding.of(Instruments.of(self.twin), self.rate, PERIOD)
 
+    @cached_property
+    def rules(self) -> Rules:
+        """Rules of its runs; what nothing holds is braked after them."""
+        made = safety_limits.without_model(safety_limits.rules(self.known, self.rate, self.twin))
+        return made if self.holding is None else replace(made, stop=self.holding.stop(REST))
+
+    @property
+    def beside(self) -> float:
+        """Seconds that a record takes at most besides its commands, where it is not made again."""
+        held = 0.0 if self.holding is None else self.holding.seconds + 2.0 * REST
+        return held + (0.0 if self.lockstep else BEGIN)
+
+    @cached_property
+    def highest(self) -> float:
+        """Highest frequency of the excitation in Hz, by the fastest motion of the plant file and the rate."""
+        n = len(self.known.model.coordinates)
+        squares = np.abs(np.linalg.eigvals(self.known.linear()[0][n:, :n]))
+        fastest = math.sqrt(float(squares.max(initial=0.0))) / (2.0 * math.pi)
+        wanted = max(ABOVE[0] * fastest, min(HIGHEST, ABOVE[1] * fastest)) if fastest > 1.0 / PERIOD else HIGHEST
+        return min(wanted, PART_OF_RATE * self.rate)
+
+    def waves(self, number: int, seconds: float) -> Array:
+        """Multisines with peak 1 (samples, actuators): lines in turn, which go round from record to record."""
+        t, columns, count = np.arange(round(seconds * self.rate)) / self.rate, list[Array](), len(self.limits)
+        top = max(count, round(self.highest * PERIOD))
+        lines = np.arange(1, top + 1)
+        if top > LINES:
+            lines = np.unique(np.round(np.geomspace(1.0, top, LINES)).astype(int))
+        for i in range(count):
+            own = lines[(i + number) % count :: count]
+            found = minimise_crest(Multisine.harmonic(own, PERIOD), starts=STARTS, seed=SEED + count * number + i)
+            wave = found.sample(t)
+            columns.append(wave / np.abs(wave).max())
+        return np.array(columns).T
+
     def first_size(self, waves: Array) -> float:
         """Part of the largest command that is small for waves of peak 1 (samples, actuators), by the plant file."""
         ideal = Rig(self.twin, SimulatedPlant(self.twin), self.rate, lockstep=True)
@@ -102,32 +153,74 @@ class Rig:
     def record(self, commands: Array, settings: Mapping[str, Any], progress: Progress = lambda part: None) -> Recording:
         """Recording under commands (samples, actuators), or the part of these that the rig could follow.
 
-        Missed readings are interpolated; what holds a rig is part of its commands. Raises a MaskingError where the run
-        was interrupted or tripped, and a PlantError where the plant is lost, refuses, or has other channels.
+        What nothing holds is brought back to its middle before, and a rig that is too warm rests for the time over
+        which its power is a mean. Missed readings are interpolated; what holds a rig is part of its commands. Raises a
+        HoursUsedError where the rig's time is over, a MaskingError where the run was interrupted or tripped, and a
+        PlantError where the plant is lost, refuses, or has other channels.
         """
-        rules = safety_limits.without_model(safety_limits.rules(self.known, self.rate, self.twin))
-        if self.holding is not None:
-            commands = np.vstack([commands, np.zeros((round(REST * self.rate), len(self.limits)))])
-        size, retries = 1.0, self.retries
-        while (ran := self._run(size * commands, rules, progress)).trip is not None:
-            is_far = ran.trip.cause in TOO_FAR and size > LEAST and bool(commands.any())
-            if not is_far and (not retries or ran.trip.cause.name in PEOPLE):
+        size, retries, wait = 1.0, self.retries, 0.0
+        while True:
+            ran, is_driven = self.rest(wait), False
+            if ran is None or ran.reason in {FINISHED, STOPPED}:
+                ran, is_driven = self._run(size * commands, progress, self._passes), True
+            cause = Cause.POSITION_LIMIT if ran.reason == STOPPED else None if ran.trip is None else ran.trip.cause
+            is_smaller = is_driven and cause in TOO_FAR and size > LEAST and bool(commands.any())
+            is_retried = cause is not None and cause not in TOO_FAR and cause.name not in PEOPLE and retries > 0
+            if not is_smaller and not is_retried:
                 break
-            size, retries = (SMALLER * size, retries) if is_far else (size, retries - 1)
+            size, retries = (SMALLER * size, retries) if is_smaller else (size, retries - 1)
+            wait = self.cooling(str(cause and cause.name))
             self.trips, self.acknowledge = self.trips + 1, True
-            self.say(f"once more{f' with {SMALLER:g} of the excitation' if is_far else ''}: {ran.trip}")
+            what = [f" with {SMALLER:g} of the excitation"] * is_smaller + [f" after {wait:g} s of rest"] * (wait > 0.0)
+            self.say(f"once more{' and'.join(what)}: {ran.trip or 'it would have passed a position limit'}")
         if ran.reason != FINISHED:
             why = f"{ran.reason} ({ran.trip})" if ran.trip else ran.reason
-            raise MaskingError(f"the recording was {why} and is not kept; run the same again to go on from here")
+            where = "; bring the rig to the middle of its limits by hand" if not is_driven and cause in TOO_FAR else ""
+            raise MaskingError(f"the recording was {why} and is not kept{where}; run the same again to go on from here")
         return _recording(self.twin, ran, self.rate, {**settings, "part": size})
 
-    def _run(self, commands: Array, rules: Rules, progress: Progress) -> RigRun:
-        first, holding, largest = list[int](), self.holding, self.limits
+    def cooling(self, cause: str | None) -> float:
+        """Seconds of rest after a trip by a cause: those over which a power is a mean, where it was too large."""
+        return float(self.known.limits()[:, TIME].max()) if cause == Cause.THERMAL.name else 0.0
+
+    def rest(self, seconds: float) -> RigRun | None:
+        """Let a rig rest for some seconds, and bring what nothing holds back to its middle; None where neither is."""
+        holding, quiet = self.holding, 0
+        longest = seconds if holding is None else seconds + holding.seconds
+
+        def is_back(readings: Array) -> bool:
+            nonlocal quiet
+            assert holding is not None  # noqa: S101  # else it is not called
+            quiet = quiet + 1 if (holding.left(readings) < STILL * self.limits).all() else 0
+            return not seconds and quiet >= QUIET * self.rate
+
+        zero = np.zeros((max(1, round(longest * self.rate)), len(self.limits)))
+        return self._run(zero, lambda part: None, is_back) if longest else None
+
+    def _passes(self, readings: Array) -> bool:
+        """Whether a rig that nothing holds, braked from now on, would come near a limit of its position."""
+        assert self.holding is not None  # noqa: S101  # else it is not called
+        rules = self.rules
+        at = rules.weights @ self.holding.braked(readings, self.limits) + rules.limits[:, safety_tables.AT_ZERO]
+        is_position = rules.limits[:, safety_tables.OVER] == 0.0
+        return bool((np.abs(at) > NEAR * rules.limits[:, safety_tables.BOUND])[is_position].any())
+
+    def _run(self, commands: Array, progress: Progress, ends: Callable[[Array], bool]) -> RigRun:
+        """Run of commands (samples, actuators), which `ends` ends by the readings where a controller holds the rig."""
+        needed, left = len(commands) / self.rate + (REST if self.holding else 0.0), self.until - self.now
+        if needed > left:
+            raise HoursUsedError(f"{needed:.0f} s more of the rig are needed, and {max(0.0, left):.0f} s are left")
+        first, holding, largest, is_over = list[int](), self.holding, self.limits, False
 
         def step(tick: int, readings: Array) -> Array:
+            nonlocal is_over
             first[:] = first or [tick]
             command: Array = commands[min(tick - first[0], len(commands) - 1)]
-            return command if holding is None else np.clip(command + holding.step(readings), -largest, largest)
+            if holding is None:
+                return command
+            command = np.clip(command + holding.step(readings), -largest, largest)
+            is_over = is_over or ends(readings)
+            return command
 
         if holding is not None:
             holding.reset()
@@ -136,16 +229,19 @@ class Rig:
         hooks = Hooks(
             lambda found: check_channels(found, self.twin.sensors, self.twin.actuators, whose, _REMEDY),
             on_tick=every(progress, len(commands)),
+            stop=lambda: is_over,
             look=self.look,
         )
         settings = Settings(self.rate, lockstep=self.lockstep, acknowledge=self.acknowledge)
-        ran = run_rig(step, self.plant, settings, samples=len(commands), limits=rules, hooks=hooks)
+        ran = run_rig(step, self.plant, settings, samples=len(commands), limits=self.rules, hooks=hooks)
         self.used += len(ran.index) / self.rate
         return ran
 
 
-def check_length(seconds: float) -> None:
-    """Refuse records that are shorter than a period of the excitation, or never end, with a `ModelError`."""
+def check(twin: Twin, seconds: float) -> None:
+    """Refuse, with a `ModelError`, records without sensors, or shorter than a period of the excitation, or endless."""
+    if not twin.sensors:
+        raise ModelError(f"{twin.declaration.name}: no sensor shows what an actuator does; declare some under sensors")
     if not PERIOD <= seconds < math.inf:
         kind = "shorter than the excitation's period" if seconds < PERIOD else "no records"
         raise ModelError(f"records of {seconds:g} s are {kind}; give at least {PERIOD:g} s")
@@ -172,7 +268,7 @@ def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Recor
             say(f"{name}: recorded before")
         else:
             say(f"{name}: recording {seconds:g} s")
-            made_of = waves(len(limits), number, seconds, rig.rate)
+            made_of = rig.waves(number, seconds)
             size = size or rig.first_size(made_of)
             part = part_of(progress, number, len(NAMES))
             recording = rig.record(size * limits * made_of, settings | {"size": size}, part)
@@ -187,7 +283,7 @@ def make(rig: Rig, folder: Path, *, seconds: float, progress: Progress) -> Recor
             say(f"up to {size:.2g} of the largest command")
         progress((number + 1) / len(NAMES))
     _, fit, unseen = made
-    return Records(fit, unseen, size, limits, missed)
+    return Records(fit, unseen, size, limits, missed, rig.highest)
 
 
 def _settings(rig: Rig, seconds: float) -> dict[str, Any]:
@@ -197,6 +293,7 @@ def _settings(rig: Rig, seconds: float) -> dict[str, Any]:
         "seconds": seconds,
         "rate": rig.rate,
         "seed": SEED,
+        "highest": rig.highest,
         "limits": dict(zip(twin.actuators, map(float, rig.limits), strict=True)),
         "sensors": list(twin.sensors),
     }
@@ -231,18 +328,6 @@ def _shown(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_shown(item)}" for key, item in value.items())
     return ", ".join(value) if isinstance(value, list) else f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def waves(count: int, number: int, seconds: float, rate: float) -> Array:
-    """Multisines with peak 1 (samples, count): lines in turn, which go round from record to record."""
-    t = np.arange(round(seconds * rate)) / rate
-    columns = []
-    for i in range(count):
-        lines = np.arange(1 + (i + number) % count, round(HIGHEST * PERIOD) + 1, count)
-        found = minimise_crest(Multisine.harmonic(lines, PERIOD), starts=STARTS, seed=SEED + count * number + i)
-        wave = found.sample(t)
-        columns.append(wave / np.abs(wave).max())
-    return np.array(columns).T
 
 
 def _larger(twin: Twin, small: Data, size: float) -> float:

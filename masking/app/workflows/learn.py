@@ -93,11 +93,11 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
     twin, folder = Twin.load(plant), check_folder(settings.out)
     twin.validate()
     experiment = None if settings.experiment is None else _experiment(settings.experiment, plant)
-    costs = learning_steps.costs(twin, experiment, settings)
     rate, say = experiment.sampled.rate if experiment else excitation.RATE, settings.say or (lambda text: None)
     driven = excitation.Rig(
         twin, rig(), rate, settings.lockstep, say, acknowledge=settings.acknowledge, retries=RETRIES
     )
+    costs = learning_steps.costs(driven, experiment, settings)
     known = _identity(twin, experiment, settings)
     with OwnedFolder(folder), contextlib.ExitStack() as way_out:
         if not (folder / JOURNAL).exists():

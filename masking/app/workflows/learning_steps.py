@@ -22,8 +22,8 @@ from masking.app.workflows.batch_run import Try, outcome
 from masking.app.workflows.discover import discover
 from masking.app.workflows.rig_settings import RigLearning
 from masking.compile.numerics.arrays import Array
-from masking.control.rig.twin import Twin
 from masking.errors import (
+    HoursUsedError,
     IntegrationError,
     MaskingError,
     PlantError,
@@ -57,6 +57,7 @@ _LARGEST: Final = 0.4  # of the largest command: a pulse of the self-test
 _PULSES: Final = 2.0  # s that a self-test takes for each actuator
 PATIENCE: Final = 60.0  # s that a plant is waited for
 _AGAIN: Final = 1.0  # s between tries to reach it
+MORE: Final = {"record", "experiment"}  # steps that follow a discovery
 _TRIES: Final = 2  # of a run of the experiment that trips or fails
 _PARTED: Final = 3  # experiments at most to part the same causes
 _LESS: Final = 0.9  # of the error before: what is found is worth another round
@@ -64,19 +65,18 @@ _LESS: Final = 0.9  # of the error before: what is found is worth another round
 T = TypeVar("T")
 
 
-def costs(twin: Twin, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
+def costs(rig: excitation.Rig, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
     """Seconds of the rig that each step takes; a RecordError where there are too few for one round.
 
     A ModelError where records are too short, and a DeclarationError where the tolerance is none.
     """
-    run, one = 0.0, settings.seconds + excitation.REST
-    if experiment:
-        run = experiment.sampled.before / experiment.sampled.rate
-        run += experiment.declaration.duration * experiment.time_scale
-    excitation.check_length(settings.seconds)
+    excitation.check(rig.twin, settings.seconds)
     DiscoverySettings(tolerance=settings.tolerance)
-    each = len(twin.actuators)
-    once = {"self-test": _PULSES * each, "rest": _REST, "springs": (_RAMP + excitation.REST) * each}
+    run, one, each = 0.0, settings.seconds + rig.beside, len(rig.twin.actuators)
+    if experiment:
+        run = experiment.sampled.before / experiment.sampled.rate + rig.beside
+        run += experiment.declaration.duration * experiment.time_scale
+    once = {"self-test": _PULSES * each, "rest": _REST, "springs": (_RAMP + rig.beside) * each}
     once |= {"before": run, "excitation": 3.0 * one}
     needed = sum(once.values()) + run
     if not needed <= 3600.0 * settings.hours:
@@ -137,15 +137,20 @@ class Learner:
             place = self.folder / STEPS / f"{len(self.rows) + 1:02}-{name}"
             if self.settings.tell:
                 self.settings.tell(name, min(0.9, 0.1 * len(self.rows)))
-            before, began = self.rig.used, time.monotonic()
-            row = steps[name](place)
-            row = {"seconds": round(self.rig.used - before, 3)} | row | {"wall": round(time.monotonic() - began, 1)}
-            spent = sum(one["seconds"] for one in self.rows) + row["seconds"]
-            if row["next"] in {"record", "experiment"}:
-                left = 3600.0 * self.settings.hours - spent - self.costs["after"]
-                if self.costs[row["next"]] > left:
-                    row |= {"next": "", "why": f"the budget of {self.settings.hours:g} h is used up"}
-            if not row["next"] and name in {"discovery", "record", "experiment"}:
+            before, began = self.rig.now, time.monotonic()
+            later = self.costs["after"] if name in MORE else 0.0
+            self.rig.until = before + self.left - later
+            try:
+                row = steps[name](place)
+            except HoursUsedError as error:
+                if name not in MORE:
+                    raise HoursUsedError(f"{name}: {error}; start the same with more --hours to go on") from error
+                row = {"assumed": self._taken_for, "measured": str(error), "next": "", "why": self._is_over}
+            used = 0.0 if name == "discovery" else round(self.rig.now - before, 3)
+            row = {"seconds": used} | row | {"wall": round(time.monotonic() - began, 1)}
+            if row["next"] in MORE and self.costs[row["next"]] > self.left - used - self.costs["after"]:
+                row |= {"next": "", "why": self._is_over}
+            if not row["next"] and name in {"discovery", *MORE}:
                 written = self.folder / row["plant"] if "plant" in row else Path(self.current)
                 learned_rig.write(self.folder, written, self.rig.rate)
                 row["next"] = "after" if self.experiment else ""
@@ -154,6 +159,15 @@ class Learner:
             self.journal.add(event="end", step=name, **row)
             self.rig.say(f"{name}: {learning_page.said(row)}")
             name = row["next"]
+
+    @property
+    def left(self) -> float:
+        """Seconds of the rig that the steps that are done leave."""
+        return 3600.0 * self.settings.hours - float(sum(row["seconds"] for row in self.rows))
+
+    @property
+    def _is_over(self) -> str:
+        return f"the budget of {self.settings.hours:g} h is used up"
 
     def _reached(self, call: Callable[[], T]) -> T:
         """What a call gives once the plant is reached, which is waited for."""
@@ -187,7 +201,8 @@ class Learner:
             )  # fmt: skip
             rig.used += self.costs["self-test"]
             clear = {one.actuator for one in found.answers if one.is_clear}
-            if len(clear) == len(rig.twin.actuators) or size >= _LARGEST or not found.answers:
+            is_over = self.costs["self-test"] > rig.until - rig.now
+            if len(clear) == len(rig.twin.actuators) or size >= _LARGEST or not found.answers or is_over:
                 break
             size *= 2.0
         if not found.is_answered or len(clear) < len(rig.twin.actuators):
@@ -236,11 +251,18 @@ class Learner:
         made = learned_rig.refined(self.experiment, self.folder) if is_last else self.experiment
         batch_plan.write(made, self.folder if is_last else place)
         wanted = Try(made, place, "", None, self.rig.lockstep, 1.0, PATIENCE, {})
-        for _ in range(_TRIES):
+        found: dict[str, Any] = {"end": "not run", "why": self._is_over}
+        for number in range(_TRIES):
             try:
+                if number:
+                    self._reached(partial(self.rig.rest, self.rig.cooling(found.get("cause"))))
+                if self.costs["after"] > self.rig.until - self.rig.now:
+                    break
                 found = self._reached(partial(outcome, wanted, self.make, self.operator))
             except (PlantLostError, PlantRefusedError):  # nothing is known of the run: it is made by the next start
                 raise
+            except HoursUsedError:
+                break
             except (PlantError, SingularityError, IntegrationError) as error:
                 found = {"end": FAILED, "why": str(error)}
             self.rig.used += self.costs["after"]
@@ -294,8 +316,8 @@ class Learner:
 
     def _record(self, place: Path) -> dict[str, Any]:
         """Excite the rig by other phases."""
-        count, size = len(self.rig.limits), next(row["size"] for row in self.rows if "size" in row)
-        made = excitation.waves(count, 3 + len(self.rows), self.settings.seconds, self.rig.rate)
+        size = next(row["size"] for row in self.rows if "size" in row)
+        made = self.rig.waves(3 + len(self.rows), self.settings.seconds)
         return self._followed(size * self.rig.limits * made, place, "other phases")
 
     def _followed(self, commands: Array, place: Path, how: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import noise_alone, simulate
 
 PERIOD: Final = 20.0  # s, of the excitation; its lines are the harmonics
-HIGHEST: Final = 4.0  # Hz, of these lines
+HIGHEST: Final = 4.0  # Hz, of these lines, on a rig whose motions are neither faster nor much slower
 NAMES: Final = ("small", "fit", "unseen")  # of the records
 PAGE: Final = "index.html"
 ALIKE: Final = 0.01  # part by which errors may differ for the simpler model to be taken
@@ -37,6 +37,7 @@ class Records:
     size: float  # part of the largest command that these reach
     limits: Array  # largest command of each actuator, in its unit (actuators,)
     missed: Mapping[str, int]  # samples of each record that were missed, by its name
+    highest: float = HIGHEST  # Hz, of the excitation
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
 """Holding controller: springs and dampers for those motions of a rig that no spring of its own holds.
 
 A shaft, or a mass on a guide, that is pushed by signals whose force has a mean momentum, or that meets friction, moves
-away without bound. In each tick a force of -M (w^2 x + 2 w v) acts on the free motions, x from where they began:
+away without bound. In each tick a force of -M (w^2 x + 2 w v) acts on the free motions:
 
     u = u_wanted - B^+ P (w^2 (q - q_0) + 2 w q'),    P: projection onto the motions slower than a period
 
-so that what is commanded stays known, and a rig that its springs hold is commanded as wanted.
+so that what is commanded stays known, and a rig that its springs hold is commanded as wanted. q_0 goes from where a run
+begins to the middle of the limits, as 1 - exp(-w t / 4); what has no limit stays where it begins.
 """
 
 from __future__ import annotations
@@ -19,21 +20,27 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import LARGEST
 from masking.control.known_instruments import Instruments
+from masking.lab.plants.safety_chain import ControlledStop
 
 _FREQUENCY: Final = 1.0  # Hz, of what is held, at most
 _STRONG: Final = 0.5  # of the frequency at which the largest command holds the stroke
 _LAG: Final = 0.1  # rad by which a speed is late, at the frequency of what is held; twice that of the delay
 _EXACT: Final = 1e-6  # relative, of what the sensors determine
+_SLOWLY: Final = 0.25  # of the frequency of what is held: how fast the place at which it is held goes to the middle
+_BRAKE: Final = 4.0  # times the frequency of what is held: its damping in a controlled stop, twice the critical one
+_BACK: Final = 5.0  # of the times in which that goes on by a factor e: within them it is there
 
 
 @final
 class Holding:
     """Commands beside those that are wanted, for a rig that begins at rest, tick after tick."""
 
-    def __init__(self, stiffness: Array, damping: Array, span: int) -> None:
-        self._stiffness, self._damping = stiffness, damping  # (actuators, sensors), per reading and per change of it
-        self._first: Array | None = None
-        self._past: deque[Array] = deque(maxlen=span + 1)
+    def __init__(self, frequency: float, by_reading: Array, back: Array, middle: Array, rate: float) -> None:
+        self._span = max(1, round(_LAG * rate / frequency))
+        self._rate, self._frequency, self._by_reading = rate, frequency, by_reading  # (actuators, sensors)
+        self._back, self._middle = back, middle  # (sensors, sensors) and (sensors,), of what has limits
+        self._place: Array | None = None
+        self._past: deque[Array] = deque(maxlen=self._span + 1)
 
     @classmethod
     def of(cls, known: Instruments, rate: float, period: float) -> Holding | None:
@@ -60,19 +67,48 @@ class Holding:
                 frequency = min(frequency, _STRONG * math.sqrt(pushed[i] / far))
         if known.delay:
             frequency = min(frequency, _LAG * rate / known.delay)
-        span = max(1, round(_LAG * rate / frequency))
-        by_reading = -pushing @ np.linalg.pinv(sensing)
-        return cls(frequency**2 * by_reading, 2.0 * frequency * rate / span * by_reading, span)
+        names = {what.text for what in known.plant.limits.coordinates}
+        back = sensing @ np.diag([float(name in names) for name in known.model.coordinates]) @ np.linalg.pinv(sensing)
+        return cls(frequency, -pushing @ np.linalg.pinv(sensing), back, known.readings(np.zeros(n)), rate)
 
     def step(self, readings: Array) -> Array:
         """Commands (actuators,) that answer the readings (sensors,) of a tick."""
-        self._first = readings.copy() if self._first is None else self._first
+        place = readings if self._place is None else self._place
+        self._place = place + _SLOWLY * self._frequency / self._rate * (self._back @ (self._middle - place))
         self._past.append(readings.copy())
-        change = readings - self._past[0] if len(self._past) == self._past.maxlen else np.zeros_like(readings)
-        answer: Array = self._stiffness @ (readings - self._first) + self._damping @ change
+        return self._frequency**2 * self._by_reading @ (readings - place) + self._braking(readings)
+
+    def _rates(self, readings: Array) -> Array:
+        is_full = len(self._past) == self._past.maxlen
+        return (readings - self._past[0]) * self._rate / self._span if is_full else np.zeros_like(readings)
+
+    def _braking(self, readings: Array) -> Array:
+        answer: Array = 2.0 * self._frequency * self._by_reading @ self._rates(readings)
         return answer
+
+    def braked(self, readings: Array, largest: Array) -> Array:
+        """Readings (sensors,) at which the rig would rest after `stop`, with the largest commands (actuators,)."""
+        v, damping = self._rates(readings), _BRAKE * self._frequency
+        a = np.abs(np.linalg.pinv(self._by_reading)) @ largest  # which is all that brakes above v = a / damping
+        far = np.where(np.abs(v) * damping < a, np.abs(v) / damping, 0.5 * (v**2 / a + a / damping**2))
+        return np.asarray(readings + np.sign(v) * far)
+
+    def left(self, readings: Array) -> Array:
+        """Size of the commands (actuators,) that would bring the rig to the middle and to rest, after a step."""
+        off = self._frequency**2 * self._by_reading @ self._back @ (readings - self._middle)
+        return np.abs(off) + np.abs(self._braking(readings))
+
+    @property
+    def seconds(self) -> float:
+        """Time in which the rig is brought to the middle."""
+        return _BACK / (_SLOWLY * self._frequency)
+
+    def stop(self, seconds: float) -> ControlledStop:
+        """Controlled stop of some seconds: the damping force that brings it to rest."""
+        damping, samples = _BRAKE * self._frequency * self._by_reading, round(seconds * self._rate)
+        return ControlledStop(samples, damping, self._span, np.zeros(damping.shape[1]), samples)
 
     def reset(self) -> None:
         """Begin again, with the next readings."""
-        self._first = None
+        self._place = None
         self._past.clear()

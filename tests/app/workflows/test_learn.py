@@ -269,6 +269,46 @@ def test_a_trip_by_chance_does_not_end_it(tmp_path):
         rig.record(np.zeros((1000, 1)), {})
 
 
+class Watched(SimulatedPlant):
+    """A twin that counts the seconds that it is driven, and keeps its commands."""
+
+    seconds = 0.0
+
+    def step(self, command):
+        super().step(command)
+        Watched.seconds += 1.0 / self._rate
+        self.given = [*getattr(self, "given", []), float(command[0])]
+
+
+def test_a_rig_that_is_too_warm_rests_for_the_time_that_its_plant_file_declares(tmp_path):
+    """80 mW of 0.4 A at 1 ohm, where 30 mW are allowed over 3 s: each try has 0.49 of the power of the one before."""
+    plant = tmp_path / "warm.yaml"
+    power = {"value": 0.03, "unit": "W", "heating": {"value": 1.0, "unit": "ohm"}, "time": 3.0}
+    plant.write_text(json.dumps(CART | {"limits": CART["limits"] | {"power": power}}))
+    said = []
+    twin = Twin.load(plant)
+    rig = calibration_excitation.Rig(twin, Watched(twin), 200.0, lockstep=True, say=said.append)
+    wave = 0.4 * np.sin(40.0 * np.pi * np.arange(2000) / 200.0)[:, None]
+    made = rig.record(wave, {})
+    assert rig.trips == len(said) > 0
+    assert all("THERMAL" in text and "after 3 s of rest" in text for text in said), said
+    assert np.mean(made["input.u"] ** 2) < 0.03
+    still = [len(part) / 200.0 for part in "".join("01"[x != 0.0] for x in rig.plant.given).split("1")]
+    assert sum(part >= 3.0 for part in still) == rig.trips
+
+
+def test_trips_in_a_step_use_up_the_hours_too_and_more_of_them_go_on(tmp_path, scripted):
+    plant, true, _ = written(RIGS["friction"], tmp_path)
+    rig, hours = partial(Watched, Twin.load(true)), 0.0361
+    Watched.seconds = 0.0
+    with pytest.raises(MaskingError, match=r"excitation: 20 s more of the rig are needed, and .* s are left.*--hours"):
+        learn(str(plant), rig, settings(tmp_path / "out", hours=hours))
+    assert 100.0 < Watched.seconds <= 3600.0 * hours
+    assert [row["step"] for row in rows(tmp_path / "out")] == ["self-test", "rest", "springs"]
+    found = learn(str(plant), rig, settings(tmp_path / "out", hours=0.1))
+    assert "discovery" in [row["step"] for row in found.rows]
+
+
 class Tripped(SimulatedPlant):
     """A twin that has tripped in a session before."""
 
@@ -297,7 +337,7 @@ def test_what_cannot_be_done_is_refused_before_the_rig_moves(tmp_path):
         assert not out.exists()
 
     refused(
-        RecordError, r"0\.01 h are too few for one round, which takes 131 s of the rig: give --hours 0\.04", hours=0.01
+        RecordError, r"0\.01 h are too few for one round, which takes 127 s of the rig: give --hours 0\.04", hours=0.01
     )
     refused(RecordError, "nan h are too few for one round", hours=float("nan"))
     refused(ModelError, "records of 5 s are shorter than the excitation's period; give at least 20 s", seconds=5.0)

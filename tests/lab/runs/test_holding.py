@@ -9,6 +9,7 @@ from masking.app.workflows.calibrate import RigCalibration, calibrate
 from masking.app.workflows.calibration_excitation import PERIOD, Rig
 from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
+from masking.errors import MaskingError
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
 from masking.lab.runs.holding import Holding
@@ -62,9 +63,9 @@ def test_a_force_that_never_ends_moves_a_free_shaft_by_what_the_virtual_spring_g
     rig = Rig(drive(tmp_path), SimulatedPlant(drive(tmp_path, bias={
         "effect": "actuator_offset", "at": "i", "parameters": {"u0": pushed}})), lockstep=True)  # fmt: skip
     made = rig.record(np.zeros((6000, 1)), {})
-    moved = made["sensor.encoder"][-500:].mean()
+    moved = made["sensor.encoder"][5000:6000].mean()
     assert moved == pytest.approx(pushed / (0.25 * 3.0 / 3.0), rel=0.02)
-    assert made["input.i"][-500:].mean() == pytest.approx(-pushed, rel=0.02)  # what holds it is recorded
+    assert made["input.i"][5000:6000].mean() == pytest.approx(-pushed, rel=0.02)  # what holds it is recorded
 
 
 def test_a_limit_of_what_no_actuator_pushes_does_not_weaken_what_is_held(tmp_path):
@@ -122,3 +123,52 @@ def test_an_excitation_that_is_too_large_is_made_smaller(tmp_path):
     assert part == pytest.approx(0.7**rig.trips)
     assert np.abs(made["sensor.encoder"]).max() < 25.1
     assert np.abs(made["input.u"]).max() == pytest.approx(2.0 * part)
+
+
+class Kept(SimulatedPlant):
+    """A rig that stays where a run has left it, as one does; `far` is where it has been."""
+
+    def __init__(self, twin, at):
+        super().__init__(twin)
+        self._y[0], self.far = at, [at]
+
+    def begin(self, settings):
+        before = self._y.copy()
+        super().begin(settings)
+        self._y[:] = before
+
+    def step(self, command):
+        super().step(command)
+        self.far.append(float(self._y[0]))
+
+
+def test_a_free_shaft_is_brought_back_to_its_middle_before_it_is_excited(tmp_path):
+    twin = drive(tmp_path)
+    plant = Kept(twin, 2.6)
+    rig = Rig(twin, plant, lockstep=True)
+    made = rig.record(np.zeros((500, 1)), {})
+    assert np.abs(made["sensor.encoder"]).max() < 0.04 * 3.0  # where a hundredth of the largest torque would hold it
+    assert rig.trips == 0
+    assert max(plant.far) < 2.61  # without going the other way first
+    assert rig.used == pytest.approx(0.5 + rig.beside, rel=0.3)
+
+
+def test_a_trip_of_a_free_shaft_is_braked_within_its_limit_and_the_next_try_begins_in_the_middle(tmp_path):
+    """An excitation that is too large takes few tries, each from the middle, and never passes the limit itself."""
+    twin = drive(tmp_path)
+    plant = Kept(twin, 0.0)
+    rig = Rig(twin, plant, lockstep=True)
+    t = np.arange(3000) / 1000.0
+    made = rig.record(2.0 * np.sin(np.pi * t)[:, None], {})
+    assert 1 <= rig.trips <= 8
+    assert made.manifest["calibration"]["part"] == pytest.approx(0.7**rig.trips)
+    assert abs(made["sensor.encoder"][0]) < 0.04 * 3.0
+    assert np.abs(plant.far).max() < 3.0
+
+
+def test_a_shaft_that_lies_beyond_its_limit_is_left_there_with_a_remedy(tmp_path):
+    twin = drive(tmp_path)
+    plant = Kept(twin, 3.2)
+    with pytest.raises(MaskingError, match=r"POSITION_LIMIT.*bring the rig to the middle of its limits by hand"):
+        Rig(twin, plant, lockstep=True, retries=3).record(np.zeros((500, 1)), {})
+    assert plant.far[-1] == pytest.approx(3.2, rel=1e-3)
