@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from masking.control.input_curves import Branch, InputCurves
 from masking.control.observer import Plan, check_followed, check_rate, check_sensing, unseen
 from masking.control.rig.allocation import allocation
 from masking.control.rig.sensor_errors import SensorError
-from masking.control.rig.twin import Twin
+from masking.control.rig.twin import PlacedEffect, Twin
 from masking.errors import ActuationError, ModelError, RootError
 from masking.model.declaration import schema
 from masking.model.declaration.instrument_declaration import Sensor
@@ -246,6 +246,22 @@ class Instruments:
                 f"{model.name} does not rest near its zero without inputs, where controller.rest measures the sensors' "
                 "offsets; leave rest out"
             ) from error
+
+
+def gain_factor(twin: Twin, error: PlacedEffect) -> float:
+    """Factor 1 + e by which a channel of a twin gives more than is declared, by an effect that is a gain error."""
+    return 1.0 + twin.parameter_value(f"{error.label}_e")
+
+
+def corrected_sensors(twin: Twin, errors: Iterable[PlacedEffect]) -> dict[str, Sensor]:
+    """Sensors of a twin's plant file, with the gains that they have by the gain errors among effects."""
+    sensors = dict(twin.declaration.sensors)
+    for one in errors:
+        if one.kind == "sensor_gain":
+            gain = sensors[one.at].gain
+            exact = gain.model_copy(update={"value": gain.value * gain_factor(twin, one)})
+            sensors[one.at] = sensors[one.at].model_copy(update={"gain": exact})
+    return sensors
 
 
 def branches(twin: Twin, model: Model) -> tuple[Branch, ...]:

@@ -40,15 +40,18 @@ def facts(found: Discovery) -> dict[str, Any]:
     causes = [text for _, text in discovery_files.written(found)]
     if found.verdict == "ambiguous":
         causes = [" or ".join(discovery_text.possible_causes(found))]
-    adjusted = discovery_text.adjustments(found)
+    adjusted, nothing = discovery_text.adjustments(found), "no cause is found for what is left"
+    measured = "leaves no more than noise, which is not white" if found.is_at_noise_floor else "leaves more than noise"
+    if found.closed:
+        measured, nothing = "explains all", "nothing is missing"
     sure = {name: part for one in found.effects for name, part in discovery_text.probabilities(found, one).items()}
     sure = sure or {"no cause": found.weights[0]}
     return {
         "assumed": found.twin.declaration.name,
-        "measured": "explains all" if found.closed else "leaves more than noise",
+        "measured": measured,
         "before": float(before),
         "after": float(after),
-        "cause": "; ".join(filter(None, (listed(causes) if causes else "nothing is missing", adjusted))),
+        "cause": "; ".join(filter(None, (listed(causes) if causes else nothing, adjusted))),
         "odds": ", ".join(f"{name} {percent(part)}" for name, part in sure.items()),
         "verdict": found.verdict,
         "closed": found.closed,
@@ -57,7 +60,7 @@ def facts(found: Discovery) -> dict[str, Any]:
 
 def said(row: Row) -> str:
     """A step in a sentence."""
-    parts = [str(row.get(name, "")) for name in ("measured", "cause", "odds", "why")]
+    parts = [str(row.get(name, "")) for name in ("measured", "cause", "odds", "why", "carried")]
     if row.get("chi") is not None:
         parts.insert(1, f"masking error {number(row['chi'], 2)}")
     if "before" in row:
@@ -82,6 +85,7 @@ def sentence(name: str, rows: Sequence[Row]) -> str:
     runs = sum(row["step"] not in {"discovery"} for row in rows)
     spent = sum(row["seconds"] for row in rows)
     ends = [row["why"] for row in rows if row["step"] == "discovery" and "why" in row]
+    ends += [row["carried"] for row in rows if row.get("carried")]
     return "; ".join([*parts, *ends, f"{number(spent / 3600.0, 2)} h of the rig in {runs} steps"]) + "."
 
 
@@ -117,7 +121,7 @@ def save(sentence_of: str, rows: Sequence[Row], numbers: Mapping[str, Any], fold
         one_page.FOUND: [capital(sentence_of)],
         one_page.SURE: [f"{capital(row['odds'])}." for row in found],
         "Steps": [f"{capital(row['step'])}: {said(row)}." for row in rows],
-        one_page.NEXT: [f"{row['why']}." for row in rows if "why" in row],
+        one_page.NEXT: [f"{capital(row[name])}." for row in rows for name in ("why", "carried") if row.get(name)],
     }
     sheet = Sheet(
         title=f"What {numbers['name']} has learned",

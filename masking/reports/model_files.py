@@ -10,8 +10,8 @@ import yaml
 
 from masking.control.rig.twin import Twin
 from masking.display.json_text import json_text
-from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.extended_kalman import KalmanFit
+from masking.inference.estimation.fit import Fit
 from masking.model.declaration import registry
 from masking.reports import html, one_page
 from masking.reports.one_page import Sheet

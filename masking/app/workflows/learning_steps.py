@@ -152,8 +152,13 @@ class Learner:
                 row |= {"next": "", "why": self._is_over}
             if not row["next"] and name in {"discovery", *MORE}:
                 written = self.folder / row["plant"] if "plant" in row else Path(self.current)
-                learned_rig.write(self.folder, written, self.rig.rate)
-                row["next"] = "after" if self.experiment else ""
+                notes = learned_rig.write(self.folder, written, self.rig.rate)
+                use = (
+                    []
+                    if self.experiment
+                    else ["an experiment with '--plant plant.yaml' has a controller that knows it"]
+                )
+                row |= {"next": "after" if self.experiment else "", "carried": "; ".join([*use, *notes])}
             if not self.journal.entries:
                 self.journal.add(event="learn", **self.first)
             self.journal.add(event="end", step=name, **row)

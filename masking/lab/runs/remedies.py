@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from masking.control.known_instruments import gain_factor
 from masking.errors import MaskingError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.feasibility import feasibility
@@ -115,7 +116,7 @@ def _gains(experiment: Experiment, names: Mapping[str, Any]) -> Iterator[Remedy]
     """Parameter of the controller's model that scales an actuator."""
     twin = experiment.twin
     placed = [e for e in twin.effects if e.path.partition(".")[2] in names and e.enabled]
-    weak = {e.at: twin.parameter_value(f"{e.label}_e") for e in placed if e.kind == "actuator_gain"}
+    weak = {e.at: gain_factor(twin, e) - 1.0 for e in placed if e.kind == "actuator_gain"}
     if weak and (values := _scaling(experiment, weak)):
         own = experiment.declaration.controller.parameters
         yield _controller(experiment, "parameters", {**own, **values})

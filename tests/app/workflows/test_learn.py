@@ -37,7 +37,7 @@ from masking.lab.records.stop_switch import Presser, switches
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
 from masking.reports import learning_page, model_files
-from tests.benchmarks.learning import CART, CART_RUN, RIGS, same, written
+from tests.benchmarks.learning import CART, CART_RUN, RIGS, SETUP, same, written
 
 
 def settings(out, **changes):
@@ -148,13 +148,49 @@ def test_what_was_found_of_instruments_is_what_a_controller_knows_of_them(tmp_pa
     found.write_text(
         json.dumps(CART | {"effects": CART["effects"] | {"e": {"effect": kind, "at": at, "parameters": given}}})
     )
-    path = learned_rig.write(tmp_path, found, 1000.0)
+    learned_rig.write(tmp_path, found, 1000.0)
+    path = tmp_path / "plant.yaml"
     registry.check_plant_file(path)
     before, after = (Instruments.of(Twin.load(file)) for file in (found, path))
     assert after.allocation / before.allocation == pytest.approx(1.1 if kind == "actuator_gain" else 1.0)
     assert after.gains() / before.gains() == pytest.approx(1.1 if kind == "sensor_gain" else 1.0)
     assert after.delay - before.delay == (3 if kind == "sensor_delay" else 0)
     assert not [one for one in Twin.load(path).effects if one.kind == kind]
+
+
+@pytest.mark.parametrize(
+    ("given", "samples", "said"),
+    [
+        ({"s1": 3e-3, "s2": 1e-3, "V1": 5.4e-3}, 0, 3),
+        ({"s1": 5e-3, "s2": 3e-3, "s3": 3e-3, "V1": 1.4e-3, "V2": 2e-3, "V3": 1.4e-3}, 4, 5),
+    ],
+)
+def test_no_delay_that_was_found_is_dropped(tmp_path, given, samples, said):
+    """Each sensor answers each actuator as late as was found, by the sum of what the plant file has then."""
+    found = tmp_path / "found.yaml"
+    kinds = {name: "sensor_delay" if name.startswith("s") else "actuator_delay" for name in given}
+    late = {f"late{n}": {"effect": kinds[n], "at": n, "parameters": {"tau": x}} for n, x in given.items()}
+    found.write_text(json.dumps(SETUP | {"effects": late}))
+    notes = learned_rig.write(tmp_path, found, 1000.0)
+    assert len(notes) == said
+    twin = Twin.load(tmp_path / "plant.yaml")
+    assert twin.delay == samples
+    for sensor in twin.sensors:
+        for actuator, acts in zip(twin.actuators, twin.late(1000.0), strict=True):
+            read = sum(e.parameters["tau"] for e in twin.effects if (e.kind, e.at) == ("sensor_delay", sensor))
+            assert acts / 1000.0 + read == pytest.approx(given.get(sensor, 0.0) + given.get(actuator, 0.0))
+
+
+def test_a_delay_that_is_rounded_up_to_samples_is_said(tmp_path):
+    found = tmp_path / "found.yaml"
+    late = {"effect": "sensor_delay", "at": "encoder", "parameters": {"tau": 3.6e-3}}
+    found.write_text(json.dumps(CART | {"effects": CART["effects"] | {"late": late}}))
+    notes = learned_rig.write(tmp_path, found, 1000.0)
+    assert Twin.load(tmp_path / "plant.yaml").delay == 1 + 4
+    assert notes == (
+        "the delay of 4 samples is that of a controller at 1000 Hz",
+        "a delay of 3.6 samples is written as 4, since a controller knows whole samples",
+    )
 
 
 class StoppedError(Exception):
