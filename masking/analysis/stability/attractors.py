@@ -22,6 +22,8 @@ from masking.errors import MaskingError
 from masking.model.modelling.model import Model
 
 _FURTHER: Final = 9  # times the length of the record, after which a motion that attracts has been reached
+_MOST_STEPS: Final = 1_000_000  # of a motion that is followed, some seconds
+_PARTS: Final = 1000  # of a record, whose first shows how many steps it takes
 _MOST_ROWS: Final = 20_000  # of a motion that is looked at
 _TOLERANCE: Final = 1e-9  # local relative error of integration
 _ASIDE: Final = 0.01  # of the size of each state: how far aside a neighbour begins
@@ -106,11 +108,13 @@ def parting(model: Model, times: Array, made: Array, wanted: Array) -> Parting:
         wanted: those of the wanted motion.
 
     Returns:
-        what is known; nothing where the model has delays or events, the motion cannot be followed on, or comes to
-        neither an attractor nor chaos, which is looked for in models of few states.
+        what is known; nothing where the model has delays or events, the motion cannot be followed on, or takes too many
+        steps for that, or comes to neither an attractor nor chaos, which is looked for in models of few states.
     """
     try:
         model.check_ordinary("an attractor")
+        if _FURTHER * _steps(model, times, wanted) > _MOST_STEPS:
+            return Parting()
         size = float(np.abs(wanted).max())
         end, reached = (_settled(model, times, motion, wanted) for motion in (wanted, made))
         if end is None and reached is None and made.shape[1] <= _MOST_STATES:
@@ -121,6 +125,13 @@ def parting(model: Model, times: Array, made: Array, wanted: Array) -> Parting:
         return Parting() if is_same and end.kind == "rest" else Parting(None, end, reached, is_same)
     except MaskingError:  # of a model with delays or events, and of motions that cannot be followed
         return Parting()
+
+
+def _steps(model: Model, times: Array, wanted: Array) -> float:
+    """Steps that the motion of a record takes, by those of its first thousandth."""
+    part = times[0] + np.array([0.0, (times[-1] - times[0]) / _PARTS])
+    u, p = np.zeros(len(model.inputs)), model.values()
+    return _PARTS * float(model.kernels.integrate(part, wanted[0], u, p, tolerance=_TOLERANCE).steps)
 
 
 def _settled(model: Model, times: Array, motion: Array, wanted: Array) -> Attractor | None:

@@ -145,7 +145,11 @@ class Rig:
     def first_size(self, waves: Array) -> float:
         """Part of the largest command that is small for waves of peak 1 (samples, actuators), by the plant file."""
         ideal = Rig(self.twin, SimulatedPlant(self.twin), self.rate, lockstep=True)
-        made = ideal.record(SMALL * self.limits * waves, {})
+        try:
+            made = ideal.record(SMALL * self.limits * waves, {})
+        except MaskingError as error:
+            why = f"its twin does not rest within its limits under {SMALL:.0%} of the largest commands ({error})"
+            raise ModelError(f"{self.twin.declaration.name}: {why}; correct the plant file") from error
         pairs = reached(self.twin, Data.of(made, self.twin, "simulated")).values()
         most = SMALL * float(made.manifest["calibration"]["part"]) * LITTLE
         return min([SMALL, *(most * limit / max(far, 1e-300) for far, limit in pairs)])

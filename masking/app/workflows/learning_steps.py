@@ -153,11 +153,7 @@ class Learner:
             if not row["next"] and name in {"discovery", *MORE}:
                 written = self.folder / row["plant"] if "plant" in row else Path(self.current)
                 notes = learned_rig.write(self.folder, written, self.rig.rate)
-                use = (
-                    []
-                    if self.experiment
-                    else ["an experiment with '--plant plant.yaml' has a controller that knows it"]
-                )
+                use = [] if self.experiment else ["an experiment takes this over with --plant plant.yaml"]
                 row |= {"next": "after" if self.experiment else "", "carried": "; ".join([*use, *notes])}
             if not self.journal.entries:
                 self.journal.add(event="learn", **self.first)

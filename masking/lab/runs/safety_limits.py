@@ -102,8 +102,8 @@ class _Builder:
     def rules(self) -> Rules:
         places = [(e, x, self._linear(e)) for e, x in self.instruments.plant.limits.coordinates.items()]
         self._declared()
-        motion, pushed = self._motion()
-        self._jumps(places, pushed)
+        motion = self._motion()
+        self._jumps(places)
         for name, row in zip(self.instruments.sensors, self.table, strict=True):
             if not row[safety_tables.SPAN] and not row[safety_tables.NOISE]:
                 self.notes.append(f"whether {name} sticks is not watched: declare its noise")
@@ -209,18 +209,18 @@ class _Builder:
             row[safety_tables.NOISE] = self.instruments.noise.get(name, 0.0)
             row[safety_tables.OFF] = OFF * row[safety_tables.NOISE]
 
-    def _motion(self) -> tuple[Array, Array]:
-        """Second derivatives of readings, noted where known, and the largest that commands make (sensors,)."""
+    def _motion(self) -> Array:
+        """Second derivatives of readings by readings and commands, noted where known (sensors, sensors + actuators)."""
         sensors, channels = len(self.table), len(self.commands)
         motion, pushed, n = np.zeros((sensors, sensors + channels)), np.zeros(sensors), self.count
         if not self.known:
-            return motion, pushed
+            return motion
         dynamics, driven = self.instruments.linear()
         largest, known = self.commands[:, LARGEST], self.known
         motion[known, sensors:] = self.sensing @ driven @ self.instruments.allocation
         pushed = np.abs(motion[:, sensors:]) @ largest
         if np.linalg.matrix_rank(self.sensing) < n:
-            return motion, pushed
+            return motion
         inverse = np.linalg.pinv(self.sensing)
         motion[np.ix_(known, known)] = self.sensing @ dynamics[n:, :n] @ inverse
         unexplained = (_UNKNOWN if self._is_known else _PART) * pushed
@@ -232,7 +232,7 @@ class _Builder:
             if row[safety_tables.OFF] > 0.0 and unexplained[i] > 0.0:
                 span = math.sqrt(2.0 * row[safety_tables.OFF] / unexplained[i])
                 row[safety_tables.SPAN] = max(1, round(min(span, _LONGEST) * self.rate))
-        return motion, pushed
+        return motion
 
     @property
     def _is_known(self) -> bool:
@@ -266,13 +266,29 @@ class _Builder:
             reach[i] = own[0] if own else reach[i]
         return np.asarray(reach)
 
-    def _jumps(self, places: list[tuple[Expression, Limit, _Linear | None]], pushed: Array) -> None:
+    def _pushed(self) -> Array:
+        """Second derivatives of readings (sensors,), by what moves the model at its place and its largest commands."""
+        model, found = self.model, np.zeros(len(self.table))
+        p, internal, out = model.values(), model.first_internal, np.empty(2 * self.count + len(model.first_internal))
+        state = np.concatenate([model.first_place, np.zeros(self.count), internal])
+
+        def read(inputs: Array) -> Array:
+            model.kernels.derivative(0.0, state, inputs, p, out)
+            return self.sensing @ out[self.count : 2 * self.count]
+
+        still = read(np.zeros(len(model.inputs)))
+        pushes = np.ascontiguousarray((self.instruments.allocation * self.commands[:, LARGEST]).T)
+        by_each = [np.maximum(np.abs(read(u) - still), np.abs(read(-u) - still)) for u in pushes]
+        found[self.known] = np.abs(still) + sum(by_each)
+        return found
+
+    def _jumps(self, places: list[tuple[Expression, Limit, _Linear | None]]) -> None:
         """Fill in how far each reading may change in a sample, where a speed follows from the limits.
 
         A reading that may reach R, in a rig whose fastest motion has the angular frequency w and whose commands push it
         with a, has at most the speed sqrt(w^2 R^2 + 4 a R): what a spring holds there, and the work of a over 2 R.
         """
-        factors, n = self.instruments.factors, self.count
+        factors, n, pushed = self.instruments.factors, self.count, self._pushed()
         dynamics, _ = self.instruments.linear() if self.known else (np.zeros((2 * n, 2 * n)), None)
         fastest = float(np.abs(np.linalg.eigvals(dynamics)).max(initial=0.0))
         reaches = [(x.max * factors[x.unit], e.slopes[:n]) for _, x, e in places if e is not None]

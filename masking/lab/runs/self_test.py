@@ -112,9 +112,9 @@ def self_test(
     the largest command. `acknowledge` says that somebody has looked at why the plant tripped in the last run;
     `look` is called with the safety chain, which it may stop, and the tick of each sample.
 
-    A ModelError where an actuator has no largest command, or there is no sensor, a PlantMismatchError where the plant
-    has other channels or the size is none, a PlantError where it is lost or refuses, and a MaskingError where the test
-    was interrupted.
+    A ModelError where an actuator has no largest command, there is no sensor, or the twin does not rest, a
+    PlantMismatchError where the plant has other channels or the size is none, a PlantError where it is lost or refuses,
+    and a MaskingError where the test was interrupted.
     """
     if not 0.0 < size <= 1.0:
         raise PlantMismatchError(f"the size of a pulse is {size:g} of the largest command; give a part up to 1")
@@ -127,10 +127,16 @@ def self_test(
     ideal = twin.changed({**twin.changes, **dict.fromkeys(quiet, EffectChange(enabled=False))})
     answers = list[Answer]()
     for j in range(len(twin.actuators)):
-        seconds, predicted = _PULSE, _predicted(ideal, held, j, _PULSE)
-        while seconds * rate > 2.0 and part_moved(held, predicted) > _MOVED:
+        seconds, (predicted, fault) = _PULSE, _predicted(ideal, held, j, _PULSE)
+        while seconds * rate > 2.0 and (fault is not None or part_moved(held, predicted) > _MOVED):
             seconds *= 0.5
-            predicted = _predicted(ideal, held, j, seconds)
+            predicted, fault = _predicted(ideal, held, j, seconds)
+        if fault is not None:
+            raise ModelError(
+                f"{twin.declaration.name}: its twin does not stay within its limits, without commands or under a pulse "
+                f"of {size:.0%} of {twin.actuators[j]} ({fault}); a rig that is tested must rest without commands: "
+                "correct the plant file, or find what is missing in a record of its closed loop by 'masking discover'"
+            )
         read, trip = _Pulse(held, j, seconds).run(plant, twin, lockstep=lockstep, acknowledge=acknowledge, look=look)
         if trip is not None:
             return SelfTest(tuple(answers), (f"{twin.actuators[j]}: {trip}",))
@@ -150,8 +156,8 @@ def part_moved(rules: Rules, read: Array) -> float:
     return float(np.max((far / rules.limits[:, safety_tables.BOUND])[is_position], initial=0.0))
 
 
-def _predicted(ideal: Twin, rules: Rules, at: int, seconds: float) -> Array:
-    return _Pulse(rules, at, seconds).run(SimulatedPlant(ideal), None, lockstep=True)[0]
+def _predicted(ideal: Twin, rules: Rules, at: int, seconds: float) -> tuple[Array, Trip | None]:
+    return _Pulse(rules, at, seconds).run(SimulatedPlant(ideal), None, lockstep=True)
 
 
 class _Pulse:

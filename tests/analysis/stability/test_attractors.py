@@ -131,3 +131,11 @@ def test_motions_whose_further_course_meets_a_singular_mass_are_not_named(tmp_pa
     times = np.linspace(0.0, 0.5, 101)
     states = np.column_stack([times**2 / 4.0, times / 2.0])
     assert parting(load_model(path), times, 2.0 * states, states) == Parting()
+
+
+def test_a_motion_that_takes_too_many_steps_is_not_followed_on(models):
+    """Of a record over ten million periods, nine times of which would take hours; a shorter one is followed."""
+    times = np.linspace(0.0, 2e7 * np.pi, 201)
+    made, wanted = np.column_stack([np.cos(times), -np.sin(times)]), np.column_stack([np.sin(times), np.cos(times)])
+    assert parting(models["van_der_pol"], times, made, wanted) == Parting()
+    assert met(models, "van_der_pol", (2.0, 0.1), (1.9, 0.3), 100.0).is_same

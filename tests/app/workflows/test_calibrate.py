@@ -13,11 +13,16 @@ import pytest
 
 from masking.app import cli
 from masking.app.workflows.calibrate import Calibration, RigCalibration, Stage, calibrate
+from masking.app.workflows.calibration_excitation import Rig
+from masking.compile.numerics import safety_tables
+from masking.control.known_instruments import Instruments
 from masking.control.rig.twin import Twin
 from masking.errors import MaskingError, ModelError, PlantMismatchError, RecordError
 from masking.inference.estimation.fit import fit
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
+from masking.lab.runs import safety_limits
+from masking.lab.runs.self_test import self_test
 from masking.model.declaration import registry
 
 
@@ -298,3 +303,39 @@ def test_records_shorter_than_a_period_are_refused(tmp_path):
     for length in (float("nan"), float("inf")):
         with pytest.raises(ModelError, match="are no records; give at least 20 s"):
             calibrate(twin, SimulatedPlant(twin), settings(tmp_path / "out", seconds=length))
+
+
+def test_a_rig_that_falls_without_commands_is_refused_for_that_and_no_jump_of_its_sensor_is_seen(tmp_path):
+    """A ball falls 10 mm in sqrt(2 * 10 mm / g) = 45.2 ms, at 0.443 m/s then."""
+    twin = Twin.load("magnet")
+    with pytest.raises(ModelError, match=r"twin does not stay .* \(tick 23: POSITION_LIMIT: x is 20.*rest without"):
+        self_test(twin, SimulatedPlant(twin))  # at 500 Hz
+    with pytest.raises(ModelError, match=r"does not rest within its limits .* \(.*tick 46: POSITION_LIMIT"):
+        calibrate(twin, SimulatedPlant(twin), settings(tmp_path / "out"))
+    jump = safety_limits.rules(Instruments.of(twin), 500.0, twin).readings[0, safety_tables.STEP]
+    assert jump > 443.0 / 500.0  # mm
+
+
+def test_a_plant_file_without_sensors_is_refused(tmp_path):
+    twin = Twin.load("cart")
+    blind = dataclasses.replace(twin, declaration=twin.declaration.model_copy(update={"sensors": {}, "effects": {}}))
+    with pytest.raises(ModelError, match=r"no sensor shows what an actuator does; declare some under sensors"):
+        calibrate(blind, SimulatedPlant(twin), settings(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "lowest", "highest"), [("cart", 1.5, 4.1), ("storey", 40.0, 100.0), ("tue_rig", 3.0, 8.0)]
+)
+def test_the_excitation_covers_the_natural_frequencies_of_a_rig(name, lowest, highest):
+    """Of 1.0, 32.2 and at most 2.26 Hz: the power of each actuator's wave lies below and beyond them."""
+    twin = Twin.load(name)
+    rig = Rig(twin, SimulatedPlant(twin), lockstep=True)
+    made = rig.waves(1, 20.0)
+    power = np.abs(np.fft.rfft(made, axis=0)) ** 2
+    at = np.fft.rfftfreq(len(made), 1e-3)
+    assert lowest < at[(power > 1e-6 * power.max()).any(axis=1)].max() < highest
+    assert at[(power > 1e-6 * power.max()).any(axis=1)].min() < 0.2
+    assert np.abs(made).max(axis=0) == pytest.approx(1.0)
+    slow = Rig(twin, SimulatedPlant(twin), 10.0, lockstep=True)
+    assert slow.highest <= 2.5
