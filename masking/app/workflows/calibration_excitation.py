@@ -126,7 +126,9 @@ class Rig:
         squares = np.abs(np.linalg.eigvals(self.known.linear()[0][n:, :n]))
         fastest = math.sqrt(float(squares.max(initial=0.0))) / (2.0 * math.pi)
         wanted = max(ABOVE[0] * fastest, min(HIGHEST, ABOVE[1] * fastest)) if fastest > 1.0 / PERIOD else HIGHEST
-        return min(wanted, PART_OF_RATE * self.rate)
+        return float(
+            f"{min(wanted, PART_OF_RATE * self.rate):.{_DIGITS}g}"
+        )  # the same wherever a record is gone on with
 
     def waves(self, number: int, seconds: float) -> Array:
         """Multisines with peak 1 (samples, actuators): lines in turn, which go round from record to record."""

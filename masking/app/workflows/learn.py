@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from masking.app.workflows import calibration_excitation as excitation
 from masking.app.workflows import learning_steps
 from masking.app.workflows.output_folders import check_folder, refuse_earlier
@@ -20,6 +22,7 @@ from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.rig.twin import Twin
 from masking.display.printed_result import Printed
 from masking.errors import DeclarationError, MaskingError, ModelError, RecordError
+from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.lab.plants import adapters
 from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Plant
@@ -36,6 +39,16 @@ from masking.reports.discovery_files import PLANT
 JOURNAL: Final = "learn.journal"
 _ANOTHER: Final = "name another folder with --out (in Python, out=)"
 RETRIES: Final = 3  # after a trip that is not by the motion
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What every step of a journal says."""
+
+    event: str
+    step: str
+    next: str
+    seconds: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,7 +110,7 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
     driven = excitation.Rig(
         twin, rig(), rate, settings.lockstep, say, acknowledge=settings.acknowledge, retries=RETRIES
     )
-    costs = learning_steps.costs(driven, experiment, settings)
+    costs = _costs(driven, experiment, settings)
     known = _identity(twin, experiment, settings)
     with OwnedFolder(folder), contextlib.ExitStack() as way_out:
         if not (folder / JOURNAL).exists():
@@ -119,11 +132,37 @@ def learn(plant: str, rig: Callable[[], Plant], settings: RigLearning) -> Learni
             plant, rig, settings, folder, journal, first, driven, operator, experiment, costs, patience
         )
         for number, row in enumerate(made.rows, 2):
-            foreign_json.check(row, learning_steps.Entry, f"entry {number} of the journal")
+            foreign_json.check(row, _Entry, f"entry {number} of the journal")
         made.work()
         found = Learning(twin.declaration.name, tuple(made.rows), folder)
         learning_page.save(found.sentence, found.rows, found.as_dict(), folder)
         return found
+
+
+def _costs(rig: excitation.Rig, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
+    """Seconds of the rig that each step takes; a RecordError where there are too few for one round.
+
+    A ModelError where records are too short, and a DeclarationError where the tolerance is none.
+    """
+    excitation.check(rig.twin, settings.seconds)
+    DiscoverySettings(tolerance=settings.tolerance)
+    run, one, each = 0.0, settings.seconds + rig.beside, len(rig.twin.actuators)
+    if experiment:
+        run = experiment.sampled.before / experiment.sampled.rate + rig.beside
+        run += experiment.declaration.duration * experiment.time_scale
+    once = {
+        "self-test": learning_steps.PULSES * each,
+        "rest": learning_steps.REST,
+        "springs": (learning_steps.RAMP + rig.beside) * each,
+    }
+    once |= {"before": run, "excitation": 3.0 * one}
+    needed = sum(once.values()) + run
+    if not needed <= 3600.0 * settings.hours:
+        raise RecordError(
+            f"{settings.hours:g} h are too few for one round, which takes {needed:.0f} s of the rig: give "
+            f"--hours {np.ceil(needed / 36.0) / 100.0:g} or more, or shorter records with --seconds"
+        )
+    return once | {"record": one, "experiment": one, "after": run}
 
 
 def _identity(twin: Twin, experiment: Experiment | None, settings: RigLearning) -> str:

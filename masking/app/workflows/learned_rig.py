@@ -58,6 +58,8 @@ def write(folder: Path, plant: Path, rate: float) -> tuple[str, ...]:
             factors[one.at] *= gain_factor(twin, one)
     delays, notes = _delays(twin, [one for one in found if one.kind in _DELAYS], rate)
     effects |= delays
+    if samples := kinds and twin.delay + sum(use["parameters"].get("samples", 0) for use in delays.values()):
+        notes = (f"its delay of {samples} samples is that of a controller at {rate:g} Hz", *notes)
     changed = replace(twin, declaration=twin.declaration.model_copy(update={"sensors": corrected_sensors(twin, found)}))
     made = model_files.plant(changed, folder, {"model": registry.name_from(twin.base, folder)}, (), effects)
     if not effects:
@@ -86,8 +88,6 @@ def _delays(twin: Twin, found: Sequence[PlacedEffect], rate: float) -> tuple[dic
     effects: dict[str, Any] = (
         {"delay_found": {"effect": "delay", "parameters": {"samples": samples}}} if samples else {}
     )
-    if samples:
-        notes.append(f"the delay of {samples} samples is that of a controller at {rate:g} Hz")
     if common < samples - discovery_files.WHOLE:
         notes.append(f"a delay of {common:.3g} samples is written as {samples}, since a controller knows whole samples")
     late |= {name: late[name] + max(0.0, common - samples) / rate for name in twin.actuators}

@@ -29,10 +29,8 @@ from masking.errors import (
     PlantError,
     PlantLostError,
     PlantRefusedError,
-    RecordError,
     SingularityError,
 )
-from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import reached
 from masking.inference.procedures.channels import Source
@@ -51,10 +49,10 @@ from masking.reports import learning_page
 
 COMMANDS: Final = "commands.npy"
 STEPS: Final = "steps"  # folder of what each step leaves
-_REST: Final = 5.0  # s of sensors at rest
-_RAMP: Final = 60.0  # s of a slow push
+REST: Final = 5.0  # s of sensors at rest
+RAMP: Final = 60.0  # s of a slow push
 _LARGEST: Final = 0.4  # of the largest command: a pulse of the self-test
-_PULSES: Final = 2.0  # s that a self-test takes for each actuator
+PULSES: Final = 2.0  # s that a self-test takes for each actuator
 PATIENCE: Final = 60.0  # s that a plant is waited for
 _AGAIN: Final = 1.0  # s between tries to reach it
 MORE: Final = {"record", "experiment"}  # steps that follow a discovery
@@ -63,38 +61,6 @@ _PARTED: Final = 3  # experiments at most to part the same causes
 _LESS: Final = 0.9  # of the error before: what is found is worth another round
 
 T = TypeVar("T")
-
-
-def costs(rig: excitation.Rig, experiment: Experiment | None, settings: RigLearning) -> dict[str, float]:
-    """Seconds of the rig that each step takes; a RecordError where there are too few for one round.
-
-    A ModelError where records are too short, and a DeclarationError where the tolerance is none.
-    """
-    excitation.check(rig.twin, settings.seconds)
-    DiscoverySettings(tolerance=settings.tolerance)
-    run, one, each = 0.0, settings.seconds + rig.beside, len(rig.twin.actuators)
-    if experiment:
-        run = experiment.sampled.before / experiment.sampled.rate + rig.beside
-        run += experiment.declaration.duration * experiment.time_scale
-    once = {"self-test": _PULSES * each, "rest": _REST, "springs": (_RAMP + rig.beside) * each}
-    once |= {"before": run, "excitation": 3.0 * one}
-    needed = sum(once.values()) + run
-    if not needed <= 3600.0 * settings.hours:
-        raise RecordError(
-            f"{settings.hours:g} h are too few for one round, which takes {needed:.0f} s of the rig: give "
-            f"--hours {np.ceil(needed / 36.0) / 100.0:g} or more, or shorter records with --seconds"
-        )
-    return once | {"record": one, "experiment": one, "after": run}
-
-
-@dataclass(frozen=True)
-class Entry:
-    """What every step of a journal says."""
-
-    event: str
-    step: str
-    next: str
-    seconds: float
 
 
 @final
@@ -153,7 +119,7 @@ class Learner:
             if not row["next"] and name in {"discovery", *MORE}:
                 written = self.folder / row["plant"] if "plant" in row else Path(self.current)
                 notes = learned_rig.write(self.folder, written, self.rig.rate)
-                use = [] if self.experiment else ["an experiment takes this over with --plant plant.yaml"]
+                use = [] if self.experiment else ["an experiment with 'plant: plant.yaml' takes this over"]
                 row |= {"next": "after" if self.experiment else "", "carried": "; ".join([*use, *notes])}
             if not self.journal.entries:
                 self.journal.add(event="learn", **self.first)
@@ -193,13 +159,9 @@ class Learner:
         """Pulse each actuator, with larger pulses where no answer stands out of the noise."""
         del place
         size, rig = SIZE, self.rig
+        pulsed = partial(self_test, rig.twin, rig.plant, lockstep=rig.lockstep, acknowledge=rig.acknowledge)
         while True:
-            found = self._reached(
-                partial(
-                    self_test, rig.twin, rig.plant, size=size, lockstep=rig.lockstep, acknowledge=rig.acknowledge,
-                    look=rig.look,
-                )
-            )  # fmt: skip
+            found = self._reached(partial(pulsed, size=size, look=rig.look))
             rig.used += self.costs["self-test"]
             clear = {one.actuator for one in found.answers if one.is_clear}
             is_over = self.costs["self-test"] > rig.until - rig.now
@@ -219,7 +181,7 @@ class Learner:
 
     def _rest(self, place: Path) -> dict[str, Any]:
         """Read the sensors at rest: noise and zeros."""
-        found = self._recorded(np.zeros((round(_REST * self.rig.rate), len(self.rig.limits))), place)
+        found = self._recorded(np.zeros((round(REST * self.rig.rate), len(self.rig.limits))), place)
         twin, said, known = self.rig.twin, list[str](), self.rig.twin.noise()
         for name in twin.sensors:
             column, unit = found[f"sensor.{name}"], twin.declaration.sensors[name].unit
@@ -231,7 +193,7 @@ class Learner:
     def _springs(self, place: Path) -> dict[str, Any]:
         """Push slowly with one actuator after the other: the stiffness that the sensor shows which moves most."""
         rig, said = self.rig, list[str]()
-        ramp = signals.ramp(1.0, duration=_RAMP, rate=rig.rate).values
+        ramp = signals.ramp(1.0, duration=RAMP, rate=rig.rate).values
         for i, name in enumerate(rig.twin.actuators if rig.holding is None else ()):
             pushed = ramp * (np.arange(len(rig.limits)) == i)
             made = self._recorded(rig.first_size(pushed) * rig.limits * pushed, place / name)

@@ -118,7 +118,7 @@ class RigLearning:
         at: address of the rig, such as udp://127.0.0.1:5005 or serial:///dev/ttyACM0; by default the plant's twin.
         key: file of mode 0600 with a key that the server has, too.
         experiment: an experiment to run on the rig before and after, a YAML file or a name that 'masking list' shows.
-        hours: of the rig's clock that it may take.
+        hours: that the rig may be driven or waited for.
         seconds: length of each record.
         tolerance: relative standard deviation of a parameter that declares none, before anything is recorded.
         lockstep: each side waits for the other; no clock.

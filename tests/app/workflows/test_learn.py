@@ -34,6 +34,7 @@ from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.records.stop_switch import Presser, switches
+from masking.lab.runs import hardware
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
 from masking.reports import learning_page, model_files
@@ -84,6 +85,28 @@ def test_the_masking_error_falls_and_trips_do_not_end_it(rubbing):
     assert made.assembly.plant.files.keys() == {str(folder / "out" / "plant.yaml")}
     read = Recording.load(folder / "out" / "steps" / "05-excitation" / "unseen")["sensor.encoder"]
     assert np.abs(read).max() < 25.0
+
+
+class Moved(SimulatedPlant):
+    """A twin that keeps how it moves."""
+
+    def readings(self):
+        self.moved = [*getattr(self, "moved", []), float(self._y[0])]
+        return super().readings()
+
+
+def test_another_experiment_masks_with_the_plant_file_alone(rubbing):
+    """One that was not there when it learned; its error is that of the rig's own motion."""
+    _, folder = rubbing
+    errors = []
+    for plant in ("rig.yaml", "out/plant.yaml"):
+        run = CART_RUN | {"plant": plant, "initial": {"x": 0.3}, "duration": 40}
+        (folder / "other.yaml").write_text(json.dumps(run))
+        made, rig = Experiment.load(folder / "other.yaml"), Moved(Twin.load(folder / "true.yaml"))
+        ideal = hardware.run(made, rig, hardware.RunSettings(lockstep=True))["ideal.x"]
+        moved = np.array(rig.moved[made.sampled.before :][: len(ideal)]) / 0.005
+        errors.append(np.linalg.norm(moved - ideal[: len(moved)]) / np.linalg.norm(ideal))
+    assert errors[1] < 0.02 < 0.1 * errors[0]
 
 
 def test_its_page_and_its_one_page_say_what_it_took(rubbing, capsys):
@@ -188,7 +211,7 @@ def test_a_delay_that_is_rounded_up_to_samples_is_said(tmp_path):
     notes = learned_rig.write(tmp_path, found, 1000.0)
     assert Twin.load(tmp_path / "plant.yaml").delay == 1 + 4
     assert notes == (
-        "the delay of 4 samples is that of a controller at 1000 Hz",
+        "its delay of 5 samples is that of a controller at 1000 Hz",
         "a delay of 3.6 samples is written as 4, since a controller knows whole samples",
     )
 
