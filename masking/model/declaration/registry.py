@@ -201,45 +201,40 @@ def changed_experiment(experiment: ExperimentDeclaration, sections: Mapping[str,
     return made
 
 
-def assemble(experiment: ExperimentDeclaration, plant: str | None = None) -> Assembly:
-    """Load all that an experiment refers to, `plant` in place of its own; a `DeclarationError` lists misfits."""
-    rig, plant_model = _rig(experiment, plant)
-    virtual = load_model(experiment.virtual, refer(experiment, "virtual"))
-    assumed = experiment.controller.model
-    controller_model = load_model(assumed, refer(experiment, "controller.model")) if assumed else plant_model
-    return _assembled(experiment, rig, plant_model, virtual, controller_model)
+def assemble(
+    experiment: ExperimentDeclaration,
+    plant: str | None = None,
+    known: Assembly | None = None,
+    sections: Collection[str] = (),
+) -> Assembly:
+    """Load all that an experiment refers to, `plant` in place of its own; a `DeclarationError` lists misfits.
+
+    Of what is `known`, only the files that the `sections` name are read anew.
+    """
+    if known is None or {"plant", "plants"} & {*sections}:
+        rig, plant_model = _rig(experiment, plant)
+    else:
+        rig, plant_model = known.plant, known.plant_model
+    if known is None or "virtual" in sections:
+        declared = load_model(experiment.virtual, refer(experiment, "virtual"))
+    else:
+        declared = known.declared_virtual
+    controller_model, assumed = plant_model, experiment.controller.model
+    if assumed and known is not None and assumed == known.experiment.controller.model:
+        controller_model = known.controller_model
+    elif assumed:
+        controller_model = load_model(assumed, refer(experiment, "controller.model"))
+    problems = check_experiment(experiment, rig, plant_model, declared, controller_model)
+    problems += check_inputs(experiment, rig, plant_model, declared)
+    if problems:
+        raise DeclarationError(in_order(problems))
+    virtual = with_inputs(declared, experiment.inputs)
+    return Assembly(experiment, rig, plant_model, virtual, controller_model, declared)
 
 
 def changed_assembly(known: Assembly, sections: Mapping[str, object]) -> Assembly:
-    """Assembly with some sections of the experiment's file replaced, checked as if the file said so.
-
-    Only the files that these sections name are read.
-    """
-    experiment = changed_experiment(known.experiment, sections)
-    rig, plant_model = _rig(experiment, None) if {"plant", "plants"} & {*sections} else (known.plant, known.plant_model)
-    is_other = "virtual" in sections
-    virtual = load_model(experiment.virtual, refer(experiment, "virtual")) if is_other else known.declared_virtual
-    assumed, controller_model = experiment.controller.model, known.controller_model
-    if not assumed:
-        controller_model = plant_model
-    elif assumed != known.experiment.controller.model:
-        controller_model = load_model(assumed, refer(experiment, "controller.model"))
-    return _assembled(experiment, rig, plant_model, virtual, controller_model)
-
-
-def _assembled(
-    experiment: ExperimentDeclaration,
-    rig: PlantDeclaration,
-    plant_model: ModelDeclaration,
-    virtual: ModelDeclaration,
-    controller_model: ModelDeclaration,
-) -> Assembly:
-    problems = check_experiment(experiment, rig, plant_model, virtual, controller_model)
-    problems += check_inputs(experiment, rig, plant_model, virtual)
-    if problems:
-        raise DeclarationError(in_order(problems))
-    given = with_inputs(virtual, experiment.inputs)
-    return Assembly(experiment, rig, plant_model, given, controller_model, virtual)
+    """Assembly with some sections of the experiment's file replaced, checked as if the file said so."""
+    return assemble(changed_experiment(known.experiment, sections), None, known, sections)
 
 
 def parts(experiment: ExperimentDeclaration) -> list[Part]:
