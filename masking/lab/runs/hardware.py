@@ -36,7 +36,7 @@ from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import RowLayout, known, recorder, samples_after
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.parted_motion import noted
-from masking.lab.runs.realtime import Hooks, RigRun, check_channels, every, run_rig
+from masking.lab.runs.realtime import Hooks, RigRun, Row, check_channels, every, run_rig
 from masking.lab.runs.stopping import FINISHED, FULL, INTERRUPTED, STOPPED, SYNCHRONISED, StopCondition
 
 WATCHDOG = 0.02
@@ -188,13 +188,14 @@ class _Run:
         keeper, settings, operator = self.keeper, self.settings, self.settings.operator
         if operator is not None:
             operator.begin(self.experiment, keeper.controller, self.rules)
-        samples, puts = keeper.before + self.after, [operator.put if operator is not None else None]
-        puts += [self.recorder.ring.put] if self.recorder is not None else []
+        samples = keeper.before + self.after
+        puts: list[Callable[[Row], None]] = [] if self.recorder is None else [self.recorder.ring.put]
+        puts += [] if operator is None or operator.put is None else [operator.put]
         own = Settings(keeper.controller.rate, settings.watchdog, settings.lockstep, settings.acknowledge)
         hooks = Hooks(
             accept=self._accept,
             on_tick=None if settings.progress is None else every(settings.progress, samples),
-            on_row=[put for put in puts if put is not None],
+            on_row=puts,
             stop=self._is_over,
             emergency=settings.emergency,
             look=None if operator is None else operator.look,
