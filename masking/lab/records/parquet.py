@@ -32,10 +32,10 @@ _WRITTEN: Final[Mapping[str, Any]] = {"compression": "zstd", "use_dictionary": F
 
 @final
 class Writer:
-    """A table that is written to a stream chunk by chunk, with the manifest at its end; a context."""
+    """A table that is written to a stream chunk by chunk, with a manifest in JSON, now or at its end; a context."""
 
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream = stream
+    def __init__(self, stream: BinaryIO, manifest: bytes | None = None) -> None:
+        self._stream, self._metadata = stream, {} if manifest is None else {MANIFEST_KEY: manifest}
         self._writer: Any = None  # of pyarrow
 
     def __enter__(self) -> Self:
@@ -52,12 +52,13 @@ class Writer:
         """
         if self._writer is None:
             # Statistics of all columns of all groups: measured 8 MB of memory for each hour at 1 kHz.
-            self._writer = pq.ParquetWriter(self._stream, _schema(columns, facts), write_statistics=["t"], **_WRITTEN)
+            schema = _schema(columns, facts).with_metadata(self._metadata)
+            self._writer = pq.ParquetWriter(self._stream, schema, write_statistics=["t"], **_WRITTEN)
         self._writer.write_table(_table(columns, self._writer.schema), row_group_size=ROWS)
 
-    def close(self, manifest: bytes) -> None:
-        """Write the manifest, which is JSON, and the end of the table."""
-        self._writer.add_key_value_metadata({MANIFEST_KEY: manifest})
+    def close(self, manifest: bytes | None = None) -> None:
+        """Write the end of the table, and the manifest where it was not known before."""
+        self._writer.add_key_value_metadata({} if manifest is None else {MANIFEST_KEY: manifest})
         self._writer.close()
 
 

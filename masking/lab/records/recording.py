@@ -266,10 +266,10 @@ class Recording:
     def write(self, table: BinaryIO) -> bytes:
         """Write the table to a stream, with the manifest inside, and return the manifest as text."""
         text = json_text({"format": FORMAT, **self.manifest}).encode()
-        with parquet.Writer(table) as writer:
+        with parquet.Writer(table, text) as writer:
             for chunk in self.chunks():
                 writer.add(chunk, {"unit": self.units, "meaning": self.meanings})
-            writer.close(text)
+            writer.close()
         return text
 
     @classmethod
