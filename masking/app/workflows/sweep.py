@@ -40,29 +40,6 @@ _SHOWN: Final = 12  # rows in a notebook
 Tell = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
-class _Over:
-    """What the description of a sweep says of what varies."""
-
-    name: str
-    grid: list[float] | None
-    factor: bool
-    unit: str
-
-
-@dataclass(frozen=True)
-class _Facts:
-    """What the description of a sweep says, by its keys."""
-
-    name: str
-    identity: str
-    rows: int
-    over: list[_Over]
-    measures: list[str]
-    units: dict[str, str]
-    sha256: str
-
-
 @dataclass(frozen=True, repr=False)
 class Sweep(Printed):
     """The rows of a sweep."""
@@ -88,7 +65,7 @@ class Sweep(Printed):
         return {
             "name": self.name, "runs": self.rows, "done": len(self), "failed": failed, "sentence": self.sentence,
             "over": self.facts["over"], "measures": self.facts["measures"],
-            "units": self.facts["units"],
+            "units": self.facts.get("units", {}),
             "counts": {name: sweep_page.counts(self[name]) for name in words}, "rows": str(self.folder / ROWS),
         }  # fmt: skip
 
@@ -272,10 +249,10 @@ def _begin(folder: Path, facts: Mapping[str, Any], *, overwrite: bool) -> None:
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / PLAN
     try:
-        found: dict[str, Any] = foreign_json.load(path, _Facts)
+        found: dict[str, Any] = foreign_json.load(path, dict[str, Any])
     except RecordError as error:
         raise RecordError(f"{folder} holds no sweep: there is no {PLAN} in it that can be read ({error})") from None
-    if found.pop(CHECK) != _check(found):
+    if found.pop(CHECK, "") != _check(found):  # else it is what this program wrote, all of it
         raise RecordError(f"{path} was changed since it was written; begin anew in another folder")
     return found
 
