@@ -33,6 +33,12 @@ _MAGNIFIED: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _SAME = {"+", "-", "*", "/", "<", "<=", ">", ">="}
 # In JavaScript, what is not `Math.` and the name of the function.
 _CODE = {"**": "Math.pow({0},{1})", "negative": "(-{0})", "where": "({0}?{1}:{2})", "heaviside": "(({0}>0)+({0}>=0))/2"}
+PAGE: Final = "animation.html"
+_MOST_ROWS: Final = 20_000  # in a page: 40 points in each of 500 periods
+_LEVELS: Final = 32_767  # of a series, which is kept in 16 bits
+_SPEEDS: Final = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_SECONDS: Final = 1.6  # that a period takes at first, about
+PERIODS: Final = 12.0  # that the traces show at once
 
 
 @dataclass(frozen=True)
@@ -155,14 +161,6 @@ def shape_facts(drawing: Drawing) -> list[dict[str, Any]]:
     """Kind, the colour and the label of each shape, as JSON can hold them."""
     pairs = zip(drawing.shapes, drawing.colours, strict=True)
     return [{"kind": shape.kinds[0], "colour": colour, "label": shape.label} for shape, colour in pairs]
-
-
-PAGE: Final = "animation.html"
-_MOST_ROWS: Final = 20_000  # in a page: 40 points in each of 500 periods
-_LEVELS: Final = 32_767  # of a series, which is kept in 16 bits
-_SPEEDS: Final = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-_SECONDS: Final = 1.6  # that a period takes at first, about
-PERIODS: Final = 12.0  # that the traces show at once
 
 
 @dataclass(frozen=True)

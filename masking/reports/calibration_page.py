@@ -41,6 +41,13 @@ _DOCUMENT: Final = (
     ("the document, Table 4.5", "free motion", "0.0545", "0.1307", "0.0869"),
 )
 _AUTHOR = "Rijlaarsdam"
+_MOST_ROWS = len(COLOURS)
+_SHOWN = 10.0  # s of the unseen record in which single swings can be distinguished apart
+_WINDOW = 0.5  # s over which a residual's rms is taken
+_BINS_PER_DECADE = 14  # of a spectrum
+_LETTERS = 40  # of the name of a stage
+_FLOOR = 0.45  # times the noise: where an axis of residuals ends
+_MILLI = 1e3
 
 
 def save(found: Calibration) -> None:
@@ -191,15 +198,6 @@ def _plain(value: float, digits: int = 5) -> str:
 
 def _minus(text: str) -> str:
     return text.replace("-", "\N{MINUS SIGN}") if "e-" not in text else text
-
-
-_MOST_ROWS = len(COLOURS)
-_SHOWN = 10.0  # s of the unseen record in which single swings can be distinguished apart
-_WINDOW = 0.5  # s over which a residual's rms is taken
-_BINS_PER_DECADE = 14  # of a spectrum
-_LETTERS = 40  # of the name of a stage
-_FLOOR = 0.45  # times the noise: where an axis of residuals ends
-_MILLI = 1e3
 
 
 def _figures(found: Calibration) -> list[CaptionedFigure]:

@@ -27,6 +27,11 @@ _WORDS: Final = frozenset({"name", "source", "description", "meaning", "label", 
 _SAME: Final = 1e-9  # relative difference of two numbers that count as equal
 ABSENT: Final = "\N{EN DASH}"
 _NAMED: Final = 4  # differences in a sentence
+PAGE: Final = "comparison.html"
+_MOST_ROWS: Final = 6
+_MOST_DECLARED: Final = 60  # rows of the table of declarations
+_PERIODS: Final = 6  # of the enlarged ends
+TWO: Final = (COLOURS[0], COLOURS[1])
 
 
 @dataclass(frozen=True)
@@ -187,13 +192,6 @@ def symbols_in(compared: Comparison) -> set[str]:
     names = {*compared.first.manifest.get("parameters", {}), *compared.second.manifest.get("parameters", {})}
     names |= {name for one in compared.studies for name in (*one.coordinates, *(use.name for use in one.inputs))}
     return {name for name in names if is_symbol(name)}
-
-
-PAGE: Final = "comparison.html"
-_MOST_ROWS: Final = 6
-_MOST_DECLARED: Final = 60  # rows of the table of declarations
-_PERIODS: Final = 6  # of the enlarged ends
-TWO: Final = (COLOURS[0], COLOURS[1])
 
 
 def save(compared: Comparison, folder: Path) -> Path:

@@ -47,6 +47,14 @@ MODELS = ("as declared", "adjusted parameters", "with the finding", panels.NOISE
 VALIDATION = "validation record"
 Tried = tuple[str, str, float, float]  # effect, place, part of the residual, part of what would count
 FAINT = 1e-3  # of the strongest line: weaker ones are rounded off by the smoother, and not drawn
+BEFORE: Final = COLOURS[1]
+AFTER: Final = COLOURS[0]
+MISSING: Final = {"element": "latent force", "actuator": "command error", "sensor": "reading error"}
+KNOWN: Final = COLOURS[2]  # of a band
+KNOWN_OPACITY: Final = 0.35
+CLOUD: Final = 0.4  # opacity
+POINTS = 5000  # of a cloud
+ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is stated
 
 
 def figures(found: Discovery) -> list[CaptionedFigure]:
@@ -284,16 +292,6 @@ def errors(found: Discovery) -> dict[str, tuple[Mapping[str, float], ...]]:
         "record": (gap.estimation[0], adjusted, fitted, gap.noise_floor),
         VALIDATION: (gap.validation[0], gap.adjusted, validated, gap.validation_noise_floor),
     }
-
-
-BEFORE: Final = COLOURS[1]
-AFTER: Final = COLOURS[0]
-MISSING: Final = {"element": "latent force", "actuator": "command error", "sensor": "reading error"}
-KNOWN: Final = COLOURS[2]  # of a band
-KNOWN_OPACITY: Final = 0.35
-CLOUD: Final = 0.4  # opacity
-POINTS = 5000  # of a cloud
-ALSO = 0.02  # part that all takes beyond what the laws at the place take, from which that is stated
 
 
 def _map(found: Discovery, latent: latent_force.LatentForce) -> CaptionedFigure:

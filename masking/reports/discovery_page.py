@@ -39,6 +39,8 @@ TITLES = {
     "ambiguous": "What the model may be missing",
     "unknown": "Something unknown is missing",
 }
+TRACE_HEAD = ("explanation", "suggested by", "behind", "error over noise", "why not")
+MOST_TRACED = 20  # hypotheses of each reading that are shown
 
 
 def save(found: Discovery, folder: str | Path, origin: Origin, *, lies: Path | None = None) -> Files:
@@ -176,10 +178,6 @@ def tiles(found: Discovery) -> list[Tile]:
     most = noise_threshold(len(found.validation_record), found.problem.rules)
     what = f"error in {name}{' with it' * has_finding}"
     return [*made, Tile(what, percent(after), f"noise {percent(floor)}", after > most * floor)]
-
-
-TRACE_HEAD = ("explanation", "suggested by", "behind", "error over noise", "why not")
-MOST_TRACED = 20  # hypotheses of each reading that are shown
 
 
 def trace(found: Discovery) -> list[tuple[str, list[tuple[str, ...]]]]:

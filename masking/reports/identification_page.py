@@ -42,6 +42,7 @@ DOWN: Final = COLOURS[1]  # the way down
 _MOST_OUTPUTS = 4
 _NARROW = 30.0  # times: a logarithmic axis that spans less has a number at 1, 2 and 5
 _SIGN = {1: "above", -1: "below"}
+MOST_TILES, FIT_PAGE = 3, "fit.html"
 
 
 def _springs(measured: Measurement[SpringCurve]) -> list[CaptionedFigure]:
@@ -261,7 +262,6 @@ def _distortion(measured: Measurement[Response]) -> CaptionedFigure:
     return drawn(words, rows, 1.9, heading=sentence)
 
 
-MOST_TILES, FIT_PAGE = 3, "fit.html"
 # Title of a page, its figures, and beginnings of the names of numbers on top; the first number of each is shown.
 _PAGES: Final[dict[str, tuple[str, Callable[[Any], list[CaptionedFigure]], tuple[str, ...]]]] = {
     "springs": ("Spring curve", _springs, ("stiffness", "half_gap", "width")),

@@ -44,6 +44,8 @@ _EDGES: Final = np.logspace(*_DECADES, (_DECADES[1] - _DECADES[0]) * _PARTS + 1)
 _LEAST: Final = 200  # points from which a period is taken
 _PHASE_RATE, _MEMORY = 200.0, 60.0  # Hz and s of the motion from which a phase is taken
 _TITLES: Final = {"virtual": "Virtual system", "rig": "Rig", "sensor": "Sensors"}
+_LOOK, _PHASED = 0.04, 0.25  # s between looks at the rows, and at the phases
+_TAKEN: Final = "; a page that shows a trip gives its port back once that is acknowledged"
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,10 +311,6 @@ def plain(values: Any) -> Any:  # noqa: ANN401  # numbers, or trees of them
     if isinstance(values, Iterable):
         return [plain(one) for one in values]
     return values if math.isfinite(values) else None
-
-
-_LOOK, _PHASED = 0.04, 0.25  # s between looks at the rows, and at the phases
-_TAKEN: Final = "; a page that shows a trip gives its port back once that is acknowledged"
 
 
 @final

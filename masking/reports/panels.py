@@ -41,6 +41,18 @@ _KEY_LINE: Final = 0.2  # inches, of a further line of a legend
 _TITLES: Final = 0.22  # inches above axes, for a line of words
 _KEY_SIZE: Final = 6.0  # points, of a marker in a legend at most
 _KEY: Final = 1.8  # least width in points of a full line in a legend, and 1 of a dashed line
+_PREFIXES: Final = {1.0: "", 1e3: "m", 1e6: "µ", 1e9: "n"}  # of small values, by the factor
+_LEAST: Final = 0.1  # of the largest value that is drawn, in its unit
+Errors = Mapping[str, Mapping[str, float]]  # of each channel, by model
+NOISE: Final = "noise floor"
+_ROOM = 1.6  # of a logarithmic axis beside its first and last point
+# How the errors of models are marked: of these, of the first of several others, and of any other.
+_MARKS: Final[dict[str, dict[str, Any]]] = {
+    "adjusted parameters": {"colour": COLOURS[1], "marker": "o", "size": 7, "order": 3},
+    NOISE: {"colour": INK, "marker": "|", "size": 15, "order": 5},
+}
+_FIRST: Final[dict[str, Any]] = {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED}
+_LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
 
 
 class Part(ABC):
@@ -323,10 +335,6 @@ def bars(axes: Axes, names: Sequence[str]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-_PREFIXES: Final = {1.0: "", 1e3: "m", 1e6: "µ", 1e9: "n"}  # of small values, by the factor
-_LEAST: Final = 0.1  # of the largest value that is drawn, in its unit
-
-
 def shown(unit: str, *values: Array | Sequence[float]) -> tuple[float, str]:
     """Factor and unit in which values of a unit are drawn together: small metres, volts and newtons in mm, µm or nm."""
     largest = max((float(np.abs(v).max()) for v in values if len(v)), default=0.0)
@@ -360,19 +368,6 @@ def spectral_density(values: Array, rate: float, segments: int = 8, bins: int = 
     counts = np.diff(np.append(first, len(place)))
     mean = [np.add.reduceat(column, first) / counts for column in (f[1:], power[1:])]
     return mean[0], np.sqrt(np.maximum(mean[1], 1e-300))
-
-
-Errors = Mapping[str, Mapping[str, float]]  # of each channel, by model
-
-NOISE: Final = "noise floor"
-_ROOM = 1.6  # of a logarithmic axis beside its first and last point
-# How the errors of models are marked: of these, of the first of several others, and of any other.
-_MARKS: Final[dict[str, dict[str, Any]]] = {
-    "adjusted parameters": {"colour": COLOURS[1], "marker": "o", "size": 7, "order": 3},
-    NOISE: {"colour": INK, "marker": "|", "size": 15, "order": 5},
-}
-_FIRST: Final[dict[str, Any]] = {"colour": PAPER, "marker": "o", "size": 6.5, "edge": MUTED}
-_LAST: Final[dict[str, Any]] = {"colour": COLOURS[0], "marker": "o", "size": 7, "order": 4}
 
 
 def error_panel(

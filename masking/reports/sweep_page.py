@@ -32,6 +32,14 @@ from masking.reports.text import capital, listed, share
 PAGE: Final = "sweep.html"
 _SHOWN: Final = 20  # failures
 _NAMED: Final = 4  # of what varies, that the sentence names
+_KINDS: Final = {
+    **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
+    "not synchronised": COLOURS[3], "unknown": UNKNOWN, "": PAPER,
+}  # fmt: skip
+_QUANTILES: Final = (0.1, 0.5, 0.9)
+_BINS: Final = 40
+_ROOM: Final = 1.71  # inches, for words beside bars
+_SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
 def sentence(facts: Mapping[str, Any], columns: Columns) -> str:
@@ -86,16 +94,6 @@ def save(facts: Mapping[str, Any], columns: Columns, said: str, folder: Path) ->
         most=_SHOWN,
     )
     return folder / PAGE
-
-
-_KINDS: Final = {
-    **END_COLOURS, "locked": COLOURS[2], "beating": COLOURS[5], "death": MUTED,
-    "not synchronised": COLOURS[3], "unknown": UNKNOWN, "": PAPER,
-}  # fmt: skip
-_QUANTILES: Final = (0.1, 0.5, 0.9)
-_BINS: Final = 40
-_ROOM: Final = 1.71  # inches, for words beside bars
-_SAME: Final = 2e-3  # of a value: differences that no axis magnifies further
 
 
 def figures(facts: Mapping[str, Any], columns: Columns) -> list[CaptionedFigure]:

@@ -37,6 +37,11 @@ _MOST_CONFIRMED = 500  # boxes, spread evenly
 _ZERO = 1e-300  # where rounding outward has moved 0
 _FURTHER = (1.0, 10.0, 100.0)  # times a side that is not given: how far a state at which V' > 0 is looked for
 _FARTHEST = (1e4, 1e8, 1e16, 1e32)  # the same, where neither such a state nor a proof was found
+SAMPLES = 20_000
+_MOST_TRIED = 20  # of the states where the expression is largest
+_ROUNDING = 1e-15  # of an exact value, written as a floating-point number
+_DISTINCT = 1e-20  # an exact value is taken to be positive above this: it is evaluated to 30 digits
+_KIND = "value in floating point"
 
 
 @dataclass(frozen=True)
@@ -259,12 +264,6 @@ class _Hessian:
         return False
 
 
-SAMPLES = 20_000
-_MOST_TRIED = 20  # of the states where the expression is largest
-_ROUNDING = 1e-15  # of an exact value, written as a floating-point number
-_DISTINCT = 1e-20  # an exact value is taken to be positive above this: it is evaluated to 30 digits
-
-
 class Growth:
     """An expression of the state of a motion on a graph, at the declared values, and the edges across which it jumps.
 
@@ -339,6 +338,3 @@ def along(
             return function(np.moveaxis(states, -1, 0))
 
     return at
-
-
-_KIND = "value in floating point"

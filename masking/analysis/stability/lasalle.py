@@ -29,6 +29,7 @@ from masking.display.printed_result import Printed
 from masking.errors import ModelError
 
 _MOST_RULES = 3  # applications of the first rule, one after the other
+_Further = tuple[tuple[sp.Expr, ...], str]
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,9 +75,6 @@ def invariant_set(motion: Motion, forms: Sequence[sp.Expr]) -> InvariantSet:
 
 class _OpenError(ModelError):
     """The rules do not go on from here."""
-
-
-_Further = tuple[tuple[sp.Expr, ...], str]
 
 
 @dataclass

@@ -19,6 +19,12 @@ from typing import Any, TextIO, final
 from masking.display.characters import visible, visible_line
 from masking.lab.plants.operating_system import signal_main_thread
 
+APART = 10.0  # s between lines of progress in a file or a pipe
+INTERRUPTED = 130  # exit status
+NOTHING_SAVED = "masking: interrupted; nothing was saved"
+_LATER = 0.02  # s, after which an interrupt tries again
+_FORM = "{desc} {percentage:3.0f}% {bar}"
+
 
 @final
 class PrintableStream:
@@ -49,13 +55,6 @@ def printable() -> Iterator[None]:
 def raw(stream: TextIO) -> TextIO:
     """Stream behind a printable one, for a bar that moves the cursor."""
     return stream.raw if isinstance(stream, PrintableStream) else stream
-
-
-APART = 10.0  # s between lines of progress in a file or a pipe
-INTERRUPTED = 130  # exit status
-NOTHING_SAVED = "masking: interrupted; nothing was saved"
-_LATER = 0.02  # s, after which an interrupt tries again
-_FORM = "{desc} {percentage:3.0f}% {bar}"
 
 
 class Bar:

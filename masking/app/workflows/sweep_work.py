@@ -50,6 +50,12 @@ Measure: TypeAlias = str | Callable[[Recording], float]
 RUN, ERROR, SEED, WAY = "run", "error", "seed", "way"  # columns beside those of parameters and measures
 UP, DOWN = "up", "down"
 _STATES: Final = 20_000_000  # numbers of the states that are in memory together
+Made = tuple[int, int, Columns, float]  # first row, one more than the last, their columns, and the seconds that it took
+Submit = Callable[[int, int], "Future[Made]"]
+_SECONDS: Final = 2.0  # that a chunk takes, about
+_MOST: Final = 2000  # rows of a chunk
+_SCRIPT: Final = b"__main__"  # where a pickle has functions of the script that runs
+_AHEAD: Final = 2  # chunks for each process
 
 
 @dataclass(frozen=True)
@@ -271,14 +277,6 @@ class Plan:
 def _name(one: Measure) -> str:
     return one if isinstance(one, str) else one.__name__
 
-
-Made = tuple[int, int, Columns, float]  # first row, one more than the last, their columns, and the seconds that it took
-Submit = Callable[[int, int], "Future[Made]"]
-
-_SECONDS: Final = 2.0  # that a chunk takes, about
-_MOST: Final = 2000  # rows of a chunk
-_SCRIPT: Final = b"__main__"  # where a pickle has functions of the script that runs
-_AHEAD: Final = 2  # chunks for each process
 
 _plans: list[Plan] = []  # of this process, which keeps what a plan has compiled
 
