@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from masking.app.workflows.output_folders import own_folder
-from masking.app.workflows.settings_keywords import with_fields_of
 from masking.control.exports import unit_files
 from masking.control.exports.controllers import law_unit, sampled_unit
 from masking.control.exports.plants import model_unit, twin_unit
@@ -41,11 +40,23 @@ class Exported(Printed, Result):
         return "\n".join([f"{self.title}", *self.notes, *(f"written: {file}" for file in self.files)])
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportSettings:
-    """Settings of an export.
+def export(
+    name_or_path: str | Path,
+    *,
+    to: Target,
+    kind: Kind | None = None,
+    changes: Mapping[str, float] | None = None,
+    plant: str | None = None,
+    real: Real = "double",
+    rate: float | None = None,
+    watchdog: float = WATCHDOG,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a controller, a rig or a model as source that runs without this package.
 
     Args:
+        name_or_path: an experiment, whose controller is exported; a plant, as a simulated rig; or a model.
         to: 'c' or 'fmu'.
         kind: 'experiment', 'plant' or 'model', where a name stands for several; by default the first of these.
         changes: parameters that replace the declared ones: of an experiment's virtual system, or of a model.
@@ -56,62 +67,49 @@ class ExportSettings:
         watchdog: seconds without a step after which a sampled controller's commands are zero.
         out: folder to write into; `exported/NAME` by default.
         overwrite: whether an earlier export of the same kind is replaced in that folder.
-    """
-
-    to: Target
-    kind: Kind | None = None
-    changes: Mapping[str, float] | None = None
-    plant: str | None = None
-    real: Real = "double"
-    rate: float | None = None
-    watchdog: float = WATCHDOG
-    out: str | Path | None = None
-    overwrite: bool = False
-
-
-@with_fields_of(ExportSettings)
-def export(name_or_path: str | Path, settings: ExportSettings) -> Exported:
-    """Write a controller, a rig or a model as source that runs without this package.
-
-    Args:
-        name_or_path: an experiment, whose controller is exported; a plant, as a simulated rig; or a model.
-        settings: the fields of `ExportSettings`.
 
     Raises:
         DeclarationError: a declaration or a setting is wrong.
         ModelError: the controller cannot be made, or a constant is too large for `real`.
         RecordError: the folder cannot be written, or holds such an export.
     """
-    to, real = settings.to, settings.real
     _check("--to", to, get_args(Target))
     _check("--real", real, get_args(Real))
     if real == "float" and to != "c":
         raise DeclarationError(Problem(None, "--real", f"float is for C; {to} has double", "leave --real out"))
-    for option, value in (("--rate", settings.rate), ("--watchdog", settings.watchdog)):
+    for option, value in (("--rate", rate), ("--watchdog", watchdog)):
         if value is not None and not 0.0 < value < float("inf"):
             raise DeclarationError(Problem(None, option, f"{value:g} is no positive number", "give one, such as 1000"))
-    folder = Path("exported") / Path(name_or_path).stem if settings.out is None else Path(settings.out)
-    unit = _unit(name_or_path, settings)
-    with own_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=settings.overwrite):
+    folder = Path("exported") / Path(name_or_path).stem if out is None else Path(out)
+    unit = _unit(name_or_path, kind, changes, plant, rate=rate, watchdog=watchdog)
+    with own_folder(folder, f"{unit.name}{unit_files.ENDINGS[to]}", overwrite=overwrite):
         return Exported(unit.title, unit.kind, unit_files.write(unit, folder, to, real), unit.notes)
 
 
-def _unit(name_or_path: str | Path, settings: ExportSettings) -> Unit:
+def _unit(
+    name_or_path: str | Path,
+    asked: Kind | None,
+    changes: Mapping[str, float] | None,
+    plant: str | None,
+    *,
+    rate: float | None,
+    watchdog: float,
+) -> Unit:
     named = (kind for kind in get_args(Kind) if str(name_or_path) in catalogue.names(kind))
-    kind = settings.kind or next(named, None) or catalogue.kind_of(name_or_path)
+    kind = asked or next(named, None) or catalogue.kind_of(name_or_path)
     _check("--kind", kind, get_args(Kind))
-    stem, rate, changes = Path(name_or_path).stem, settings.rate, settings.changes
+    stem = Path(name_or_path).stem
     if kind == "experiment":
         if rate is not None:
             remedy = "change controller.rate in the experiment file"
             raise DeclarationError(Problem(None, "--rate", "a controller has the rate that is declared", remedy))
-        made = Experiment.load(name_or_path, plant=settings.plant, changes=changes)
+        made = Experiment.load(name_or_path, plant=plant, changes=changes)
         made.validate()
         _check_inputs(made)
         if made.has_observer:
-            return sampled_unit(made.sampled, stem, settings.watchdog)
+            return sampled_unit(made.sampled, stem, watchdog)
         return law_unit(made.loop, stem, made.declaration.controller.rate)
-    if settings.plant is not None:
+    if plant is not None:
         raise DeclarationError(Problem(None, "--plant", f"a {kind} runs on no plant", "name an experiment"))
     if kind == "plant":
         catalogue.check_changes(kind, changes)

@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 
 from masking.app.workflows.output_folders import own_folder
-from masking.app.workflows.settings_keywords import with_fields_of
 from masking.app.workflows.sweep_work import ERROR, Measure, Plan, work
 from masking.display import fragments
 from masking.display.json_text import json_text
@@ -81,11 +80,34 @@ class Sweep(Printed):
         return fragments.card(self.name, f"{size}. {self.sentence}", fragments.table([*shown], rows[:_SHOWN]))
 
 
-@dataclass(frozen=True, kw_only=True)
-class SweepSettings:
-    """Settings of a sweep: variations, measures and runs.
+def sweep(
+    experiment: str | Path | Experiment,
+    *,
+    over: Mapping[str, Values] | None = None,
+    runs: int | None = None,
+    seed: int = 0,
+    measure: Sequence[Measure] = (),
+    sampling: Sampling = "random",
+    virtual: bool = False,
+    continuation: bool = False,
+    trajectories: bool = False,
+    changes: Mapping[str, float] | None = None,
+    duration: float | None = None,
+    part: tuple[int, int] = (1, 1),
+    workers: int | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    tell: Tell | None = None,
+) -> Sweep:
+    """Run an experiment many times, with other values each time, and measure each run.
+
+        masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
+
+    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. Where functions of
+    a script are measures, call it there under `if __name__ == "__main__":`, since other processes import the script.
 
     Args:
+        experiment: an experiment file, the name of a packaged one, or an `Experiment`.
         over: what varies, by parameter, coordinate or velocity of the virtual system (`z3`, `x1'`), `EFFECT.PARAMETER`
             of the plant, `plant.PARAMETER` of its model, or a number of the experiment (`duration`), several with
             commas between them: values, a frozen distribution of scipy.stats, or a text such as '0.1:0.4:50',
@@ -107,37 +129,6 @@ class SweepSettings:
         out: folder of the results; by default results/EXPERIMENT_sweep.
         overwrite: whether another sweep in that folder may be replaced.
         tell: called with what is done and how long the rest takes, and the fraction done.
-    """
-
-    over: Mapping[str, Values] | None = None
-    runs: int | None = None
-    seed: int = 0
-    measure: Sequence[Measure] = ()
-    sampling: Sampling = "random"
-    virtual: bool = False
-    continuation: bool = False
-    trajectories: bool = False
-    changes: Mapping[str, float] | None = None
-    duration: float | None = None
-    part: tuple[int, int] = (1, 1)
-    workers: int | None = None
-    out: str | Path | None = None
-    overwrite: bool = False
-    tell: Tell | None = None
-
-
-@with_fields_of(SweepSettings)
-def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep:
-    """Run an experiment many times, with other values each time, and measure each run.
-
-        masking.sweep("huygens", over={"mu1,mu2": "0.01:0.2:50"}, measure=["alpha", "verdict"])
-
-    Finished runs are on disk: after an interruption, the same call makes the runs that are missing. Where functions of
-    a script are measures, call it there under `if __name__ == "__main__":`, since other processes import the script.
-
-    Args:
-        experiment: an experiment file, the name of a packaged one, or an `Experiment`.
-        settings: the fields of `SweepSettings`.
 
     Raises:
         DeclarationError: a declaration, a name, values or a measure is wrong.
@@ -145,32 +136,30 @@ def sweep(experiment: str | Path | Experiment, settings: SweepSettings) -> Sweep
         MaskingError: a process of the sweep ended: finished runs are kept.
     """
     whole = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
-    given, tell = settings, settings.tell
     sections: dict[str, Any] = {}
-    if given.changes:
-        sections["parameters"] = {**whole.declaration.parameters, **given.changes}
-    if given.duration is not None:
-        sections["duration"] = given.duration
+    if changes:
+        sections["parameters"] = {**whole.declaration.parameters, **changes}
+    if duration is not None:
+        sections["duration"] = duration
     whole = whole.changed(**sections) if sections else whole
-    design = Design.of(given.over or {}, given.runs, given.seed, given.sampling)
-    kind = (given.virtual, given.continuation, given.trajectories)
-    plan = Plan(whole, design, tuple(given.measure), *kind)
+    design = Design.of(over or {}, runs, seed, sampling)
+    kind = (virtual, continuation, trajectories)
+    plan = Plan(whole, design, tuple(measure), *kind)
     plan = plan if plan.measures else replace(plan, measures=plan.measurable.defaults)
     plan.check()
-    first, last = _range(plan, given.part)
-    folder = Path(given.out or f"results/{whole.stem}_sweep")
+    first, last = _range(plan, part)
+    folder = Path(out or f"results/{whole.stem}_sweep")
     facts = _facts(plan)
     with own_folder(folder):
-        _begin(folder, facts, overwrite=given.overwrite)
+        _begin(folder, facts, overwrite=overwrite)
         missing = table_chunks.missing(table_chunks.done(folder / ROWS), first, last)
-        count = min(given.workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
+        count = min(workers or os.cpu_count() or 1, max(1, sum(b - a for a, b in missing) // plan.chain))
         begun, before, done, todo = 0.0, 0, 0, sum(b - a for a, b in missing)
         for a, b, columns, _ in work(plan, missing, workers=count):
             table_chunks.write(folder / ROWS, a, b, columns, facts["identity"])
             done += b - a
-            begun, before = (
-                (begun, before) if begun else (time.monotonic(), done)
-            )  # the first chunk waits for compilers
+            if not begun:  # the first chunk waits for compilers
+                begun, before = time.monotonic(), done
             if tell is not None:
                 left = (time.monotonic() - begun) * (todo - done) / max(done - before, 1)
                 finished = last - first - todo + done

@@ -403,9 +403,8 @@ def _calls_when_imported(script: ModuleType, file: str) -> bool:
 def _script(*, is_imported: bool) -> Iterator[None]:
     """Let processes that are started here import the script that runs, or nothing in place of it."""
     script = sys.modules["__main__"]
-    sys.modules["__main__"] = (
-        script if is_imported else ModuleType("__main__")
-    )  # of which multiprocessing finds no file
+    # Of an empty one multiprocessing finds no file.
+    sys.modules["__main__"] = script if is_imported else ModuleType("__main__")
     try:
         yield
     finally:
