@@ -40,7 +40,7 @@ def facts(found: Discovery) -> dict[str, Any]:
     causes = [text for _, text in discovery_files.written(found)]
     if found.verdict == "ambiguous":
         causes = [" or ".join(discovery_text.possible_causes(found))]
-    adjusted, nothing = discovery_text.adjustments(found), "no cause is found for what is left"
+    adjusted, nothing = discovery_text.adjustments(found), "no cause of it is found"
     measured = "leaves no more than noise, which is not white" if found.is_at_noise_floor else "leaves more than noise"
     if found.closed:
         measured, nothing = "explains all", "nothing is missing"

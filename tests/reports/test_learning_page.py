@@ -16,8 +16,8 @@ __all__ = ["discoveries", "rig"]  # fixtures
     ("left", "closed", "measured", "cause"),
     [
         (0.01, True, "explains all", "nothing is missing"),
-        (0.01, False, "leaves no more than noise, which is not white", "no cause is found for what is left"),
-        (0.5, False, "leaves more than noise", "no cause is found for what is left"),
+        (0.01, False, "leaves no more than noise, which is not white", "no cause of it is found"),
+        (0.5, False, "leaves more than noise", "no cause of it is found"),
     ],
 )
 def test_without_a_cause_a_row_says_one_thing(discoveries, left, closed, measured, cause):

@@ -241,7 +241,8 @@ def _findings(twin: Twin, answers: tuple[Answer, ...], size: float) -> Iterator[
     for actuator in twin.actuators:
         own = [x for x in clear if x.actuator == actuator and x.sensor not in reversed_sensors]
         if not own:
-            yield f"{actuator}: no answer to {size:.0%} of its limit stands out of the noise; give a larger --pulse"
+            remedy = "look at its supply, or give a larger pulse by 'masking rig check --pulse'"
+            yield f"{actuator}: no answer to {size:.0%} of its limit stands out of the noise; {remedy}"
         elif all(abs(x.gain) < _DEAD for x in own):
             yield f"{actuator} is dead: {_shown(own)}; look at its amplifier, its cable and its supply"
         elif all(x.gain < -_DEAD for x in own):
