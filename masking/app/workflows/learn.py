@@ -16,6 +16,7 @@ import numpy as np
 
 from masking.app.workflows import calibration_excitation as excitation
 from masking.app.workflows import learning_steps
+from masking.app.workflows.learning_steps import PULSES, RAMP, REST
 from masking.app.workflows.output_folders import check_folder, refuse_earlier
 from masking.app.workflows.rig_settings import RigLearning
 from masking.app.workflows.settings_keywords import with_fields_of
@@ -150,11 +151,7 @@ def _costs(rig: excitation.Rig, experiment: Experiment | None, settings: RigLear
     if experiment:
         run = experiment.sampled.before / experiment.sampled.rate + rig.beside
         run += experiment.declaration.duration * experiment.time_scale
-    once = {
-        "self-test": learning_steps.PULSES * each,
-        "rest": learning_steps.REST,
-        "springs": (learning_steps.RAMP + rig.beside) * each,
-    }
+    once = {"self-test": PULSES * each, "rest": REST, "springs": (RAMP + rig.beside) * each}
     once |= {"before": run, "excitation": 3.0 * one}
     needed = sum(once.values()) + run
     if not needed <= 3600.0 * settings.hours:
