@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from masking import lazy_imports
 from masking.errors import RecordError
-from masking.lazy_imports import interpolate as interpolation
 
 Series = NDArray[np.float64]
 
@@ -166,7 +166,7 @@ def synchronisation_time(t: Series, g: Series, eps: float) -> float:
 
 def interpolate(t: Series, a: Series, at: Series) -> Series:
     """Value of a smooth series between its samples: a spline of fifth degree, on any grid."""
-    return np.asarray(interpolation.make_interp_spline(t, a, min(_DEGREE, len(t) - 1))(at), dtype=np.float64)
+    return np.asarray(lazy_imports.interpolate.make_interp_spline(t, a, min(_DEGREE, len(t) - 1))(at), dtype=np.float64)
 
 
 def on_even_grid(t: Series, *series: Series) -> tuple[Series, ...]:
