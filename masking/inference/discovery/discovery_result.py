@@ -18,13 +18,14 @@ from masking.inference.discovery.held_out import Withheld
 from masking.inference.discovery.latent_force import Explained, Localisation, ResidualWhiteness, localise
 from masking.inference.discovery.next_experiment import NextExperiment
 from masking.inference.discovery.problem import EstimationProblem
-from masking.inference.discovery.units_after_search import far_off
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.unit_check import UnitDoubt
+from masking.inference.estimation.unit_check import FAR, UnitDoubt
 from masking.inference.estimation.whiteness import Whiteness, whiteness
-from masking.model.effects import Effect
+from masking.model.effects import GAINS_AND_ZEROS, Effect
+
+GAINS = {name for name in GAINS_AND_ZEROS if name.endswith("gain")}
 
 
 class Estimate(NamedTuple):
@@ -232,9 +233,16 @@ class Discovery(Explained):
         return self.simulation_error.is_noise(len(self.validation_record), self.problem.rules)
 
     @property
-    def is_far_off(self) -> bool:
-        """Whether a gain or a parameter of the explanation is several times what is declared."""
-        return bool(far_off(self.problem, self.explanation.hypothesis))
+    def far_off(self) -> tuple[tuple[Key, float], ...]:
+        """Gains (effect, place) and parameters (name, '') that are several times what is declared, and how many."""
+        prior, fitted, most = self.problem.prior, self.explanation.hypothesis, self.problem.rules.chance_deviations
+        pairs = [((one.effect, one.at), 1.0 + one.values[0]) for one in fitted.instances if one.effect in GAINS]
+        for name, value, mean, deviation in zip(
+            self.rig.names, fitted.theta, prior.mean, prior.deviation, strict=False
+        ):
+            if mean and abs(value - mean) > most * deviation:
+                pairs.append(((name, ""), float(value / mean)))
+        return tuple((key, times) for key, times in pairs if not 1.0 / FAR < times < FAR)
 
     @property
     def shooting_interval(self) -> float | None:

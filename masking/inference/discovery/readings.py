@@ -4,6 +4,10 @@ A reading is searched by itself. Each of the others is tried where an answer cal
 something, the motion loses phase, a channel is of another size, or forces may follow the motion of other places. It
 takes the place of the one before only if its answer explains more of unseen data.
 
+A law that the model lacks may hide that a channel has another unit or sign. So a unit is suspected where what was found
+needs a gain or a parameter that is several times what is declared, or is unknown, and readings and simulation are of
+one size in another unit.
+
 Source: Rousseeuw and Croux (1993), J. Am. Stat. Assoc. 88(424), 1273-1283, for the noise by a median of magnitudes.
 """
 
@@ -11,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +23,7 @@ from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, RecordError
-from masking.inference.discovery import shooting_intervals, units_after_search, verdict
+from masking.inference.discovery import continuation, fitting, shooting_intervals, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
@@ -29,10 +34,12 @@ from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import centred
 from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.work_budget import Work
+from masking.inference.estimation import unit_check
 from masking.inference.estimation.identification_data import Data
-from masking.inference.estimation.unit_check import UnitDoubt
+from masking.inference.estimation.unit_check import FAR, STEPS, UnitDoubt
 from masking.lab.records.noise import EXACT, FEWEST, rounding_steps, third_differences, white_noise
 
+LIKE = 1.2  # times the factor between units, up to which a gain is like it: a law may be mistaken for the rest
 FEWER = 0.8  # of the mean noise: a median below is less than by chance, and some readings jump
 MEDIAN = 0.6745  # magnitude that half of all samples of a standard normal distribution stay below
 
@@ -58,7 +65,7 @@ class Reading:
         whole = EstimationProblem(rig, train, prior, noise, most, rules=rules, work=work, trace=Trace())
         whole = centred(whole)
         declared = cls(whole, unseen, noise_of(twin, unseen), settings)
-        doubt = units_after_search.doubted(whole)
+        doubt = doubted(whole)
         return declared.in_intervals(settings.shooting_interval) if doubt is None else declared.in_unit(doubt)
 
     def in_intervals(self, seconds: float | None) -> Reading:
@@ -71,7 +78,7 @@ class Reading:
         """Same with the channels in another unit, or with another sign."""
         whole = replace(self.problem, interval=0).under(f"another unit or sign of {' and '.join(doubt.names)}")
         unseen = doubt.of(whole.rig.twin, self.unseen)
-        made = replace(self, problem=units_after_search.converted(doubt, whole), unseen=unseen, doubt=doubt)
+        made = replace(self, problem=converted(doubt, whole), unseen=unseen, doubt=doubt)
         return replace(made, noise=noise_of(whole.rig.twin, unseen)).in_intervals(self.settings.shooting_interval)
 
 
@@ -97,8 +104,8 @@ def shorter_intervals(reading: Reading, found: Discovery) -> Iterator[Reading]:
 
 def another_unit(reading: Reading, found: Discovery) -> Iterator[Reading]:
     """Another unit or sign of a channel, where a gain or a parameter is far off or nothing is found."""
-    if reading.doubt is None and (found.verdict == "unknown" or found.is_far_off):
-        doubt = units_after_search.suspected(replace(reading.problem, interval=0), found.explanation.hypothesis)
+    if reading.doubt is None and (found.verdict == "unknown" or found.far_off):
+        doubt = suspected(replace(reading.problem, interval=0), found)
         if doubt is not None:
             yield reading.in_unit(doubt)
 
@@ -136,10 +143,10 @@ def explains_more(again: Discovery, found: Discovery) -> bool:
     """
     rules = found.problem.rules
     after, before = (one.simulation_error.over_noise for one in (again, found))
-    if again.is_far_off or not after <= rules.noise_floor * before:
+    if again.far_off or not after <= rules.noise_floor * before:
         return False
     is_known = again.verdict != "unknown"
-    if is_known and (found.verdict == "unknown" or found.is_far_off):
+    if is_known and (found.verdict == "unknown" or found.far_off):
         return True
     is_alike = again.exchanged == found.exchanged and again.problem.interval == found.problem.interval
     is_likelier = is_known and is_alike and ahead(again.explanation, found.explanation) > rules.effect_evidence
@@ -181,3 +188,59 @@ def _measured(column: Array) -> Array:
     kinks = np.flatnonzero(np.abs(np.diff(column, n=2)) > EXACT * np.abs(column).max()) + 1
     every = round(len(column) / max(len(kinks), 1))
     return column if every < 2 or len(kinks) < FEWEST else column[kinks[0] :: every]
+
+
+def doubted(problem: EstimationProblem) -> UnitDoubt | None:
+    """Unit that is probably another than declared, before a search; None where none is."""
+    return unit_check.doubted(problem.rig.twin, problem.record, partial(_residuals, problem))
+
+
+def suspected(problem: EstimationProblem, found: Discovery) -> UnitDoubt | None:
+    """Unit that makes readings and simulation one size, which they are not in the declared one; or None.
+
+    A law may change the size of a motion by itself: a gain that is as large as a factor between units counts, too. What
+    explains the record in the declared unit is known; the problem is simulated whole.
+    """
+    twin, record = problem.rig.twin, problem.record
+    compare = unit_check.comparison(record, partial(_residuals, problem))
+    every = (replace(one, otherwise=found.far_off) for one in unit_check.others(twin, record) if one.kind != "clock")
+    before, size = compare(record)
+    tried = [*unit_check.tried(twin, record, every, compare, before)]
+    best, least = unit_check.best_of(tried)
+    return best if best and FAR * least < size else next((one for one, _ in tried if is_gain(one)), None)
+
+
+def is_gain(doubt: UnitDoubt) -> bool:
+    """Whether a record needs a gain of the one channel that is about the factor of its unit."""
+    gains = {on: times for (_, on), times in doubt.otherwise if on and times}
+    known = gains if doubt.kind == "actuator" else {on: 1.0 / times for on, times in gains.items()}
+    by = known.get(doubt.names[0], 0.0) / doubt.factor if len(doubt.names) == 1 else 0.0
+    return 1.0 / LIKE < by < LIKE
+
+
+def converted(doubt: UnitDoubt, problem: EstimationProblem) -> EstimationProblem:
+    """Problem with the channels in the declared unit."""
+    twin, sigma = problem.rig.twin, problem.sigma.copy()
+    if doubt.kind == "sensor":
+        sigma[[twin.sensors.index(name) for name in doubt.names]] *= abs(doubt.factor)
+    record = doubt.of(twin, problem.record)
+    steps = _steps(problem, record) if doubt.kind == "clock" else problem.substeps
+    return replace(problem, record=record, sigma=sigma, substeps=steps)
+
+
+def _steps(problem: EstimationProblem, record: Data) -> int:
+    return min(max(1, problem.rig.twin.substeps(record.rate) // 2), STEPS)
+
+
+def _residuals(problem: EstimationProblem, record: Data) -> Array | None:
+    """Residuals of the model as declared along a record, its initial state fitted; None if its motion is not finite."""
+    mean = problem.prior.mean
+    here = replace(
+        problem, record=record, sigma=np.maximum(record.readings.std(axis=0), 1e-300), substeps=_steps(problem, record)
+    )
+    try:
+        begun = fitting.Begun((), mean, here.first_states(mean))
+    except IntegrationError:
+        return None
+    made = fitting.solved(here, begun, rounds=continuation.ROUNDS, frozen=True)
+    return None if made is None else made.residuals

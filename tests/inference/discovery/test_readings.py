@@ -9,7 +9,7 @@ import masking
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.latent_force import element_units
-from masking.inference.discovery.units_after_search import is_gain
+from masking.inference.discovery.readings import is_gain
 from masking.inference.estimation.unit_check import UnitDoubt
 from masking.reports import discovery_text
 
