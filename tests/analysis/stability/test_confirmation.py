@@ -7,7 +7,7 @@ import sympy as sp
 from mpmath import iv
 
 from masking.analysis.stability.confirmation import enclosed_again, has_root
-from masking.analysis.stability.crosscheck import contradiction_on_a_box, misjudged
+from masking.analysis.stability.crosscheck import contradiction, misjudged
 from masking.analysis.stability.energy_certificate import certificate
 from masking.analysis.stability.equilibria import equilibria, stability_of
 from masking.analysis.stability.free_equations import Motion, jumps
@@ -178,8 +178,8 @@ def test_a_motion_on_a_box_counts_until_it_leaves(declared):
     """V' = -(1 - x^2) x'^2 is negative inside of |x| < 1, and positive outside of it."""
     model = oscillator(declared, "-x - (1 - x**2)*x'", "(x'**2 + x**2)/2")
     motion = Motion(model, Hypotheses(model))
-    assert not contradiction_on_a_box(motion, {"x": (-0.9, 0.9), "x'": (-2.0, 2.0)})
-    assert "gains energy" in contradiction_on_a_box(motion, {"x": (-1.9, 1.9), "x'": (-1.9, 1.9)})
+    assert not contradiction(motion, box={"x": (-0.9, 0.9), "x'": (-2.0, 2.0)})
+    assert "gains energy" in contradiction(motion, box={"x": (-1.9, 1.9), "x'": (-1.9, 1.9)})
 
 
 def test_a_minimum_of_an_energy_with_negative_kinetic_part_proves_nothing(declared):
