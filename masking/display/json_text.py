@@ -65,7 +65,7 @@ def plain(value: Any, path: Iterable[str] = ()) -> Any:  # noqa: ANN401  # a tre
         case _ if is_dataclass(value):
             return {name: plain(getattr(value, name), (*path, name)) for name in _names(value)}
     kind = type(value).__name__
-    raise RecordError(f"'{'.'.join(path)}' is a {kind}, which JSON cannot hold")
+    raise RecordError(f"'{'.'.join(path)}' is of type {kind}, which JSON cannot hold")
 
 
 def _names(value: Any) -> tuple[str, ...]:  # noqa: ANN401  # a dataclass

@@ -36,5 +36,5 @@ def test_values_that_json_lacks():
 
 
 def test_what_json_cannot_hold_is_named_with_its_place():
-    with pytest.raises(RecordError, match=r"'a\.1' is a set, which JSON cannot hold"):
+    with pytest.raises(RecordError, match=r"'a\.1' is of type set, which JSON cannot hold"):
         plain({"a": [1, {2}]})

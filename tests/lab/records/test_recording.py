@@ -273,7 +273,7 @@ def test_the_manifest_holds_numpy_values_and_infinities(tmp_path):
 
 
 def test_the_manifest_refuses_what_json_cannot_hold(tmp_path):
-    with pytest.raises(RecordError, match=r"'timing\.run' is a set, which JSON cannot hold"):
+    with pytest.raises(RecordError, match=r"'timing\.run' is of type set, which JSON cannot hold"):
         Recording({"t": T}, {"timing": {"run": {1}}}).save(tmp_path)
     assert not list(tmp_path.iterdir())
 

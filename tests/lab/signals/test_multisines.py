@@ -367,7 +367,7 @@ def test_bad_files_are_refused_and_leave_nothing(tmp_path):
     with pytest.raises(RecordError, match=r"written to \.csv or \.parquet, not to '\.xls'"):
         made.save(tmp_path / "ramp.xls")
     odd = Excitation("odd", 1.0, np.ones((3, 1)), ("u",), ("V",), {"what": object()})
-    with pytest.raises(RecordError, match=r"'meta\.what' is a object, which JSON cannot hold"):
+    with pytest.raises(RecordError, match=r"'meta\.what' is of type object, which JSON cannot hold"):
         odd.save(tmp_path / "odd.parquet")
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordError, match="cannot be written"):
