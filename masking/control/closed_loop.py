@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Compiled
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.law import ControlLaw, Controller, ControllerParameters, RigSymbols

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.law import Controller
 from masking.control.transform import Transform

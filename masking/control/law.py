@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from masking.compile.codegen import module_store
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.cancellation import Cancellation, decouple
 from masking.control.desired_dynamics import DesiredDynamics

@@ -15,13 +15,13 @@ from functools import cached_property
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Compiled
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import HEATING, LARGEST, TIME, Sizes
 from masking.compile.numerics.kernel_arguments import Parts
 from masking.compile.numerics.newton import STEP, jacobian
-from masking.control import whole_rig
+from masking.control import followed_sensors
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.homing import Homing
 from masking.control.known_instruments import Instruments
@@ -109,7 +109,7 @@ class SampledController(Compiled):
             )
         if law.is_direct or at == "inputs":
             return law.is_direct
-        tells = whole_rig.tells_forces(law, known, self.end, self.internal, order=self.observer.order)
+        tells = followed_sensors.tells_forces(law, known, self.end, self.internal, order=self.observer.order)
         if at == "masses" and not tells:
             raise ModelError(
                 f"controller.observer.at: masses: the sensors ({', '.join(known.sensors)}) do not tell a force on a "
@@ -121,7 +121,7 @@ class SampledController(Compiled):
     @property
     def unused(self) -> tuple[str, ...]:
         """Sensors that are not followed, as `whole_rig.unused`; none where the model is declared to be right."""
-        return () if self._estimates_forces or self.observer.at else whole_rig.unused(self.instruments)
+        return () if self._estimates_forces or self.observer.at else followed_sensors.unused(self.instruments)
 
     @cached_property
     def _memory_steps(self) -> int:
@@ -249,7 +249,7 @@ class SampledController(Compiled):
         sensing = np.hstack([sensing[:, : own + forced], np.zeros((len(sensing), m))])
         fed = -allocated / self.limits[:, [LARGEST]]
         against = (np.hstack([by[:, own : own + forced], fed]), np.hstack([by[:, own + n :][:, :forced], 0.0 * fed]))
-        unused = [whole_rig.UNUSED if name in self.unused else 1.0 for name in self.instruments.sensors]
+        unused = [followed_sensors.UNUSED if name in self.unused else 1.0 for name in self.instruments.sensors]
         levels = self.instruments.levels(sensing, noise) * unused
         return WholePlan(
             dynamics, driven, sensing, by[:, :own], against, levels, 1.0 / self.rate, self.delay, n, sizes.at_masses

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from masking.compile.codegen.compiled_functions import Compiled
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.control.coordinate_match import CoordinateMatch
 from masking.control.rig.twin import Twin
 from masking.control.sampled_controller import SampledController

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.controller_sizes import Sizes
 from masking.lazy_imports import virtual_input_kernels

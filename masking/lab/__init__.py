@@ -3,7 +3,8 @@
 Safety has one door. `plants.safety_chain` checks each reading and each command, by the limits that `runs.safety_limits`
 takes from a plant file; no command is written but behind it: by `runs.realtime` in a run, by `plants.serve` (through
 `plants.served_plant_guard`) for whoever drives a served plant. Before a plant is armed, `runs.self_test` tries it, and
-`plants.arming` asks its operator. Where the process that drives it is killed, `plants.last_word` has the last word.
+`plants.arming` asks its operator. Where the process that drives it is killed, `plants.zero_after_kill` has the last
+word.
 
 In: an experiment, a plant or its address, files.
 Out: a `Recording`.

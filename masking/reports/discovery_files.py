@@ -20,7 +20,7 @@ from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Estimate, Named
 from masking.inference.discovery.places import identifier
 from masking.model.declaration import catalogue, registry
-from masking.model.declaration.checks import equation_of
+from masking.model.declaration.model_checks import equation_of
 from masking.model.declaration.schema import ModelDeclaration, Parameter
 from masking.model.declaration.units import combined, dimension_of, factor_of
 from masking.model.effects import LATE, Effect, attach

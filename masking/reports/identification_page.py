@@ -23,7 +23,7 @@ from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.fit import Fit
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated, noise_alone, relative, simulate
-from masking.inference.procedures.actuators import ActuatorRatio
+from masking.inference.procedures.actuator_ratio import ActuatorRatio
 from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
 from masking.inference.procedures.measured_response import Response
 from masking.inference.procedures.measurement import LEVEL, Friction, Measurement, Row

@@ -24,12 +24,12 @@ from masking.compile.codegen.c_expressions import ARRAY, REAL, Value
 from masking.compile.codegen.c_functions import CFunctions
 from masking.control.closed_loop import module as module_of
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
 from masking.control.exports.fmu_unit import write
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import loop_state, rig_state
+from masking.lab.runs.simulated_run import loop_state, rig_state
 from masking.model.declaration import catalogue
-from tests.control.exports.test_controllers import around_a_twin, by_kernel, by_unit
+from tests.control.exports.test_controller_units import around_a_twin, by_kernel, by_unit
 from tests.support import cortex_m4
 from tests.support.compiled_unit import GCC, TYPES, CompiledUnit
 from tests.support.cortex_m4_cycles import of_longest_step

@@ -25,7 +25,7 @@ from masking.lab.plants.authentication import Key
 from masking.lab.plants.interface import Sample, Settings
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
-from masking.lab.runs import hardware, safety_limits
+from masking.lab.runs import rig_run, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.loop_rows import known, recorder
 from masking.lab.runs.operator_link import Operator
@@ -79,8 +79,8 @@ def measure(rounds: int = ROUNDS, *, lockstep: bool = True) -> dict[str, dict[st
                     if way == ALL:
                         more = {"operator": inner.enter_context(looked_at(tab)), "stream": folder / f"run {turn}"}
                     noted = _Noting(plant)
-                    record = hardware.run(
-                        experiment, noted, hardware.RunSettings(lockstep=lockstep, acknowledge=True, **more)
+                    record = rig_run.run(
+                        experiment, noted, rig_run.RunSettings(lockstep=lockstep, acknowledge=True, **more)
                     )
                 work, ticks = record.manifest["rig"]["timing"]["work"], np.diff(noted.instants)
                 each = {"work p50": work["median"], "work p99": work["p99"]}

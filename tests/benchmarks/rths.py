@@ -26,7 +26,7 @@ import yaml
 
 import masking
 from masking.compile.numerics.arrays import Array
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from masking.control.exports.fmu_unit import write
 from masking.control.stepwise_controller import SampledStep
 from tests.support import compiled_unit, fmu_slave

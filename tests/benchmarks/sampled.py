@@ -16,7 +16,7 @@ from masking.compile.codegen.printers import C, needed, statements
 from masking.control.closed_loop import ClosedLoop
 from masking.control.law import ControlLaw, ControllerParameters, RigSymbols
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import rig_state
+from masking.lab.runs.simulated_run import rig_state
 from masking.model.modelling.lowering import LoweredEquations
 from tests.benchmarks.table import Row, few, interleaved, limited, missing
 

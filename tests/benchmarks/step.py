@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from masking.compile.codegen.generated_module import reads
 from masking.compile.codegen.printers import statements
-from masking.compile.codegen.source import reads
 from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, few, limited, missing, told

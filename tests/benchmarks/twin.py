@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from masking.control.stepwise_controller import SampledStep
 from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.table import Row, few, interleaved, limited, missing, ratio, told
-from tests.control.exports.test_controllers import around_a_twin
+from tests.control.exports.test_controller_units import around_a_twin
 from tests.support.compiled_unit import GCC
 
 SAMPLES, ROUNDS = 5_000, 100

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
 from masking.compile.numerics.controller_sizes import LARGEST
-from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording

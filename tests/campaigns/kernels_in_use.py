@@ -18,14 +18,14 @@ from masking.compile.codegen.module_store import Generated
 from masking.control.rig.twin import Twin
 from masking.inference.discovery import compiled_laws, smoothing
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.motion_features import Kept, MotionFeatures, Thinning
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.extended_kalman import FilterSettings, extended_kalman
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.sensitivity import Sensitivity
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 
 Call = tuple[NativeFunction, tuple[Any, ...]]
@@ -140,7 +140,7 @@ def _experiment(name: str, _: Path) -> None:
 
 def _on_a_plant(_: Path) -> None:
     experiment = Experiment.load("cart_van_der_pol").changed(duration=2)
-    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
 
 
 def _record(twin: Twin) -> Data:

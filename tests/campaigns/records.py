@@ -18,7 +18,7 @@ from masking.lab.plants.udp import UdpPlant
 from masking.lab.records import stream, stream_reader
 from masking.lab.records.recorder import WATCHING, Recorder
 from masking.lab.records.ring import cells
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.realtime import Row
 from tests.campaigns.bench import Bench, Ended, Waits
@@ -161,10 +161,10 @@ def _stopped(bench: Bench, judgement: Judgement) -> None:
             for number in _recorders():
                 resource.prlimit(number, resource.RLIMIT_FSIZE, (1, 1))
 
-    found = hardware.run(
+    found = rig_run.run(
         Experiment.load("huygens_rig").changed(duration=_UNITS),
         UdpPlant(served.address, patience=20.0),
-        hardware.RunSettings(
+        rig_run.RunSettings(
             lockstep=True,
             acknowledge=True,
             progress=fill,

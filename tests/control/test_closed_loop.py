@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from tests.benchmarks.wishes import GAPS, UNSENSED, WISHES, against_the_hand, driven, in_c, largest, own_loop, sweep
 from tests.support.compiled_unit import GCC, CompiledUnit
 

@@ -15,9 +15,9 @@ from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
 from masking.errors import ActuationError, SingularityError
-from masking.lab.runs import offline
+from masking.lab.runs import simulated_run
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import continuous_chunks, joined, rig_state, sampled_chunks
+from masking.lab.runs.simulated_run import continuous_chunks, joined, rig_state, sampled_chunks
 from masking.model.declaration import catalogue, registry
 from masking.model.declaration.schema import ObserverSettings, Transform
 
@@ -246,7 +246,7 @@ def test_sampled_run_equals_one_written_out_in_numpy(monkeypatch):
         inputs.append(u)
         y = solve_ivp(lambda _, y, u=u: plant(y, u), (0, 1 / rate), y, "DOP853", rtol=1e-12, atol=1e-16).y[:, -1]
     loop = experiment("duffing").loop
-    monkeypatch.setattr(offline, "_substeps", lambda *_: 10)
+    monkeypatch.setattr(simulated_run, "_substeps", lambda *_: 10)
     run = joined(sampled_chunks(loop, states[0], rate=rate, duration=steps / rate))
     largest = np.abs(states).max(axis=0)
     np.testing.assert_allclose(run.rig / largest, states / largest, rtol=0, atol=1e-9)
@@ -257,7 +257,7 @@ def test_slow_sampling_still_integrates_the_plant_finely(monkeypatch):
     slow = sampled(200.0, duration=20.0)
     state = rig_state(slow.loop, slow.virtual.initial_state({}))
     run = joined(sampled_chunks(slow.loop, state, rate=200.0, duration=1.0)).rig
-    monkeypatch.setattr(offline, "_substeps", lambda *_: 100)
+    monkeypatch.setattr(simulated_run, "_substeps", lambda *_: 100)
     finer = joined(sampled_chunks(slow.loop, state, rate=200.0, duration=1.0)).rig
     np.testing.assert_allclose(run, finer, rtol=0, atol=1e-7 * np.abs(finer).max())
 

@@ -24,7 +24,7 @@ from masking.control.stepwise_controller import SampledStep
 from masking.control.twin_loop import SampledLoop
 from masking.errors import CommandError, ModelError, SingularityError
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import run_twin
+from masking.lab.runs.simulated_run import run_twin
 from masking.model.declaration import catalogue, registry, schema
 from tests.support.kernels import called
 

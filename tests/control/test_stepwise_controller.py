@@ -15,7 +15,7 @@ from masking.control.stepwise_controller import LawStep, SampledStep
 from masking.errors import CommandError, PlantMismatchError, SingularityError
 from masking.lab.plants.interface import Settings
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs.offline import joined, sampled_chunks
+from masking.lab.runs.simulated_run import joined, sampled_chunks
 from tests.control.test_sampled_controller import LAMBDA, LENGTH, OMEGA, START, free, ideal
 
 AFTER = 400  # samples from the release on

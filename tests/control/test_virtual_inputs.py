@@ -8,14 +8,14 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import masking
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from masking.errors import DeclarationError, ModelError
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.feasibility import feasibility
 from masking.lab.signals import linear_chirp
 from masking.model.modelling.input_series import Schedule, Series
 from masking.reports.run_report import summary
-from tests.control.exports.test_controllers import EXACT, by_kernel
+from tests.control.exports.test_controller_units import EXACT, by_kernel
 from tests.support.compiled_unit import GCC, CompiledUnit
 
 DRIVEN = """\

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from masking.app.cli import parser
+from masking.app.cli import main_program
 from masking.lab.runs.experiment import Experiment
 from masking.model.effects import EFFECTS
 from tests.project.test_architecture import FLOORS, WINGS
@@ -60,7 +60,7 @@ def test_commands_are_accepted_by_the_parser(page, capsys):
     for command in commands(page):
         try:
             words = shlex.split(command.replace("PROCEDURE", "springs"))[1:]
-            parser._parser().parse_args(words)
+            main_program._parser().parse_args(words)
         except SystemExit:
             pytest.fail(f"{command}: {capsys.readouterr().err}")
 

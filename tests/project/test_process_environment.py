@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from masking import process_environment
-from masking.app.cli.parser import VERBS
+from masking.app.cli.main_program import VERBS
 from masking.lab.records.child_process import Child
 from masking.model.declaration import catalogue
 

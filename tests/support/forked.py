@@ -13,9 +13,9 @@ from multiprocessing.connection import Connection
 from masking.app.cli import main
 
 LOADED = (
-    *("masking.app.cli.parser", "masking.app.workflows.operator_process", "masking.app.workflows.run"),
+    *("masking.app.cli.main_program", "masking.app.workflows.operator_process", "masking.app.workflows.run"),
     *("masking.lab.plants.adapters", "masking.lab.plants.conformance", "masking.lab.plants.group"),
-    *("masking.lab.plants.udp", "masking.lab.plants.serve", "masking.lab.runs.hardware", "masking.lab.runs.self_test"),
+    *("masking.lab.plants.udp", "masking.lab.plants.serve", "masking.lab.runs.rig_run", "masking.lab.runs.self_test"),
     *("llvmlite.binding", "scipy.linalg", "sympy"),
 )
 

@@ -22,9 +22,9 @@ import sympy as sp
 from sympy.simplify.fu import TR9
 
 from masking.analysis.stability.algebra import coefficients, normal, radical, solve_constants, without_void
+from masking.analysis.stability.complex_time_poles import Cancellation, oscillators
 from masking.analysis.stability.free_equations import Motion
 from masking.analysis.stability.hypotheses import Hypotheses
-from masking.analysis.stability.poles import Cancellation, oscillators
 from masking.display.printed_result import Printed
 from masking.errors import ModelError
 

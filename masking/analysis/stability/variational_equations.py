@@ -16,8 +16,8 @@ import numpy as np
 
 from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError

@@ -1,5 +1,8 @@
 """The command line: one sub-command for each verb, each a few lines over `masking.app.workflows`.
 
+The exit status is that of the error (`masking.errors`), or what the function of a verb gives (`*_verbs`);
+`main_program` turns both into the status of the process, an interrupt into 130.
+
 In: a command line.
 Out: an exit status, and text or JSON.
 Imports: display, records, rig, plants, runs, reports, workflows.
@@ -16,6 +19,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, given behind the name of the program; its exit status is that of `parser.main`."""
     if arguments is None:  # in a process of its own
         end_at_interrupts()
-    from masking.app.cli import parser
+    from masking.app.cli import main_program
 
-    return parser.main(arguments)
+    return main_program.main(arguments)

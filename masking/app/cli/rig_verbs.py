@@ -61,9 +61,9 @@ def _check(call: Call) -> int:
 @verb("app.workflows.rig_settings:ServeSettings")
 def _serve(call: Call) -> int:
     """Serve a plant, or the twin of one, over UDP or a serial line, on a clock of its own."""
+    from masking.lab.plants.controller_session import Allowed
     from masking.lab.plants.serve import Serving
-    from masking.lab.plants.session import Allowed
-    from masking.lab.runs import hardware
+    from masking.lab.runs import rig_run
 
     chosen: ServeSettings = call.do()
     serving = Serving(
@@ -73,7 +73,7 @@ def _serve(call: Call) -> int:
         allowed=Allowed(chosen.watchdog, chosen.rates),
         key=_key(chosen.key),
     )
-    folders = hardware.serve(
+    folders = rig_run.serve(
         chosen.plant,
         chosen.address,
         serving,
@@ -92,7 +92,7 @@ def _run(call: Call) -> int:
     from masking.app.workflows.run import save
     from masking.lab.plants.group import connect_each
     from masking.lab.records import stream
-    from masking.lab.runs import hardware, stopping
+    from masking.lab.runs import rig_run, stopping
     from masking.lab.runs.experiment import Experiment
     from masking.lab.runs.self_test import self_test
     from masking.reports.run_report import strayed
@@ -121,11 +121,11 @@ def _run(call: Call) -> int:
                         acknowledge=chosen.acknowledge,
                     )
                     found.check()
-                settings = hardware.RunSettings(
+                settings = rig_run.RunSettings(
                     lockstep=chosen.lockstep, acknowledge=chosen.acknowledge, progress=bar, keep=keep, stream=out,
                     spare=chosen.spare, operator=operator, arming=partial(_arming, bar),
                 )  # fmt: skip
-                recording = hardware.run(made, plant, settings)
+                recording = rig_run.run(made, plant, settings)
             keep(recording)
         finally:
             if stream.is_in(out):

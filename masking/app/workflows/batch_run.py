@@ -33,7 +33,7 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import stream, stream_reader
 from masking.lab.records.child_process import end_with_parent
 from masking.lab.records.recording import Recording
-from masking.lab.runs import batch_plan, hardware, safety_limits
+from masking.lab.runs import batch_plan, rig_run, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.operator_link import Operator
 from masking.lab.runs.realtime import Hooks, run_rig
@@ -95,10 +95,10 @@ def outcome(wanted: Try, plant: Callable[[], Plant], operator: Operator) -> dict
     operator.trip = None
     try:
         zero = _at_rest(wanted, plant(), lockstep=lockstep, operator=operator)
-        settings = hardware.RunSettings(
+        settings = rig_run.RunSettings(
             lockstep=lockstep, acknowledge=True, keep=kept.append, stream=folder, operator=operator
         )
-        kept.append(hardware.run(made, plant(), settings))
+        kept.append(rig_run.run(made, plant(), settings))
     except MaskingError as error:
         if kept and isinstance(error, PlantError):
             return _saved(made, kept[0], folder) | {"why": str(error), "zero": zero}

@@ -11,8 +11,8 @@ from masking.app.workflows.settings_keywords import with_fields_of
 from masking.inference.discovery import discovery_stages as discovery
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
-from masking.inference.discovery.ground import Tell
-from masking.lab.records.input_hold import RecordForm
+from masking.inference.discovery.search_state import Tell
+from masking.lab.records.record_form import RecordForm
 from masking.reports import discovery_files, discovery_page
 
 

@@ -13,13 +13,13 @@ from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.discovery import parameter_prior
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 from masking.lab.records.time_slice import Part
 from masking.model.declaration import catalogue, registry
-from masking.model.declaration.checks import beyond_ordinary
 from masking.model.declaration.couplings import driven_outputs
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.instrument_declaration import Sensor
+from masking.model.declaration.model_checks import beyond_ordinary
 from masking.model.declaration.schema import ModelDeclaration, PlantDeclaration
 from masking.reports.discovery_files import Origin
 

@@ -9,8 +9,8 @@ from typing import Literal, get_args
 
 from masking.app.workflows.output_folders import own_folder
 from masking.control.exports import unit_files
-from masking.control.exports.controllers import law_unit, sampled_unit
-from masking.control.exports.plants import model_unit, twin_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
+from masking.control.exports.rig_units import model_unit, twin_unit
 from masking.control.exports.unit import Unit
 from masking.control.rig.twin import Twin
 from masking.display.json_text import Result

@@ -18,7 +18,7 @@ from masking.inference.estimation import extended_kalman, unit_check
 from masking.inference.estimation import fit as fits
 from masking.inference.estimation.extended_kalman import KalmanFit
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 from masking.reports import fit_figures, identification_page, model_files, one_page
 
 Method = Literal["least-squares", "kalman"]

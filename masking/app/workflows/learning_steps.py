@@ -33,7 +33,7 @@ from masking.errors import (
 )
 from masking.inference.estimation.identification_data import Data
 from masking.inference.procedures.calibration_findings import reached
-from masking.inference.procedures.channels import Source
+from masking.inference.procedures.channel_names import Source
 from masking.inference.procedures.measurement import springs
 from masking.lab import signals
 from masking.lab.plants.interface import Plant

@@ -12,7 +12,7 @@ from masking.app.workflows.settings_keywords import Parameter, parameters, show
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, Problem, RecordError, nearest
 from masking.inference.procedures import measured_response, measurement
-from masking.inference.procedures.channels import Source
+from masking.inference.procedures.channel_names import Source
 from masking.inference.procedures.measurement import Measurement
 from masking.lab.records.recording import Recording
 from masking.reports import identification_page

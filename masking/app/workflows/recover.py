@@ -13,7 +13,7 @@ from masking.app.workflows.output_folders import RUN, own_folder
 from masking.compile.numerics.arrays import Array
 from masking.display.printed_result import Printed
 from masking.errors import MaskingError, RecordError
-from masking.lab.plants import session
+from masking.lab.plants import controller_session
 from masking.lab.records import foreign_json, stream, stream_reader, tick_record
 from masking.lab.records.recorder import CLOSED
 from masking.lab.records.recording import Recording
@@ -133,7 +133,7 @@ def recover(folder: str | Path, *, out: str | Path | None = None, overwrite: boo
         missing = max(int(whole.numbers[-1]) + 1, (found.end or {}).get("rows", 0)) - len(whole.numbers)
         lost = {"missing": missing, "end": end, "damages": list(found.damages)}
         is_plants = _is_of_plant(found)
-        kept = {name: found.manifest[name] for name in (session.FACTS if is_plants else _OF_RUN)}
+        kept = {name: found.manifest[name] for name in (controller_session.FACTS if is_plants else _OF_RUN)}
         kept |= {"recovered": lost} if is_plants else {"name": "the ticks of a run", "recovered": lost}
         ticks = target if is_plants else target / TICKS
         tick_record.save(whole, ticks, kept)

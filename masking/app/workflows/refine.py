@@ -24,8 +24,8 @@ from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.discovery_stages import discover
 from masking.inference.discovery.explanation import Explanation
-from masking.inference.discovery.ground import Tell
-from masking.lab.records.input_hold import RecordForm
+from masking.inference.discovery.search_state import Tell
+from masking.lab.records.record_form import RecordForm
 from masking.lab.records.recording import Recording
 from masking.lab.runs.error_budget import in_full
 from masking.lab.runs.experiment import Experiment

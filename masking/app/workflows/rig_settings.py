@@ -7,10 +7,10 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Final
 
-from masking.inference.discovery.ground import Tell
+from masking.inference.discovery.search_state import Tell
 from masking.inference.procedures.calibration_findings import PERIOD
 from masking.lab.plants.conformance import AMPLITUDE, RATE
-from masking.lab.plants.session import LONGEST_WATCHDOG, RATES
+from masking.lab.plants.controller_session import LONGEST_WATCHDOG, RATES
 from masking.lab.runs.self_test import SIZE
 
 TOLERANCE: Final = 0.05  # prior uncertainty of a parameter of a rig that nobody has calibrated

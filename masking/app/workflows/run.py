@@ -12,7 +12,7 @@ from masking.lab.records import stream
 from masking.lab.records.recording import TABLE, Recording
 from masking.lab.runs import error_budget, long_run
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import Progress
+from masking.lab.runs.simulated_run import Progress
 from masking.lazy_imports import one_page_drawing
 from masking.reports import animation, html, run_report
 from masking.reports import one_page as sheets

@@ -12,7 +12,7 @@ from masking.errors import ColumnError, DeclarationError, IntegrationError, Mode
 from masking.inference.estimation import simulation, unit_check
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import Simulated
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 from masking.model.declaration import catalogue
 from masking.reports import fit_figures, identification_page
 

@@ -14,7 +14,7 @@ from masking.analysis.stability.study import LoopModes, Stability, loop_modes, s
 from masking.app.workflows.output_folders import own_folder
 from masking.errors import DeclarationError, Problem
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import loop_state, rig_state
+from masking.lab.runs.simulated_run import loop_state, rig_state
 from masking.model.declaration import catalogue
 from masking.model.modelling.model import load_model
 from masking.reports import stability_page

@@ -18,10 +18,10 @@ from typing import Any
 
 from masking.compile.codegen import structs
 from masking.compile.codegen.c_expressions import COMPARISONS
-from masking.compile.codegen.closures import Closure, Named, part_of
+from masking.compile.codegen.generated_module import Module
+from masking.compile.codegen.kernel_source import Closure, Named, part_of
 from masking.compile.codegen.llvm_text import Expressions
 from masking.compile.codegen.printers import needed
-from masking.compile.codegen.source import Module
 
 Sizes = dict[str, list[int]]
 Range = tuple[int, int]  # least and greatest value of an index

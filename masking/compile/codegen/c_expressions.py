@@ -11,7 +11,7 @@ from functools import partial, reduce
 from types import ModuleType
 from typing import Any
 
-from masking.compile.codegen.closures import Closure, Named
+from masking.compile.codegen.kernel_source import Closure, Named
 from masking.compile.codegen.printers import ATOM, PRODUCT, SUM, UNARY, number
 from masking.compile.codegen.structs import is_struct
 

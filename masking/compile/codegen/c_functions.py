@@ -9,10 +9,10 @@ from typing import Any
 from masking.compile.codegen import structs
 from masking.compile.codegen.c_expressions import REAL, TUPLE, Function, Value
 from masking.compile.codegen.c_kernels import Translation
-from masking.compile.codegen.closures import Closure, Named, part_of
+from masking.compile.codegen.generated_module import Module, reads
+from masking.compile.codegen.kernel_source import Closure, Named, part_of
 from masking.compile.codegen.llvm_text import Expressions
 from masking.compile.codegen.printers import c_language, statements
-from masking.compile.codegen.source import Module, reads
 
 # The smaller and the larger of two numbers, the first where one of them is not a number, as Python and numba do.
 EXTREMES = {

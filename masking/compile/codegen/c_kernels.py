@@ -26,7 +26,7 @@ from masking.compile.codegen.c_expressions import (
     Lookup,
     Value,
 )
-from masking.compile.codegen.closures import Closure
+from masking.compile.codegen.kernel_source import Closure
 from masking.compile.codegen.printers import SUM
 
 C_TYPES = {INT: "int32_t", BOOL: "int"}

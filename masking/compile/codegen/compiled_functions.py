@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from masking.compile.codegen import chattering, machine_code, module_store
 from masking.compile.codegen.event_jumps import Jumps
+from masking.compile.codegen.generated_module import FROM, Module
 from masking.compile.codegen.machine_code import NativeFunction
 from masking.compile.codegen.module_store import Generated
-from masking.compile.codegen.source import FROM, Module
 from masking.compile.codegen.time_switches import NO_INSTANTS, Spans, TimeSwitches
 from masking.compile.codegen.trajectory import Trajectory
 from masking.compile.numerics.arrays import Array

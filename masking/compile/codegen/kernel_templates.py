@@ -15,10 +15,10 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 from masking.compile.codegen import machine_code, structs
-from masking.compile.codegen.closures import Closure, Named, part_of
 from masking.compile.codegen.content_hashes import digest, source_of
+from masking.compile.codegen.generated_module import Module
+from masking.compile.codegen.kernel_source import Closure, Named, part_of
 from masking.compile.codegen.llvm_text import Expressions
-from masking.compile.codegen.source import Module
 
 HEADER = '''"""Generated; do not edit."""
 

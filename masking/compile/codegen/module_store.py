@@ -29,9 +29,9 @@ from masking.compile.codegen import llvm_text, machine_code, trusted_files
 from masking.compile.codegen.argument_conditions import Needed
 from masking.compile.codegen.argument_sizes import least_sizes, sizes_of_cases
 from masking.compile.codegen.content_hashes import PACKAGE, digest, sources
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.kernel_templates import size_symbol, template
 from masking.compile.codegen.machine_code import NativeFunction
-from masking.compile.codegen.source import Module
 
 KEPT = 60 * 86400.0  # seconds that a file is kept without being used
 BROUGHT = PACKAGE / "shipped" / "kernels"

@@ -36,8 +36,9 @@ def taylor(
 ) -> Kernel:
     """Make the integrator of many runs, with the steps of `masking.compile.numerics.taylor_integrator`.
 
-    The functions are those of `codegen.source.Module.add_lanes`, for as many runs side by side as there are `lanes`, a
-    column each; `doubles` and `singles` are the numbers of orders of coefficients in double and single precision.
+    The functions are those of `codegen.generated_module.Module.add_lanes`, for as many runs side by side as there are
+    `lanes`, a column each; `doubles` and `singles` are the numbers of orders of coefficients in double and single
+    precision.
 
     Returns `solve(t, y, times, u, p, tolerance, out, work)`, with arguments as those of the integrator of one run, but
     for each of at least one run a row of `y` (runs, n) and of `p` (runs, k); `work` as `lane_work` says. A run for

@@ -9,8 +9,8 @@ import numpy as np
 
 from masking.compile.codegen.c_expressions import ARRAY, INTEGERS, REAL, Value
 from masking.compile.codegen.c_functions import CFunctions
+from masking.compile.codegen.generated_module import Made, Module
 from masking.compile.codegen.printers import number
-from masking.compile.codegen.source import Made, Module
 from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels
 from masking.control.exports.target_text import c_comment, c_macro, filled

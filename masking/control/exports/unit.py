@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels
 from masking.model.declaration.schema import ModelDeclaration

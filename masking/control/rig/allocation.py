@@ -8,9 +8,9 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import DeclarationError
-from masking.model.declaration.checks import problem_at
-from masking.model.declaration.cross_checks import check_allocation
+from masking.model.declaration.experiment_checks import check_allocation
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import problem_at
 from masking.model.declaration.schema import ModelDeclaration, PlantDeclaration
 from masking.model.declaration.units import factor_of
 

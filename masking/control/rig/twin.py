@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Compiled, steps_between
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.time_switches import TimeSwitches
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import equilibrium

@@ -15,7 +15,7 @@ import numpy as np
 
 from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.tangent import jacobian
 from masking.compile.numerics.arrays import Array, IntVector
 from masking.compile.numerics.kernel_arguments import Course, Pieces

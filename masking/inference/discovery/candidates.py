@@ -15,8 +15,8 @@ from scipy import signal
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.places import is_of_one
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 from masking.model.effects import DELAY, Effect, Span, Trial
 

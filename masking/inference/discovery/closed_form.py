@@ -25,12 +25,12 @@ from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.numerics import decompositions
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, minimise_residuals
-from masking.inference.discovery import explanation, fitting, unseen_data
+from masking.inference.discovery import explanation, fitting, validation_simulation
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import FreeLaw
-from masking.inference.discovery.problem import EstimationProblem
 from masking.lazy_imports import sympy as sp
 from masking.model.declaration.dictionary_checks import MOST_PARAMETERS
 from masking.model.declaration.expression import Expression
@@ -435,7 +435,7 @@ def fitted(law: FreeLaw, unseen: EstimationProblem, followed: Hypothesis) -> Clo
     def made(form: Formula, rival: float) -> ClosedForm:
         every = (*law.others, instance(form, law))
         found = fitting.fit(knowing(problem, every), every, theta=known.theta, start=known.start, rival=rival)
-        checked = unseen_data.validated(knowing(unseen, every), found)
+        checked = validation_simulation.validated(knowing(unseen, every), found)
         cost = found.misfit(known) + checked.misfit(followed) + both * form.size + price * len(form.atoms)
         return ClosedForm(form.fitted(found.instances[-1].estimated), named(found), checked, cost)
 

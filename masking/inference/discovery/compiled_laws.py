@@ -18,10 +18,10 @@ from functools import cache
 import numpy as np
 
 from masking.compile.codegen import module_store
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.graph_values import ARRAYS, function_of
 from masking.compile.codegen.machine_code import NativeFunction
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import copied, derivatives
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.effect_table import (

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.smoothing import modes
 from masking.inference.estimation import growing_intervals
 

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 from masking.compile.numerics.arrays import Array
 from masking.display import fragments, symbols
 from masking.display.json_text import Result, plain
+from masking.inference.discovery.answer_by_validation import Withheld
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.decision_rules import DecisionRules
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.held_out import Withheld
 from masking.inference.discovery.latent_force import Explained, Localisation, ResidualWhiteness, localise
 from masking.inference.discovery.next_experiment import NextExperiment
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.unnamed_law import UnnamedLaw
 from masking.inference.discovery.verdict import Key, at_noise_floor, is_closed
 from masking.inference.estimation.identification_data import Data

@@ -16,7 +16,14 @@ from threadpoolctl import threadpool_limits
 
 from masking.control.rig.twin import Twin
 from masking.errors import IntegrationError, MaskingError
-from masking.inference.discovery import fitting, held_out, instrument_errors, readings, unseen_data, verdict
+from masking.inference.discovery import (
+    answer_by_validation,
+    fitting,
+    instrument_errors,
+    readings,
+    validation_simulation,
+    verdict,
+)
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.discovery_result import (
     Alternative,
@@ -28,20 +35,20 @@ from masking.inference.discovery.discovery_result import (
     SimulationError,
 )
 from masking.inference.discovery.discovery_settings import DiscoverySettings
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation, Unseen, ended
 from masking.inference.discovery.fitting import Hypothesis, by_instance
-from masking.inference.discovery.ground import Tell, silent
-from masking.inference.discovery.name_or_unnamed import beside_names
 from masking.inference.discovery.next_experiment import NextExperiment, declared_limits, next_experiment
 from masking.inference.discovery.parameter_prior import train_validation_split, uncertain
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.readings import Reading
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.search import SearchResult
+from masking.inference.discovery.search_state import Tell, silent
 from masking.inference.discovery.trace import Line
+from masking.inference.discovery.unnamed_as_rival import beside_names
 from masking.inference.discovery.verdict import Key, Scored
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import rounding_steps
+from masking.lab.records.noise_estimate import rounding_steps
 from masking.model.effects import ROUNDING, Effect
 
 FINER = 4  # times the steps of integration in which an effect was fitted: those of the errors that are stated
@@ -141,15 +148,15 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
     known = search.problem
     validation = replace(known, record=reading.unseen, sigma=reading.noise)
     declared = Explanation("none", (), fitting.fit(known, theta=known.prior.mean, frozen=True))
-    before = unseen_data.validated(validation, declared.hypothesis)
-    base = held_out.simulated(search.base, validation)
+    before = validation_simulation.validated(validation, declared.hypothesis)
+    base = answer_by_validation.simulated(search.base, validation)
     without = base.unseen or Unseen(before, before)
     left, declared_left = (float(one.misfits.sum()) for one in (without.alone, before))
     if verdict.is_worse(left, declared_left, before.residuals.size, problem.rules):
         without = Unseen(before, before)  # parameters that are worse on unseen data are not kept
     say("comparing explanations on data that were not used", 0.95)
-    rivals = held_out.likeliest(search, base, validation)
-    given = held_out.no_worse((rivals, (base,), (declared,)), known, validation, before)
+    rivals = answer_by_validation.likeliest(search, base, validation)
+    given = answer_by_validation.no_worse((rivals, (base,), (declared,)), known, validation, before)
     chosen, rules, size = given.explanation, problem.rules, problem.record.readings.size
     after = given.unseen.alone
     without = given.unseen if given.rivals[0] is base else without
@@ -164,7 +171,7 @@ def _explained(reading: Reading, say: Tell) -> Discovery:
         for one, other in zip(without, given.unseen, strict=True)
     )
     unexplained = max(verdict.part_left(search.base.cost, chosen.cost, size, rules), min(unseen))
-    weights = held_out.weights(given.rivals)
+    weights = answer_by_validation.weights(given.rivals)
     effects = _causes(known.rig, (chosen, *given.rivals[1:]), weights, search.ranked)
     sure = min((one.probability for one in effects), default=1.0)
     rounded = _rounded(known, chosen.hypothesis)
@@ -308,7 +315,7 @@ def _grades(found: Discovery) -> tuple[Grade, ...]:
         others, known = explanation.without(i)[1], explanation.hypothesis
         try:
             fitted = fitting.fit(found.problem, others, theta=known.theta, start=known.start) if others else None
-            left = found.adjusted if fitted is None else unseen_data.validated(unseen, fitted)
+            left = found.adjusted if fitted is None else validation_simulation.validated(unseen, fitted)
             without = unseen.errors(left.squares)
         except IntegrationError:
             without = dict.fromkeys(errors, np.inf)

@@ -19,8 +19,8 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Begun, Hypothesis
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 from masking.model.declaration.expression import Expression
 

@@ -18,8 +18,8 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws, fitting, verdict
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.decision_rules import RULES, DecisionRules
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.trace import Tried
 from masking.inference.discovery.verdict import Key, Kind, Law
 from masking.inference.discovery.work_budget import Work

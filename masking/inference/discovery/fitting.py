@@ -23,7 +23,7 @@ from masking.inference.discovery import continuation, discrepancy
 from masking.inference.discovery.augmented_model import EffectInstance, Equations
 from masking.inference.discovery.decision_rules import RULES, DecisionRules
 from masking.inference.discovery.discrepancy import Likelihood
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.smoothing import sizes
 from masking.inference.estimation.initial_states import FIRST_READINGS
 from masking.model.declaration.expression import Expression

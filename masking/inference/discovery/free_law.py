@@ -19,11 +19,11 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import IntegrationError
 from masking.inference.discovery import fitting, further_places
 from masking.inference.discovery.augmented_model import MOST_COLUMNS, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.further_places import LawPlaces
 from masking.inference.discovery.latent_force import Explained, directions, projected
 from masking.inference.discovery.places import Place
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import COLLINEAR, Screen
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.spline_bases import FEW, Curve, Term, pieces

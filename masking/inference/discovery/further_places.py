@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.places import Place, identifier
-from masking.inference.discovery.problem import EstimationProblem
 from masking.model.declaration import couplings
 from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression

@@ -18,11 +18,11 @@ import numpy as np
 from masking.compile.numerics import decompositions
 from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation, ahead, noted
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.ground import Tell
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import Search, SearchResult
+from masking.inference.discovery.search_state import Tell
 from masking.model.effects import DELAY, GAINS_AND_ZEROS
 
 GAIN = 0.02  # standard deviation of the gain of a sensor or an actuator, relative

@@ -29,11 +29,11 @@ from masking.display.json_text import Result, plain
 from masking.errors import IntegrationError
 from masking.inference.discovery import force_decomposition as forces
 from masking.inference.discovery.augmented_model import AugmentedModel
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.force_decomposition import ENDS, SEEN, ForceDecomposition, Harmonics
 from masking.inference.discovery.motion_features import MotionFeatures, Thinning
 from masking.inference.discovery.places import is_of_one
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Verdict

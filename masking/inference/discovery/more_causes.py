@@ -24,15 +24,15 @@ from functools import partial
 import numpy as np
 
 from masking.compile.numerics.arrays import Array
-from masking.inference.discovery import continuation, fitting, unseen_data, verdict
+from masking.inference.discovery import continuation, fitting, validation_simulation, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.excluded_laws import folds, is_excluded
 from masking.inference.discovery.explanation import Explanation, Job, are_composite, fitted
 from masking.inference.discovery.fitting import Begun, Hypothesis, bounds
-from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.places import both_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen, best_factors
+from masking.inference.discovery.search_state import Ground
 from masking.inference.discovery.verdict import Key
 from masking.inference.discovery.wrong_parameters import scores as parameter_scores
 
@@ -159,7 +159,7 @@ class Addition:
     ) -> Explanation:
         every, (theta, start) = (*self.now.hypothesis.instances, *instances), at
         if any(folds(self.problem, one) for one in instances):  # the motion so far is another one
-            start = unseen_data.validated(self.problem, Begun(every, theta, start)).start
+            start = validation_simulation.validated(self.problem, Begun(every, theta, start)).start
         found = fitting.fit(self.problem, every, theta=theta, start=start, rival=rival)
         names = (*self.now.names, *(score.candidate.key for score in scores))
         return Explanation("effects", names, found)

@@ -14,10 +14,10 @@ from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import Candidate
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion, modes
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import bandwidth
+from masking.lab.records.noise_estimate import bandwidth
 
 KEPT = 4e7  # numbers of what candidates do along a motion that are kept for the next screen of it
 

@@ -24,10 +24,10 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.decision_rules import RULES
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Begun, Hypothesis
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.input_hold import Hold
+from masking.lab.records.record_form import Hold
 from masking.lab.signals import multisines
 
 FACTORS = (3.0, 1.0)  # of the record's own size, as far as limits allow

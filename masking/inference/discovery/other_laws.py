@@ -17,8 +17,8 @@ from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate
 from masking.inference.discovery.explanation import Explanation, Job, ended
-from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.more_causes import ready
+from masking.inference.discovery.search_state import Ground
 from masking.inference.discovery.verdict import Key
 from masking.model.effects import Effect
 

@@ -21,9 +21,9 @@ from masking.compile.codegen.tangent import derivatives
 from masking.control.rig.twin import LoweredTwin
 from masking.errors import DeclarationError, Problem
 from masking.model.declaration import couplings
-from masking.model.declaration.checks import equation_of, no_equation
 from masking.model.declaration.dimensions import displacement_dimension, force_dimensions, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import equation_of, no_equation
 from masking.model.declaration.schema import EffectUse, Element, ModelDeclaration, Parameter
 from masking.model.declaration.units import Dimension, describe, dimension_of
 from masking.model.effects import Directed, Effect

@@ -27,17 +27,17 @@ from masking.inference.discovery import continuation, fitting, shooting_interval
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.discovery_result import Discovery
 from masking.inference.discovery.discovery_settings import DiscoverySettings
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import ahead
-from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.search_state import Ground
 from masking.inference.discovery.smoothing import centred
 from masking.inference.discovery.trace import Trace
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation import unit_check
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.unit_check import FAR, STEPS, UnitDoubt
-from masking.lab.records.noise import EXACT, FEWEST, rounding_steps, third_differences, white_noise
+from masking.lab.records.noise_estimate import EXACT, FEWEST, rounding_steps, third_differences, white_noise
 
 LIKE = 1.2  # times the factor between units, up to which a gain is like it: a law may be mistaken for the rest
 FEWER = 0.8  # of the mean noise: a median below is less than by chance, and some readings jump

@@ -22,9 +22,9 @@ from masking.errors import IntegrationError
 from masking.inference.discovery import compiled_laws
 from masking.inference.discovery.augmented_model import MOST_COLUMNS, EffectInstance
 from masking.inference.discovery.candidates import Candidate
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Hypothesis, bounds
 from masking.inference.discovery.motion_features import Kept, MotionFeatures, Thinning, thinned
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 
 # Double precision: singular values of columns beside prior rows, parts of squares, and normal equations, over the

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from masking.inference.discovery import fitting, shooting_intervals
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
-from masking.inference.discovery.ground import Ground, Tell
 from masking.inference.discovery.more_causes import from_afar, one_more_cause, pairs_of_causes
 from masking.inference.discovery.other_laws import other_causes, richer_laws, simpler_explanations
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score
+from masking.inference.discovery.search_state import Ground, Tell
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.discovery.wrong_parameters import several_parameters, wrong_parameters
 

@@ -16,9 +16,9 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.motion_features import Thinning
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import modes, smooth
 from masking.inference.estimation.simulation import refined
 from masking.model.declaration.couplings import driven_states

@@ -22,7 +22,7 @@ from masking.compile.numerics.kernel_arguments import LatentRig, Steps
 from masking.compile.numerics.steady_kalman import discretised, steady_filter
 from masking.errors import IntegrationError
 from masking.inference.discovery.augmented_model import AugmentedModel
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.estimation.identification_data import is_first_order
 from masking.inference.estimation.initial_states import guessed_state
 from masking.model.effects import Effect

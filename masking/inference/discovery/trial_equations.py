@@ -20,8 +20,8 @@ from functools import cached_property
 
 from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import Kernels
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import copied, derivatives
 from masking.compile.numerics.rig_sizes import RigSizes
 from masking.control.rig.twin import LoweredTwin

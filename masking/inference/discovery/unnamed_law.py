@@ -19,17 +19,17 @@ from masking.inference.discovery import (
     closed_form,
     free_law,
     further_places,
-    unseen_data,
+    validation_simulation,
     verdict,
 )
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.closed_form import ClosedForm
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.force_decomposition import CELLS
 from masking.inference.discovery.free_law import ALIKE, FreeLaw, likelier
 from masking.inference.discovery.latent_force import Explained, binned
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.shooting_intervals import finer
 from masking.inference.discovery.spline_bases import Curve, Term
 from masking.inference.estimation.simulation import STUCK
@@ -219,10 +219,10 @@ def _followed(validation: EstimationProblem, law: FreeLaw) -> tuple[EstimationPr
     most = STUCK * unseen.record.readings.size
     for part in reversed([*free_law.growing(unseen)]):
         with suppress(IntegrationError):
-            found = unseen_data.validated(part, law.hypothesis, most)
+            found = validation_simulation.validated(part, law.hypothesis, most)
             if found.cost < most:
                 return part, found
-    return unseen, unseen_data.validated(unseen, law.hypothesis)
+    return unseen, validation_simulation.validated(unseen, law.hypothesis)
 
 
 class Widest(NamedTuple):

@@ -16,7 +16,7 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery.decision_rules import DecisionRules
-from masking.lab.records.noise import ALIKE
+from masking.lab.records.noise_estimate import ALIKE
 
 Verdict = Literal["none", "parameter", "named", "ambiguous", "unknown"]
 Kind = Literal["none", "parameter", "effects"]

@@ -10,10 +10,10 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.inference.discovery import fitting
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.ground import Ground
-from masking.inference.discovery.problem import EstimationProblem
+from masking.inference.discovery.search_state import Ground
 
 
 def wrong_parameters(ground: Ground, now: Explanation, table: Sequence[Explanation]) -> list[Explanation]:

@@ -16,8 +16,8 @@ from masking.control.rig import channel_units
 from masking.control.rig.twin import Twin
 from masking.errors import ColumnError, ModelError, RecordError, nearest
 from masking.lab.records import clock, column_units, readers, soundness, time_base
-from masking.lab.records.input_hold import Hold, InputHold, Names, TextForm
-from masking.lab.records.noise import rounding_steps, white_noise
+from masking.lab.records.noise_estimate import rounding_steps, white_noise
+from masking.lab.records.record_form import Hold, InputHold, Names, TextForm
 from masking.lab.records.recording import Recording
 from masking.lab.records.soundness import Signals
 from masking.lab.records.time_base import Resampling

@@ -18,9 +18,9 @@ import numpy as np
 
 from masking.compile.codegen import column_step, module_store
 from masking.compile.codegen.compiled_functions import Kernels, linked
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.llvm_text import Results
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.tangent import derivatives, jacobian
 from masking.compile.numerics.arrays import Array, IntMatrix
 from masking.compile.numerics.kernel_arguments import Readings, Shooting, Steps, Sums, TwinArrays
@@ -28,7 +28,7 @@ from masking.compile.numerics.rig_sizes import COLUMN_ROWS, RigSizes, whole_lane
 from masking.control.rig.twin import LoweredTwin, Twin
 from masking.errors import IntegrationError, ModelError, nearest
 from masking.inference.estimation.identification_data import Data, is_first_order
-from masking.lab.records.input_hold import Hold
+from masking.lab.records.record_form import Hold
 from masking.lazy_imports import motion_sensitivities
 
 # Functions of a twin: its equations and its readings, alone and with derivatives by state and parameter array.

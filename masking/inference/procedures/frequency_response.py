@@ -20,7 +20,7 @@ from scipy import special
 from masking.compile.numerics.arrays import Array, Complex
 from masking.errors import ModelError, RecordError
 from masking.inference.estimation.periodic_spectra import Indices, Spectra, by_period
-from masking.inference.procedures.channels import probability
+from masking.inference.procedures.channel_names import probability
 
 WORST_CONDITION = 1e6  # of the amplitudes of inputs at a line, up to which they can be distinguished
 MOVING_PART = 1e-12  # of its largest value: a channel that changes by no more does not move

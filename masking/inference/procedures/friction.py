@@ -16,7 +16,7 @@ from scipy import optimize
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.least_squares import Box, minimise_residuals
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.channels import TURNED, columns, directions, part_of, refuse_one_way, turns
+from masking.inference.procedures.channel_names import TURNED, columns, directions, part_of, refuse_one_way, turns
 from masking.inference.procedures.springs import SLIDING, elements, thinned
 
 THINNED = 20000  # points at most, to which a record is averaged in time before its gap is taken

@@ -16,7 +16,7 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import RecordError
 from masking.inference.estimation.periodic_spectra import Spectra, repeats
 from masking.inference.procedures import frequency_response as responses
-from masking.inference.procedures.channels import Channel, Source
+from masking.inference.procedures.channel_names import Channel, Source
 from masking.inference.procedures.frequency_response import Distortion, FrequencyResponse
 from masking.inference.procedures.measurement import LEVEL, Measurement, Row
 from masking.model.declaration.quantities import percent

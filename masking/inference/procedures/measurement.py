@@ -19,8 +19,8 @@ from masking.compile.numerics.arrays import Array
 from masking.display.printed_result import Printed
 from masking.errors import RecordError
 from masking.inference.procedures import friction as friction_procedure
-from masking.inference.procedures.actuators import ActuatorRatio, actuator_ratio
-from masking.inference.procedures.channels import Channel, Source, columns, refuse_not_positive
+from masking.inference.procedures.actuator_ratio import ActuatorRatio, actuator_ratio
+from masking.inference.procedures.channel_names import Channel, Source, columns, refuse_not_positive
 from masking.inference.procedures.friction import EquilibriumShift, LocatedFriction
 from masking.inference.procedures.springs import SpringCurve, spring_curve
 from masking.model.declaration.quantities import percent, quantity, with_deviation

@@ -14,7 +14,7 @@ from scipy import optimize, special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures import channels as motion
+from masking.inference.procedures import channel_names as motion
 
 POINTS = 3000  # at most, to which a record is averaged in time before a curve is fitted
 BATCHES = 48  # stretches of the record that count as independent of each other in the covariance of a curve

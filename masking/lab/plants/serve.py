@@ -39,14 +39,14 @@ from masking.errors import EmergencyStopError, MaskingError, PlantMismatchError,
 from masking.lab.plants import adapters, wire
 from masking.lab.plants.arming import HOW, Arming
 from masking.lab.plants.authentication import AuthenticatedHub, Key
+from masking.lab.plants.controller_session import Allowed, Session, SessionRows, claimed
 from masking.lab.plants.interface import Plant, Sample, Settings, check_index
-from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import POLL, Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.served_plant_guard import PlantLimits
-from masking.lab.plants.session import Allowed, Session, SessionRows, claimed
 from masking.lab.plants.transport import Hub, Peer
 from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.plants.wire import Frame, Kind
+from masking.lab.plants.zero_after_kill import LastWord
 
 Clock = Literal["real", "lockstep"]
 

@@ -18,8 +18,8 @@ from masking.lab.plants.stepped import SteppedPlant
 class SimulatedPlant(SteppedPlant):
     """A twin that starts at rest and unpowered, and moves for one sample under each command.
 
-    A command acts after the delay that the twin declares; `masking.lab.runs.offline.run_twin` computes the same. `seed`
-    is that of the sensors' noise. A ModelError where a sensor reads at once what is commanded, as the force of a
+    A command acts after the delay that the twin declares; `masking.lab.runs.simulated_run.run_twin` computes the same.
+    `seed` is that of the sensors' noise. A ModelError where a sensor reads at once what is commanded, as the force of a
     component: nothing can answer it.
     """
 

@@ -24,8 +24,8 @@ from masking.display.characters import visible_line
 from masking.errors import RecordError, nearest
 from masking.lab.records import clock, column_units, columns_on_disk, loggers, matlab_5, numpy_files, time_base
 from masking.lab.records.column_units import SECONDS, Asked
-from masking.lab.records.input_hold import Names, TextForm
 from masking.lab.records.nested_data import first_line, parsed, vectors, without_doubles
+from masking.lab.records.record_form import Names, TextForm
 from masking.lab.records.recording import MANIFEST, TABLE, Recording
 from masking.lab.records.text_table import TextTable
 from masking.lab.records.time_base import CLOCK, Channels, Resampling

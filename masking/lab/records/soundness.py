@@ -13,7 +13,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.lab.records import clock
-from masking.lab.records.noise import white_noise
+from masking.lab.records.noise_estimate import white_noise
 
 _AGAIN = 3  # times that something happens again and again
 _JUMP, _STEP = 0.6, 0.25  # of the range: a step that a turn makes at least, and steps beside it at most

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from masking.errors import RecordError
 from masking.lab.records import labview_text, text_encoding, text_header, wall_clock
 from masking.lab.records.decimals import is_decimal, is_number
-from masking.lab.records.input_hold import TextForm
+from masking.lab.records.record_form import TextForm
 from masking.lab.records.text_header import REMARKS, Header, shown
 from masking.lab.records.time_slice import Part
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from masking.errors import DeclarationError, Problem, RecordError
 from masking.lab.records import clock
-from masking.lab.records.noise import white_noise
+from masking.lab.records.noise_estimate import white_noise
 from masking.lab.records.time_slice import Part
 
 Column = NDArray[np.float64]

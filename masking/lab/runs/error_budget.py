@@ -21,9 +21,9 @@ from masking.display.printed_result import Printed
 from masking.errors import MaskingError, ModelError
 from masking.lab.records.recording import Recording
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import Progress, TwinRun, run_twin
 from masking.lab.runs.parted_motion import noted
 from masking.lab.runs.remedies import PARAMETERS, SAMPLING, Remedy, differing_parameters, remedies, with_rig_parameters
+from masking.lab.runs.simulated_run import Progress, TwinRun, run_twin
 from masking.model.declaration import schema
 from masking.model.effects import DELAY, FAMILIES, SATURATION
 

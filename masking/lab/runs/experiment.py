@@ -28,14 +28,14 @@ from masking.control.twin_loop import SampledLoop
 from masking.control.zero_dynamics import Held
 from masking.errors import DeclarationError, ModelError, Problem
 from masking.lab.records.recording import Recording
-from masking.lab.runs import experiment_card, manifest, offline, record_rate
+from masking.lab.runs import experiment_card, manifest, record_rate, simulated_run
 from masking.lab.runs.experiment_inputs import InputFiles, VirtualInputs, live_inputs
 from masking.lab.runs.ideal_motion import Ideal, Reached
-from masking.lab.runs.offline import Mapped, Run, TwinRun
 from masking.lab.runs.passive_coordinates import Passive
 from masking.lab.runs.recording_columns import Columns, Summary
+from masking.lab.runs.simulated_run import Mapped, Run, TwinRun
 from masking.lab.runs.stopping import StopCondition
-from masking.model.declaration import cross_checks, registry, schema
+from masking.model.declaration import experiment_checks, registry, schema
 from masking.model.declaration.catalogue import Reference
 from masking.model.modelling.model import Model
 
@@ -296,7 +296,7 @@ class Experiment:
     def rig_start(self, loop: Mapped) -> Array:
         """Coordinates and velocities (2 n,) at the start of the rig that a loop's transform maps."""
         passive = self.passive if loop.match.mapping == self.match.mapping else self.assumed_passive
-        return offline.rig_state(loop, self.virtual_start, passive=passive.initial() if passive else None)
+        return simulated_run.rig_state(loop, self.virtual_start, passive=passive.initial() if passive else None)
 
     @cached_property
     def twin_start(self) -> Array:
@@ -327,7 +327,7 @@ class Experiment:
             model.validate()
         self.twin.validate()
         _ = self.assumed
-        largest = cross_checks.LARGEST_RECORDING if self.ideal.needs_memory else cross_checks.LARGEST_ON_DISK
+        largest = experiment_checks.LARGEST_RECORDING if self.ideal.needs_memory else experiment_checks.LARGEST_ON_DISK
         if problems := [*registry.check_units(self.assembly), *self._check_size(largest)]:
             raise DeclarationError(problems)
         self.match.check_units()
@@ -338,13 +338,13 @@ class Experiment:
         _ = self.stop_condition, self.inputs.series
 
     def _check_size(self, largest: float) -> list[Problem]:
-        return cross_checks.check_size(self.declaration, *self.table_size, largest)
+        return experiment_checks.check_size(self.declaration, *self.table_size, largest)
 
     @property
     def table_size(self) -> tuple[float, int]:
         """Rows and the columns of the recording."""
-        rows = cross_checks.recorded_rows(self.declaration, self.time_scale, self.rows_per_unit)
-        columns = cross_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
+        rows = experiment_checks.recorded_rows(self.declaration, self.time_scale, self.rows_per_unit)
+        columns = experiment_checks.count_columns(self.assembly.plant_model, self.assembly.virtual_model)
         if self.has_observer:
             columns += len(self.twin.state_names) + 3 * len(self.twin.actuators) + len(self.twin.sensors)
         return rows, columns
@@ -362,13 +362,13 @@ class Experiment:
             IntegrationError: the run could not go on.
         """
         stages = [time.perf_counter()]
-        self.prepare(cross_checks.LARGEST_RECORDING)
+        self.prepare(experiment_checks.LARGEST_RECORDING)
         stages.append(time.perf_counter())
         simulate = self.simulation()
         stages.append(time.perf_counter())
-        run, condition = offline.joined(simulate(progress=progress)), self.stop_condition
+        run, condition = simulated_run.joined(simulate(progress=progress)), self.stop_condition
         row = condition.watch()(self.seen(run)) if condition else None
-        run = run if row is None else offline.cut(run, row + 1)
+        run = run if row is None else simulated_run.cut(run, row + 1)
         stages.append(time.perf_counter())
         columns, _ = self.columns(run)
         stages.append(time.perf_counter())
@@ -398,16 +398,16 @@ class Experiment:
         duration, every = declaration.duration * self.time_scale, self.every
         if self.has_observer:
             _, loop, start = self.sampled.gain, self.sampled_loop, self.twin_start
-            chunks = partial(offline.twin_chunks, loop, start, duration=duration, seed=declaration.seed, every=every)
-            return partial(chunks, most=most)
-        state = offline.loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
+            chunks = partial(simulated_run.twin_chunks, loop, start, duration=duration, seed=declaration.seed)
+            return partial(chunks, every=every, most=most)
+        state = simulated_run.loop_state(self.loop, self.virtual_start, self.rig_start(self.loop))
         schedule = self.inputs.of_rig(self.time_scale)
         if rate is not None:
-            sampled = partial(offline.sampled_chunks, self.loop, state, rate=rate, duration=duration, every=every)
+            sampled = partial(simulated_run.sampled_chunks, self.loop, state, rate=rate, duration=duration, every=every)
             return partial(sampled, schedule=schedule, most=most)
         declared = declaration.record.rate if declaration.record else None
         rows, instants = record_rate.instants(duration, self.samples, declared)
-        continuous = partial(offline.continuous_chunks, self.loop, state, rows, instants)
+        continuous = partial(simulated_run.continuous_chunks, self.loop, state, rows, instants)
         return partial(continuous, tolerance=declaration.tolerance, schedule=schedule)
 
     def seen(self, run: Run | TwinRun) -> Array:

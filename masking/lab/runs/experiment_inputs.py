@@ -19,7 +19,7 @@ from masking.control.virtual_inputs import Feed, FromPush, FromSensor
 from masking.errors import DeclarationError, MaskingError, Problem, RecordError, nearest
 from masking.lab import signals
 from masking.lab.records import column_units, readers
-from masking.lab.runs.offline import TwinRun
+from masking.lab.runs.simulated_run import TwinRun
 from masking.model.declaration import registry, schema
 from masking.model.declaration.input_definitions import CELLS, cell
 from masking.model.declaration.input_source import InputSource

@@ -33,8 +33,8 @@ from masking.errors import (
 )
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.growth_along_motion import Growth
-from masking.lab.runs.offline import Run, complete, loop_state, rig_state
 from masking.lab.runs.passive_coordinates import Passive
+from masking.lab.runs.simulated_run import Run, complete, loop_state, rig_state
 from masking.lazy_imports import signal
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.operations import CONSTANTS, OPERATIONS, Step

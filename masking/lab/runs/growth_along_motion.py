@@ -23,7 +23,7 @@ from masking.compile.numerics.newton import STEP, jacobian, root
 from masking.control.closed_loop import ClosedLoop
 from masking.control.zero_dynamics import ZeroDynamics, rates_of
 from masking.errors import MaskingError, ModelError
-from masking.lab.runs.offline import Run, complete, loop_state, rig_state
+from masking.lab.runs.simulated_run import Run, complete, loop_state, rig_state
 from masking.model.modelling.input_series import Schedule, integrate
 
 _TOLERANCE: Final = 1e-12  # local relative error of integration: differences of motions are divided by small steps

@@ -10,7 +10,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.lab.runs.experiment_inputs import VirtualInputs
-from masking.lab.runs.offline import chunks
+from masking.lab.runs.simulated_run import chunks
 from masking.model.modelling import input_series
 from masking.model.modelling.model import Model
 

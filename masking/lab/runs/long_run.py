@@ -18,9 +18,9 @@ from masking.lab.records import parquet
 from masking.lab.records.columns_on_disk import LARGE
 from masking.lab.records.recording import FORMAT, Recording, writing
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import CHUNK, Progress, Run, TwinRun, cut
 from masking.lab.runs.recording_columns import Columns
-from masking.model.declaration import cross_checks
+from masking.lab.runs.simulated_run import CHUNK, Progress, Run, TwinRun, cut
+from masking.model.declaration import experiment_checks
 
 
 def is_long(experiment: Experiment) -> bool:
@@ -45,7 +45,7 @@ def run(
     folder, stages = Path(folder), [time.perf_counter()]
     if experiment.ideal.needs_memory:
         raise ModelError(f"{experiment.declaration.name} cannot run in chunks: {experiment.ideal.needs_memory}")
-    experiment.prepare(cross_checks.LARGEST_ON_DISK)
+    experiment.prepare(experiment_checks.LARGEST_ON_DISK)
     stages.append(time.perf_counter())
     simulate = experiment.simulation(CHUNK)
     stages.append(time.perf_counter())

@@ -17,9 +17,9 @@ from masking.lab.records.recorder import Recorder
 from masking.lab.records.recording import Recording
 from masking.lab.runs import manifest
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import TwinRun, samples_until
 from masking.lab.runs.realtime import ANSWERED, INDEX, LOOP, Known
 from masking.lab.runs.recording_columns import channels
+from masking.lab.runs.simulated_run import TwinRun, samples_until
 from masking.lab.runs.stopping import SYNCHRONISED
 from masking.model.declaration import registry
 

@@ -26,9 +26,9 @@ from masking.compile.numerics.arrays import Array
 from masking.errors import CommandError, PlantError, PlantLostError, PlantMismatchError
 from masking.lab.plants.controlled_stop import Braking, follows
 from masking.lab.plants.interface import APPLIED, Counting, Latching, Plant, Sample, Settings, Telling, check_index
-from masking.lab.plants.last_word import LastWord
 from masking.lab.plants.operating_system import Deadlines, Stop, asked_to_stop, undisturbed
 from masking.lab.plants.safety_chain import Cause, Chain, Rules, Trip
+from masking.lab.plants.zero_after_kill import LastWord
 from masking.lab.records.ring import cells
 from masking.lab.runs.stopping import FAILED, FINISHED, INTERRUPTED, LOST, STOPPED, TRIPPED
 

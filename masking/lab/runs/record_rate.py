@@ -10,7 +10,7 @@ import numpy as np
 
 from masking.compile.numerics.arrays import Array
 from masking.compile.numerics.newton import jacobian
-from masking.lab.runs.offline import samples_until
+from masking.lab.runs.simulated_run import samples_until
 from masking.model.modelling.model import Model
 
 FEWEST: Final = 10.0  # rows per unit of virtual time

@@ -12,8 +12,8 @@ from typing import Any
 from masking.errors import DeclarationError, Problem
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ModelDeclaration, PlantDeclaration
+from masking.model.declaration.schema_errors import read
 from masking.model.declaration.strict_yaml import Places
-from masking.model.declaration.validate import read
 
 _NAMED = ("coordinates", "states", "inputs", "parameters", "definitions", "outputs", "elements")
 # What is one expression for the whole model, and the sum of those of its parts.

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 from masking.errors import DeclarationError, Problem
 from masking.lazy_imports import sympy as sp
-from masking.model.declaration.checks import bounded, problem_at
 from masking.model.declaration.dimensions import dimension_in, unit_problem
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import bounded, problem_at
 from masking.model.declaration.operations import Step
 from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.model.declaration.units import NONE, Dimension, describe, dimension_of

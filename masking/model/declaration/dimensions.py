@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from masking.errors import DeclarationError, Problem
-from masking.model.declaration.checks import equation_of, formulas
 from masking.model.declaration.couplings import driven_outputs
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import equation_of, formulas
 from masking.model.declaration.operations import COMPARISONS, Step
 from masking.model.declaration.schema import Declaration, Element, ModelDeclaration
 from masking.model.declaration.units import NONE, TIME, Dimension, conversion, describe, dimension_of, instead_of

@@ -7,9 +7,9 @@ from typing import Final
 
 from masking.errors import Problem, nearest
 from masking.model.declaration import dimensions
-from masking.model.declaration.checks import check_symbols, problem_at, strangers
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.input_source import InputSource
+from masking.model.declaration.model_checks import check_symbols, problem_at, strangers
 from masking.model.declaration.schema import ExperimentDeclaration, ModelDeclaration, Parameter, PlantDeclaration
 
 # Coefficients of the polynomial that an input is between two instants, and the first of the two.

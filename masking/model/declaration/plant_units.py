@@ -10,10 +10,10 @@ import math
 from collections.abc import Iterator, Mapping
 
 from masking.errors import DeclarationError, Problem
-from masking.model.declaration.checks import problem_at
 from masking.model.declaration.dimensions import dimension_in, is_plain, symbol_dimensions, unit_problem
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.instrument_declaration import Actuator, Limit, PowerLimit, Quantity, Sensor, Turn
+from masking.model.declaration.model_checks import problem_at
 from masking.model.declaration.schema import ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 from masking.model.declaration.units import Dimension, describe, dimension_of, factor_of, instead_of
 

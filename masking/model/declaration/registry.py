@@ -12,13 +12,13 @@ from typing import Any, TypeVar
 from masking.errors import DeclarationError, Place, Problem, nearest
 from masking.model.declaration import strict_yaml
 from masking.model.declaration.catalogue import NOWHERE, Reference, files, find, kind_of_keys, wrong_kind
-from masking.model.declaration.checks import check_model
 from masking.model.declaration.composition import Part, compose
-from masking.model.declaration.cross_checks import check_experiment, check_plant
 from masking.model.declaration.dictionary_checks import check_dictionary
 from masking.model.declaration.dimensions import check_dimensions, check_scales
+from masking.model.declaration.experiment_checks import check_experiment, check_plant
 from masking.model.declaration.fields import Real, Text
 from masking.model.declaration.input_definitions import check_inputs, with_inputs
+from masking.model.declaration.model_checks import check_model
 from masking.model.declaration.plant_units import check_experiment_units, check_plant_units
 from masking.model.declaration.repetition import repeated
 from masking.model.declaration.schema import (
@@ -29,9 +29,9 @@ from masking.model.declaration.schema import (
     ModelDeclaration,
     PlantDeclaration,
 )
+from masking.model.declaration.schema_errors import in_order, plain_mapping, read
 from masking.model.declaration.shorthand import SHORT
 from masking.model.declaration.strict_yaml import Node, Places
-from masking.model.declaration.validate import in_order, plain_mapping, read
 
 D = TypeVar("D", bound=Declaration)
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from masking.errors import DeclarationError, Problem, nearest
-from masking.model.declaration.checks import check_model, equation_of, no_equation, velocities
 from masking.model.declaration.couplings import driven_outputs, has_own_force, has_rate
 from masking.model.declaration.differentiate import rate_of
 from masking.model.declaration.dimensions import check_dimensions, displacement_dimension, is_plain, symbol_dimensions
 from masking.model.declaration.expression import Expression
 from masking.model.declaration.fields import NAME_PATTERN
+from masking.model.declaration.model_checks import check_model, equation_of, no_equation, velocities
 from masking.model.declaration.schema import Element, ModelDeclaration, Parameter, State
 from masking.model.declaration.units import Dimension, describe, dimension_of
 from masking.model.effects.dictionary import EFFECTS

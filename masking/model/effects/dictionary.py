@@ -12,7 +12,7 @@ from typing import Final
 
 from masking.errors import DeclarationError, Problem, nearest
 from masking.model.declaration import registry
-from masking.model.declaration.checks import problem_at
+from masking.model.declaration.model_checks import problem_at
 from masking.model.declaration.schema import DictionaryDeclaration, OwnEffect
 from masking.model.effects.directed_effects import DIRECTED
 from masking.model.effects.element_effects import ELEMENTS

@@ -19,9 +19,9 @@ from masking.errors import ModelError
 from masking.lazy_imports import sympy as sp
 from masking.lazy_imports import typeset
 from masking.model.declaration import schema
-from masking.model.declaration.checks import equation_of
 from masking.model.declaration.couplings import driven_outputs, motion_rate
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import equation_of
 from masking.model.declaration.operations import delay_function
 from masking.model.modelling.gradient import gradient, jacobian, rate
 

@@ -6,9 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from masking.compile.codegen import chattering
+from masking.compile.codegen.generated_module import (
+    LARGEST_TAYLOR_COST,
+    LEAST_SIDE_BY_SIDE,
+    Module,
+    lane_orders,
+    taylor_orders,
+)
 from masking.compile.codegen.graph import Graph, Node
 from masking.compile.codegen.linear_systems import health, solve
-from masking.compile.codegen.source import LARGEST_TAYLOR_COST, LEAST_SIDE_BY_SIDE, Module, lane_orders, taylor_orders
 from masking.compile.codegen.taylor_coefficients import Dynamics, cost, degree, hides_a_switch, is_analytic
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.time_switches import TimeSwitches

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import Compiled
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.trajectory import Trajectory
 from masking.display import fragments, symbols
 from masking.errors import DeclarationError, ModelError

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 from masking.errors import DeclarationError, ModelError, Problem, nearest
 from masking.lazy_imports import sympy as sp
 from masking.model.declaration import schema
-from masking.model.declaration.checks import bounded
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import bounded
 from masking.model.declaration.units import Conversion, combined, conversion
 
 PLAIN = "1"

@@ -18,7 +18,7 @@ from masking.errors import DeclarationError, ModelError, RecordError
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import simulate
 from masking.lab.records import readers
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 from masking.lab.records.recording import Recording
 from masking.reports import discovery_figures, discovery_page
 from masking.reports.discovery_files import Origin

@@ -13,7 +13,7 @@ from scipy import integrate, signal
 
 import masking
 from masking.inference.discovery import wrong_parameters
-from masking.inference.discovery.ground import Ground
+from masking.inference.discovery.search_state import Ground
 from masking.reports import discovery_text
 
 M, C, K = 2.0, 1.5, 800.0  # kg, N s/m, N/m: 3.2 Hz, damping ratio 0.019

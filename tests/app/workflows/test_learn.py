@@ -34,7 +34,7 @@ from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.records.stop_switch import Presser, switches
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
 from masking.reports import learning_page, model_files
@@ -103,7 +103,7 @@ def test_another_experiment_masks_with_the_plant_file_alone(rubbing):
         run = CART_RUN | {"plant": plant, "initial": {"x": 0.3}, "duration": 40}
         (folder / "other.yaml").write_text(json.dumps(run))
         made, rig = Experiment.load(folder / "other.yaml"), Moved(Twin.load(folder / "true.yaml"))
-        ideal = hardware.run(made, rig, hardware.RunSettings(lockstep=True))["ideal.x"]
+        ideal = rig_run.run(made, rig, rig_run.RunSettings(lockstep=True))["ideal.x"]
         moved = np.array(rig.moved[made.sampled.before :][: len(ideal)]) / 0.005
         errors.append(np.linalg.norm(moved - ideal[: len(moved)]) / np.linalg.norm(ideal))
     assert errors[1] < 0.02 < 0.1 * errors[0]

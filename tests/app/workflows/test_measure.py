@@ -12,7 +12,7 @@ from masking.app import cli
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, RecordError
 from masking.inference.procedures import measurement
-from masking.inference.procedures.channels import Source
+from masking.inference.procedures.channel_names import Source
 from masking.inference.procedures.measured_response import repeats, response
 from masking.lab.records.recording import Recording
 from tests.inference.procedures.test_measurement import (

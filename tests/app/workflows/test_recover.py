@@ -22,9 +22,9 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import child_process, recorder, stream, stream_reader
 from masking.lab.records.recording import Recording
 from masking.lab.records.tick_times import histogram
-from masking.lab.runs import hardware, loop_rows
+from masking.lab.runs import loop_rows, rig_run
 from masking.lab.runs.experiment import Experiment
-from tests.lab.runs.test_hardware import compiled, recovered, written
+from tests.lab.runs.test_rig_run import compiled, recovered, written
 from tests.support.forked import Forked
 
 
@@ -61,8 +61,8 @@ def same(found, expected):
 
 
 def test_a_stream_gives_the_recording_of_the_run_exactly(experiment, tmp_path):
-    expected = hardware.run(
-        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    expected = rig_run.run(
+        experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path)
     )
     found = recover(tmp_path)
     assert same(found.recording, expected)
@@ -85,9 +85,9 @@ def test_a_stream_gives_the_recording_of_the_run_exactly(experiment, tmp_path):
 
 
 def test_the_record_of_a_run_has_nothing_of_its_stream(experiment, tmp_path):
-    plain = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
-    streamed = hardware.run(
-        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    plain = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
+    streamed = rig_run.run(
+        experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path)
     )
     assert same(streamed, plain)
     assert "recorder" not in streamed.manifest["rig"]
@@ -95,10 +95,10 @@ def test_the_record_of_a_run_has_nothing_of_its_stream(experiment, tmp_path):
 
 @pytest.mark.parametrize("by", [10**9, 2**60, 2**63 + 5])
 def test_an_index_that_jumps_ends_the_run_and_keeps_what_was_before(experiment, tmp_path, by):
-    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    whole = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     began = time.monotonic()
-    found = hardware.run(
-        experiment, Jumping(experiment.twin, 301, by), hardware.RunSettings(lockstep=True, stream=tmp_path)
+    found = rig_run.run(
+        experiment, Jumping(experiment.twin, 301, by), rig_run.RunSettings(lockstep=True, stream=tmp_path)
     )
     assert time.monotonic() - began < 10.0
     assert found.manifest["rig"]["end"] == "tripped"
@@ -108,9 +108,9 @@ def test_an_index_that_jumps_ends_the_run_and_keeps_what_was_before(experiment, 
 
 
 def test_a_lost_plant_leaves_a_stream(experiment, tmp_path):
-    whole = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    whole = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     with pytest.raises(PlantLostError):
-        hardware.run(experiment, Jumping(experiment.twin, 301), hardware.RunSettings(lockstep=True, stream=tmp_path))
+        rig_run.run(experiment, Jumping(experiment.twin, 301), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     found = recover(tmp_path)
     assert (found.rows, len(found.recording)) == (301, 100)
     np.testing.assert_array_equal(found.recording["input.V1"], whole["input.V1"][:100])
@@ -118,7 +118,7 @@ def test_a_lost_plant_leaves_a_stream(experiment, tmp_path):
 
 def test_in_the_homing_there_are_ticks_alone(experiment, tmp_path):
     with pytest.raises(PlantLostError):
-        hardware.run(experiment, Jumping(experiment.twin, 50), hardware.RunSettings(lockstep=True, stream=tmp_path))
+        rig_run.run(experiment, Jumping(experiment.twin, 50), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     found = recover(tmp_path)
     assert (found.rows, found.homing, found.recording) == (50, 50, None)
     assert found.why == "the run ended in the homing, before the release"
@@ -128,7 +128,7 @@ def test_in_the_homing_there_are_ticks_alone(experiment, tmp_path):
 def test_a_run_is_recovered_as_it_was_declared_whatever_became_of_its_files(experiment, tmp_path):
     path = written(tmp_path, controller={"homing": 0.2}, duration=10)
     made = Experiment.load(path)
-    whole = hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=tmp_path / "run"))
+    whole = rig_run.run(made, SimulatedPlant(made.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path / "run"))
     path.write_text("name: another\n")
     found = recover(tmp_path / "run", out=tmp_path / "out").recording
     assert found.manifest["declarations"] == json.loads(json_text(whole.manifest["declarations"]))
@@ -151,7 +151,7 @@ def damaged(folder, pages):
 
 
 def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
-    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
+    rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     damaged(tmp_path, 5)
     assert cli.main(["recover", str(tmp_path), "--json"]) == 1
     answer = json.loads(capsys.readouterr().out)
@@ -164,7 +164,7 @@ def test_damage_is_told_and_the_stream_stays(experiment, tmp_path, capsys):
 
 
 def test_a_stream_without_a_sound_page_says_so(experiment, tmp_path, capsys):
-    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
+    rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     damaged(tmp_path, 1)
     assert cli.main(["recover", str(tmp_path)]) == 2
     said = capsys.readouterr().err
@@ -173,9 +173,9 @@ def test_a_stream_without_a_sound_page_says_so(experiment, tmp_path, capsys):
 
 
 def test_a_folder_that_holds_a_stream_is_not_run_into(experiment, tmp_path, capsys):
-    hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
+    rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     with pytest.raises(RecordError, match="did not end in order; make a recording of it by 'masking recover"):
-        hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True, stream=tmp_path))
+        rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True, stream=tmp_path))
     path = next(iter(experiment.declaration.files))
     assert cli.main(["rig", "run", path, "--plant", "udp://127.0.0.1:9", "--out", str(tmp_path)]) == 2
     assert f"masking recover {tmp_path}" in capsys.readouterr().err
@@ -192,8 +192,8 @@ def test_full_disks_end_the_run_in_order(experiment, tmp_path, monkeypatch):
     monkeypatch.setattr(child_process.subprocess, "Popen", popen)
     made = experiment.changed(duration=10_000)
     folder = tmp_path / "run"
-    found = hardware.run(
-        made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True, stream=folder, spare=tmp_path / "spare")
+    found = rig_run.run(
+        made, SimulatedPlant(made.twin), rig_run.RunSettings(lockstep=True, stream=folder, spare=tmp_path / "spare")
     )
     assert found.manifest["rig"]["end"] == "disk full"
     assert found.manifest["rig"]["recorder"]["note"].startswith("no place was left")
@@ -216,8 +216,8 @@ def test_a_recorder_that_is_killed_in_a_run_is_replaced_and_counted(experiment, 
             os.kill(made[0].process, signal.SIGKILL)
 
     folder = tmp_path / "run"
-    expected = hardware.run(
-        experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(progress=kill, stream=folder)
+    expected = rig_run.run(
+        experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(progress=kill, stream=folder)
     )
     assert expected.manifest["rig"]["recorder"] == {
         "ended": 1,
@@ -232,10 +232,10 @@ def test_a_recorder_that_is_killed_in_a_run_is_replaced_and_counted(experiment, 
 RUN = """
 import sys
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 made = Experiment.load(sys.argv[1])
-hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(stream=sys.argv[2]))
+rig_run.run(made, SimulatedPlant(made.twin), rig_run.RunSettings(stream=sys.argv[2]))
 """
 
 
@@ -281,11 +281,11 @@ def test_a_histogram_counts_every_tick_once():
 
 
 def test_the_manifest_has_the_timing_of_the_run(experiment):
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin)).manifest["rig"]["timing"]
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin)).manifest["rig"]["timing"]
     assert set(found) == {"lateness", "controller", "work"}
     assert len({sum(part["counts"]) for part in found.values()}) == 1
     assert found["work"]["median"] > found["controller"]["median"] > 0.0
-    lockstep = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True)).manifest[
+    lockstep = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True)).manifest[
         "rig"
     ]["timing"]
     assert set(lockstep) == {"controller", "work"}

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.io
 
 import masking
-from masking.app.cli import arguments, parser
+from masking.app.cli import arguments, main_program
 from masking.inference.discovery.discovery_result import Discovery
 from masking.model.effects.dictionary import EFFECTS
 from tests.benchmarks import official
@@ -112,7 +112,7 @@ def command(example: Path) -> list[str]:
 def discovered(name: str, folder: Path) -> Callable[[], Discovery]:
     """Prepare the files of a set in a folder, and return what discovers what hides in it."""
     prepared(folder, SETS[name].folder)
-    chosen = parser._parser().parse_args(command(examples()[name]))
+    chosen = main_program._parser().parse_args(command(examples()[name]))
     known, written = chosen.verb.parameters(), vars(chosen) | (SETS[name].shorter or {})
     settings = {n: arguments.value(known[n], text) for n, text in written.items() if n in known and n != "record"}
 

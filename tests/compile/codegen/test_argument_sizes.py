@@ -21,8 +21,8 @@ import pytest
 from masking.app.workflows.run import Experiment
 from masking.compile.codegen.argument_conditions import NOTHING
 from masking.compile.codegen.argument_sizes import least_sizes
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.machine_code import DIMENSIONS
-from masking.compile.codegen.source import Module
 from masking.compile.numerics.arrays import Matrix, Vector
 from masking.compile.numerics.compilation import compiled
 from masking.control.rig.twin import Twin

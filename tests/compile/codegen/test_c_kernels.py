@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from masking.compile.codegen.c_expressions import ARRAY, INTEGERS, Value
 from masking.compile.codegen.c_functions import CFunctions
-from masking.compile.codegen.source import Made, Module
+from masking.compile.codegen.generated_module import Made, Module
 from tests.support.compiled_unit import GCC, STRICT
 
 ROWS, COLUMNS = 3, 4

@@ -8,13 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
-from masking.control.exports.controllers import law_unit, sampled_unit
-from masking.control.exports.plants import model_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
+from masking.control.exports.rig_units import model_unit
 from masking.errors import DeclarationError, ModelError
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
-from tests.control.exports.test_controllers import EXACT, by_kernel
+from tests.control.exports.test_controller_units import EXACT, by_kernel
 from tests.support.compiled_unit import GCC, CompiledUnit
 
 W, W3, MU, ZETA, ZETA3, F, A, OM, B = np.array([1.0, 1.02]), 0.8, 0.05, 0.03, 0.1, 0.12, 0.15, 0.3, 0.2
@@ -118,7 +118,7 @@ def test_a_controller_that_differences_positions_finds_the_events():
 def test_a_rig_in_lockstep_moves_as_the_loop_around_its_twin():
     experiment = Experiment.load("escapements_rig").changed(duration=20)
     offline = experiment.run()
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     for name in ("input.V1", "input.V2", "input.V3"):
         assert np.max(np.abs(found[name] - offline[name])) <= 1e-9 * np.max(np.abs(offline[name]))
 

@@ -17,8 +17,8 @@ import pytest
 
 import masking
 from masking.compile.codegen import machine_code, module_store, trusted_files
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.trusted_files import read_sealed, write_sealed
 from masking.compile.numerics.arrays import Matrix, Vector
 from masking.compile.numerics.compilation import compiled
@@ -134,7 +134,7 @@ CHILD = """
 import json, sys
 from masking.compile.codegen import module_store
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 
 def number():
     module, graph = Module("test", {}), Graph()

@@ -23,10 +23,10 @@ from scipy.integrate import solve_ivp
 from masking import load_model
 from masking.compile.codegen import content_hashes, llvm_text, machine_code, module_store
 from masking.compile.codegen.c_functions import EXTREMES
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph
 from masking.compile.codegen.graph_values import values_of
 from masking.compile.codegen.printers import C, statements
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.taylor_coefficients import Dynamics, degree, factored, is_analytic, with_common_factors
 from masking.compile.codegen.taylor_loops import Loops
 from masking.compile.codegen.trusted_files import write_whole

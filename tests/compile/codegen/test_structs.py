@@ -12,7 +12,7 @@ import pytest
 from masking.compile.codegen import module_store
 from masking.compile.codegen.c_expressions import ARRAY, REAL, Value
 from masking.compile.codegen.c_functions import CFunctions
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.numerics.arrays import Vector
 from masking.compile.numerics.compilation import compiled
 from tests.support.compiled_unit import GCC, STRICT

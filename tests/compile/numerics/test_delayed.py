@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from masking.analysis.masking_error import masking_error
-from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
 from masking.errors import DeclarationError, IntegrationError, ModelError
 from masking.lab.runs.experiment import Experiment
 from masking.model.modelling.model import load_model
-from tests.control.exports.test_controllers import EXACT, by_kernel
+from tests.control.exports.test_controller_units import EXACT, by_kernel
 from tests.support.compiled_unit import GCC, CompiledUnit
 
 SECOND = 18.3157  # units of virtual time in a second of the rig

@@ -11,8 +11,8 @@ from scipy.integrate._ivp import dop853_coefficients as theirs
 
 from masking.compile.codegen import module_store
 from masking.compile.codegen.compiled_functions import InPieces
+from masking.compile.codegen.generated_module import Module
 from masking.compile.codegen.graph import Graph
-from masking.compile.codegen.source import Module
 from masking.compile.codegen.taylor_coefficients import Dynamics
 from masking.compile.numerics import dop853_coefficients, runge_kutta, taylor_integrator
 from masking.compile.numerics.stop_codes import NOT_FINITE, REACHED

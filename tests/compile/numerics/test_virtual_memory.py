@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from masking.analysis.masking_error import masking_error
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from masking.errors import DeclarationError
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
-from tests.control.exports.test_controllers import EXACT, by_kernel
+from tests.control.exports.test_controller_units import EXACT, by_kernel
 from tests.support.compiled_unit import GCC, CompiledUnit
 
 P = {"w1": 1.0, "w2": 1.1, "w3": 0.8, "mu": 0.05, "zeta": 0.05, "alpha": 0.6, "A": 1.0, "beta": 3.0, "gamma": 1.5,
@@ -153,7 +153,7 @@ def test_exported_controllers_carry_internal_states(tmp_path):
 def test_a_rig_in_lockstep_moves_as_the_loop_around_its_twin(name):
     experiment = Experiment.load(name).changed(duration=20)
     offline = experiment.run()
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     largest = max(np.max(np.abs(offline[f"input.V{i}"])) for i in (1, 2, 3))
     for i in (1, 2, 3):
         assert np.max(np.abs(found[f"input.V{i}"] - offline[f"input.V{i}"])) <= 1e-9 * largest

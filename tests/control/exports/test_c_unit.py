@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from masking.control.exports.controllers import law_unit, sampled_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
 from masking.control.exports.unit_kernels import COUNTERS
 from masking.lab.runs.experiment import Experiment
-from tests.control.exports.test_controllers import EXACT, by_kernel, by_unit, sampled
+from tests.control.exports.test_controller_units import EXACT, by_kernel, by_unit, sampled
 from tests.support import cortex_m4
 from tests.support.cortex_m4 import CortexM4, order
 from tests.support.cortex_m4_cycles import cycles, instruction, of_longest_step

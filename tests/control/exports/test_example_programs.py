@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from masking.control.exports.controllers import sampled_unit
-from masking.control.exports.plants import twin_unit
+from masking.control.exports.controller_units import sampled_unit
+from masking.control.exports.rig_units import twin_unit
 from masking.errors import PlantLostError, PlantRefusedError
 from masking.lab.plants import adapters
 from masking.lab.plants.conformance import check

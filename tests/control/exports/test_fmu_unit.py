@@ -13,13 +13,13 @@ import pytest
 
 import masking
 from masking.control.exports import fmu_unit
-from masking.control.exports.controllers import sampled_unit
+from masking.control.exports.controller_units import sampled_unit
 from masking.control.exports.fmu_unit import has_binary, write
-from masking.control.exports.plants import twin_unit
+from masking.control.exports.rig_units import twin_unit
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue
 from tests.benchmarks import exported
-from tests.control.exports.test_controllers import by_kernel
+from tests.control.exports.test_controller_units import by_kernel
 from tests.support.compiled_unit import GCC
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'masking[fmu]'")

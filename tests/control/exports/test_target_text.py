@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from masking.control.exports import fmu_unit, unit_files
-from masking.control.exports.plants import twin_unit
+from masking.control.exports.rig_units import twin_unit
 from masking.control.exports.target_text import TEMPLATES, c_comment, c_macro, c_name, c_string, filled, xml_text
 from masking.control.exports.unit import Channel
 from masking.control.rig.twin import Twin

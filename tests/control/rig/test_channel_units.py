@@ -6,7 +6,7 @@ import pytest
 from masking.app.workflows import discovery_inputs
 from masking.errors import RecordError
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 
 T = np.arange(500) / 100.0
 U, Y = np.sin(9.0 * T), np.cos(3.0 * T)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError, RecordError
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import run_twin
+from masking.lab.runs.simulated_run import run_twin
 from masking.model.declaration import registry, schema
 
 # A bench: a mass on a spring whose force is under test, and a free mass, each pushed by its own input.

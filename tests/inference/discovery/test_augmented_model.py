@@ -11,8 +11,8 @@ from masking.control.rig.twin import Twin
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import Span, candidates
 from masking.inference.discovery.discovery_stages import discover
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
 from masking.inference.estimation.identification_data import Data
 from masking.inference.estimation.simulation import simulate

@@ -12,8 +12,8 @@ from scipy import integrate
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery import continuation, fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
 
 TRUE = {"w2": 60.0, "k": 0.06, "c": 30.0}

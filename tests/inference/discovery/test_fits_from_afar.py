@@ -6,8 +6,8 @@ import pytest
 from masking.control.rig.twin import Twin
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
 
 MODEL = """

@@ -9,23 +9,23 @@ from scipy import optimize, signal
 from masking.app.workflows import discovery_inputs
 from masking.control.rig.twin import Twin
 from masking.errors import DeclarationError
-from masking.inference.discovery import discrepancy, fitting, shooting_intervals, unseen_data
+from masking.inference.discovery import discrepancy, fitting, shooting_intervals, validation_simulation
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.candidates import candidates, spans
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation, are_composite, occam
-from masking.inference.discovery.ground import Ground
 from masking.inference.discovery.other_laws import simpler_explanations
 from masking.inference.discovery.parameter_prior import prior_of
 from masking.inference.discovery.places import opened, places
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
+from masking.inference.discovery.search_state import Ground
 from masking.inference.discovery.smoothing import smooth
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import rounding_steps
+from masking.lab.records.noise_estimate import rounding_steps
 from masking.model.declaration import catalogue, registry
-from masking.model.declaration.checks import beyond_ordinary
 from masking.model.declaration.dimensions import is_plain
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import beyond_ordinary
 from masking.model.declaration.schema import Element
 from masking.model.effects import attach
 from masking.model.modelling.model import Model, load_model
@@ -274,7 +274,7 @@ def test_a_lag_is_judged_by_a_record_that_begins_in_motion(problem):
     own = whole.record.readings[begin:], whole.record.commands[begin:]
     assert abs(own[0][0, 1]) > 10.0 * NOISE
     part = replace(whole, record=replace(whole.record, readings=own[0], commands=own[1]))
-    left = unseen_data.validated(part, replace(fitting.fit(whole, (lag,)), start=np.zeros((1, 6)))).residuals
+    left = validation_simulation.validated(part, replace(fitting.fit(whole, (lag,)), start=np.zeros((1, 6)))).residuals
     assert (np.abs(left[:5, 1]) < 5.0 * NOISE).all()
 
 
@@ -333,7 +333,7 @@ def test_two_records_together_tell_what_their_sum_of_squares_tells(rig, problem,
     first, second = records
     start = instance.with_values((0,), (2e4,))
     alone = fitting.fit(first, (start,))
-    both = fitting.together(first, second, alone, unseen_data.validated(second, alone).start)
+    both = fitting.together(first, second, alone, validation_simulation.validated(second, alone).start)
     k = len(rig.start)
 
     def residuals(x):

@@ -13,10 +13,10 @@ from masking.control.rig.twin import Twin
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.discovery_result import Discovery, Named, SimulationError
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation
 from masking.inference.discovery.force_decomposition import decompose, followed, harmonics, period
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.smoothing import smooth
 from masking.inference.estimation.identification_data import Data

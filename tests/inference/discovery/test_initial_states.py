@@ -5,8 +5,8 @@ import numpy as np
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
 from tests.benchmarks.independent.machine import Contact, Element, Machine, simulated
 

@@ -10,9 +10,9 @@ from masking.app.workflows import discovery_inputs
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
 from masking.inference.discovery.discovery_settings import DiscoverySettings
 from masking.inference.discovery.discovery_stages import discover
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.instrument_errors import GAIN, with_imperfections
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.identification_data import Data
 from masking.model.effects import GAINS_AND_ZEROS
 from masking.reports import discovery_text

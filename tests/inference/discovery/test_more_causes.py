@@ -14,9 +14,9 @@ from masking.app.workflows import discovery_inputs
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel
 from masking.inference.discovery.candidates import candidates, spans
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.more_causes import pairs
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Screen
 from masking.inference.discovery.smoothing import centred, smooth
 from masking.inference.estimation.identification_data import Data

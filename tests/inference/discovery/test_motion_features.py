@@ -10,9 +10,9 @@ import pytest
 
 from masking.control.rig.twin import Twin
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.motion_features import FEWEST, Kept, MotionFeatures, Thinning, middles, thinned
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.smoothing import Motion
 from masking.inference.estimation.identification_data import Data
 from tests.app.workflows.test_discover import PLANT

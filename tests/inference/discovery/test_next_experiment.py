@@ -11,9 +11,9 @@ from scipy import signal
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery import fitting
 from masking.inference.discovery.augmented_model import AugmentedModel, EffectInstance
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.next_experiment import next_experiment
 from masking.inference.discovery.parameter_prior import prior_of
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.work_budget import Work
 from masking.inference.estimation.identification_data import Data
 

@@ -16,8 +16,8 @@ from masking.inference.discovery import (
     closed_form,
     force_decomposition,
     latent_force,
-    name_or_unnamed,
-    unseen_data,
+    unnamed_as_rival,
+    validation_simulation,
     verdict,
 )
 from masking.inference.discovery.spline_bases import Curve, Term, pieces
@@ -101,12 +101,13 @@ def test_names_and_a_law_are_compared_in_the_same_intervals(found, parts):
     """In shorter intervals, names are not better than themselves."""
     discovery, _, _ = found
     named, short = discovery.explanation.hypothesis, replace(discovery.validation, interval=2000 // parts)
-    form = replace(discovery.law.form, explanation=discovery.explanation, validated=unseen_data.validated(short, named))
+    validated = validation_simulation.validated(short, named)
+    form = replace(discovery.law.form, explanation=discovery.explanation, validated=validated)
     law = replace(discovery.law, problem=short, form=form)
-    matched = name_or_unnamed._in_intervals_of(law, discovery)
+    matched = unnamed_as_rival._in_intervals_of(law, discovery)
     assert float(matched.after.squares @ short.weights) < 0.9 * float(discovery.after.squares @ short.weights)
     assert matched.simulation_error.validation[0]["q1"] < discovery.simulation_error.validation[0]["q1"]
-    assert not name_or_unnamed.evidence(matched, law) > 0.0
+    assert not unnamed_as_rival.evidence(matched, law) > 0.0
 
 
 def test_the_tables_of_a_free_law_hold_its_force(found):

@@ -13,7 +13,7 @@ from masking.inference.discovery import decision_rules as module
 from masking.inference.discovery import verdict
 from masking.inference.discovery.decision_rules import DecisionRules
 from masking.inference.discovery.verdict import Law, Scored
-from masking.lab.records.noise import white_noise
+from masking.lab.records.noise_estimate import white_noise
 
 RULES = DecisionRules()
 M = 1_000_000  # readings: the cost of pure noise

@@ -5,7 +5,7 @@ import pytest
 
 from masking.control.rig.twin import Twin
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.actuators import actuator_ratio
+from masking.inference.procedures.actuator_ratio import actuator_ratio
 from masking.inference.procedures.friction import locate_friction, shift_of_equilibrium
 from masking.inference.procedures.springs import spring_curve
 from masking.model.declaration import schema

@@ -19,16 +19,16 @@ from hypothesis import strategies as st
 
 from masking.app import cli
 from masking.control.exports.fmu_unit import has_binary, write
-from masking.control.exports.plants import twin_unit
+from masking.control.exports.rig_units import twin_unit
 from masking.control.rig.twin import Twin
 from masking.errors import PlantError, PlantLostError, PlantMismatchError
-from masking.lab.plants import adapters, address, conformance, last_word, operating_system
+from masking.lab.plants import adapters, address, conformance, operating_system, zero_after_kill
+from masking.lab.plants.controller_session import Allowed
 from masking.lab.plants.interface import Holding, Settings
 from masking.lab.plants.serve import Serving
-from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.wire import Kind, Splitter, decode, encode, to_stream
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from tests.support import nidaqmx_stub
 
@@ -128,7 +128,7 @@ def serving(plant, where, **options):
         is_ready.set()
 
     thread = threading.Thread(
-        target=lambda: hardware.serve(plant, where, Serving(**options), stop=is_over.is_set, ready=ready), daemon=True
+        target=lambda: rig_run.serve(plant, where, Serving(**options), stop=is_over.is_set, ready=ready), daemon=True
     )
     thread.start()
     assert is_ready.wait(60.0)
@@ -338,7 +338,7 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch):
 
 def test_a_plant_is_served_only_where_frames_can_go(folder):
     with pytest.raises(PlantMismatchError, match=r"cannot be served at; use udp://127\.0\.0\.1:5005 or serial:pty"):
-        hardware.serve(folder / "rig.yaml", f"mujoco:{folder / 'cart.xml'}", Serving())
+        rig_run.serve(folder / "rig.yaml", f"mujoco:{folder / 'cart.xml'}", Serving())
 
 
 def test_the_amplitude_of_a_check_is_within_the_limits(capsys):
@@ -479,7 +479,7 @@ def test_an_fmu_says_what_it_cannot(fmus, tmp_path):
 
 
 def test_a_card_is_a_plant(folder, card, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(last_word, "Holding", type(None))  # this card is in no other process
+    monkeypatch.setattr(zero_after_kill, "Holding", type(None))  # this card is in no other process
     assert cli.main(["rig", "check", NI]) == 0
     assert not any(card.outputs.values())
     assert not card.taken
@@ -558,8 +558,8 @@ def test_a_twin_behind_a_serial_line_keeps_time(pyserial, folder):
     with serving(folder / "delayed.yaml", "serial:pty", allowed=Allowed(watchdog=5.0)) as where:
         assert cli.main(["rig", "check", where]) == 0
         delayed = Experiment.load(folder / "delayed_experiment.yaml")
-        found = hardware.run(
-            delayed, adapters.connect(where), hardware.RunSettings(watchdog=5.0)
+        found = rig_run.run(
+            delayed, adapters.connect(where), rig_run.RunSettings(watchdog=5.0)
         )  # both sides are in this process
     assert found.manifest["rig"]["end"] == "finished"
     assert found.manifest["masking_error"]["x"] < 0.1

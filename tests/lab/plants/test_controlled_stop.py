@@ -20,7 +20,7 @@ from masking.lab.plants.served_plant_guard import PlantLimits
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.records.recording import Recording
-from masking.lab.runs import hardware, safety_limits
+from masking.lab.runs import rig_run, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.realtime import Hooks, run_rig
 from masking.model.declaration.instrument_declaration import ControlledStop
@@ -174,9 +174,9 @@ def test_a_run_that_ends_in_order_is_braked_and_stays_what_it_was(tmp_path, is_i
             os.kill(os.getpid(), signal.SIGINT)
 
     settings = [
-        hardware.RunSettings(lockstep=True, progress=lambda _, plant=plant: interrupt(plant)) for plant in plants
+        rig_run.RunSettings(lockstep=True, progress=lambda _, plant=plant: interrupt(plant)) for plant in plants
     ]
-    found = [hardware.run(*each) for each in zip((cart, braked), plants, settings, strict=True)]
+    found = [rig_run.run(*each) for each in zip((cart, braked), plants, settings, strict=True)]
     assert [one.manifest["rig"]["end"] for one in found] == ["interrupted" if is_interrupted else "finished"] * 2
     assert np.array_equal(found[0].array("rig"), found[1].array("rig"))  # the record of the run is the same
     end = len(plants[0].ticks)

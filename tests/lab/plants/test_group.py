@@ -15,12 +15,12 @@ from masking.lab.plants import adapters
 from masking.lab.plants.conformance import check
 from masking.lab.plants.group import PlantGroup, connect_each
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
 from masking.model.declaration.composition import Part, compose
 from masking.model.modelling.model import Model
-from tests.lab.runs.test_hardware import serving
+from tests.lab.runs.test_rig_run import serving
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +73,7 @@ def test_a_controller_may_be_wrong_about_one_of_the_plants():
 def test_steps_of_two_plants_together_are_the_run_offline():
     twin = Twin.load("cart")
     group = PlantGroup({"a": SimulatedPlant(twin), "b": SimulatedPlant(twin)})
-    found = hardware.run(carts(), group, hardware.RunSettings(lockstep=True))
+    found = rig_run.run(carts(), group, rig_run.RunSettings(lockstep=True))
     for name in ("sensor.a_encoder", "sensor.b_encoder", "input.a_u", "input.b_u"):
         assert np.abs(found[name] - offline()[name]).max() <= 1e-9 * np.abs(offline()[name]).max(), name
 
@@ -82,7 +82,7 @@ def test_one_plant_is_in_another_process_and_one_in_this():
     with serving("cart", "--lockstep") as (_, address):
         group = PlantGroup({"a": SimulatedPlant(Twin.load("cart")), "b": adapters.connect(address)})
         assert group.owns_clock
-        found = hardware.run(carts(), group, hardware.RunSettings(lockstep=True))
+        found = rig_run.run(carts(), group, rig_run.RunSettings(lockstep=True))
     assert found["input.b_u"].tolist() == pytest.approx(offline()["input.b_u"].tolist(), rel=1e-9, abs=1e-12)
     assert found.manifest["rig"]["end"] == "finished"
 
@@ -91,7 +91,7 @@ def test_in_real_time_one_plant_is_simulated_here_and_one_has_a_clock_of_its_own
     """The one with a clock does not wait: where a sample of it is missed, the simulated one is late by it."""
     with serving("cart") as (_, address):
         group = PlantGroup({"a": SimulatedPlant(Twin.load("cart")), "b": adapters.connect(address)})
-        found = hardware.run(carts(), group)
+        found = rig_run.run(carts(), group)
     assert found.manifest["mode"] == "real time"
     assert found.manifest["rig"]["end"] == "finished"
     assert found.t[-1] == pytest.approx(2.0, abs=0.02)

@@ -21,11 +21,11 @@ from masking.lab.plants.safety_chain import Cause, Chain, Rules
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records import stream
 from masking.lab.records.recording import Recording
-from masking.lab.runs import hardware, safety_limits
+from masking.lab.runs import rig_run, safety_limits
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.feasibility import feasibility
 from masking.lab.runs.self_test import self_test
-from tests.lab.runs.test_hardware import serving
+from tests.lab.runs.test_rig_run import serving
 from tests.support.rig_runs import run_rig
 
 ROOT = Path(__file__).parents[3]
@@ -78,7 +78,7 @@ def cart():
 def run(experiment, **damage):
     """Return the end of a run in lockstep on a damaged twin, its trip, and the plant with its record."""
     plant = Damaged(SimulatedPlant(experiment.twin), **damage)
-    recording = hardware.run(experiment, plant, hardware.RunSettings(lockstep=True))
+    recording = rig_run.run(experiment, plant, rig_run.RunSettings(lockstep=True))
     return recording.manifest["rig"]["end"], recording.manifest["rig"].get("trip"), plant
 
 
@@ -266,7 +266,7 @@ def test_the_rate_of_a_plant_file_holds_in_its_unit_where_the_motion_asks_for_mo
     held = on_a_plant(cart, tmp_path, lambda declared: change(declared, allowed))
     plant = Damaged(SimulatedPlant(held.twin))
     assert not feasibility(held)["rate of u"].fits
-    found = hardware.run(held, plant, hardware.RunSettings(lockstep=True)).manifest["rig"]
+    found = rig_run.run(held, plant, rig_run.RunSettings(lockstep=True)).manifest["rig"]
     assert (found["end"], found["trip"]["cause"]) == ("tripped", "COMMAND_RATE")
     assert f"where {allowed:.4g} A/s are allowed" in found["trip"]["sentence"]
     assert np.abs(np.diff(plant.written[:-1], axis=0)).max() <= allowed / 500.0 * (1 + 1e-9)
@@ -457,10 +457,10 @@ def test_an_index_that_repeats_or_goes_back_ends_the_run_with_the_rows_before(ca
             sample = self.plant.read()
             return Sample(sample.index - back * (sample.index == at), sample.values)
 
-    settings = hardware.RunSettings(lockstep=True, keep=kept.append, stream=tmp_path / "rows")
+    settings = rig_run.RunSettings(lockstep=True, keep=kept.append, stream=tmp_path / "rows")
     plant = Stepping(SimulatedPlant(cart.twin))
     with pytest.raises(PlantError, match=rf"the plant gave sample {at - back} after sample {at - 1}: .*rig check"):
-        hardware.run(cart, plant, settings)
+        rig_run.run(cart, plant, settings)
     assert plant.ticks == list(range(at))
     kept[0].save(tmp_path / "kept")
     rig = kept[0].manifest["rig"]

@@ -24,20 +24,20 @@ from masking.errors import CommandError, PlantLostError, PlantRefusedError, Reco
 from masking.lab.plants import adapters, wire
 from masking.lab.plants.arming import Arming
 from masking.lab.plants.authentication import Key
+from masking.lab.plants.controller_session import Allowed
 from masking.lab.plants.interface import Sample, Settings
 from masking.lab.plants.safety_chain import Rules
 from masking.lab.plants.serve import Serving
 from masking.lab.plants.served_plant_guard import PlantLimits
-from masking.lab.plants.session import Allowed
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.trip_memory import TripMemory
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.model.declaration import catalogue
 from tests.lab.plants.test_wire import LOCKSTEP, NOWHERE, RUN, MassSpring, forged, line, opened, process, served
-from tests.lab.runs.test_hardware import serving
+from tests.lab.runs.test_rig_run import serving
 from tests.support.rig_runs import run_rig
 
 pytestmark = pytest.mark.realtime
@@ -445,7 +445,7 @@ def test_the_limits_are_those_of_the_plant_file_in_the_units_of_its_commands(tmp
     for plant, largest in ((weak, [0.02, 0.42, 0.42]), ("ideal", [0.42, 0.42, 0.42])):
         served, command = SimulatedPlant(Twin.load(plant)), np.full(3, 9.0)
         served.configure(LOCKSTEP)
-        guard = hardware._guard(Twin.load(plant))
+        guard = rig_run._guard(Twin.load(plant))
         guard.begin(served, LOCKSTEP)
         assert guard.check(Sample(0, np.zeros(3)), command) == ""
         assert command.tolist() == pytest.approx(largest, rel=1e-14)
@@ -468,7 +468,7 @@ def test_a_twin_stops_where_a_sensor_shows_its_limit(tmp_path):
     """The rig is driven with all that its actuators give, at their sign of the velocity, until the server stops it."""
     is_over, found, folders = threading.Event(), [], []
     kept, asked = Serving("lockstep", tmp_path, sessions=1), {"ready": found.append, "stop": is_over.is_set}
-    thread = threading.Thread(target=lambda: folders.extend(hardware.serve("ideal", NOWHERE, kept, **asked)))
+    thread = threading.Thread(target=lambda: folders.extend(rig_run.serve("ideal", NOWHERE, kept, **asked)))
     thread.start()
     try:
         while not found:
@@ -510,7 +510,7 @@ effects: {{noise: {{effect: noise, at: s, parameters: {{sigma: {noise}}}}}}}
 """)
     twin = Twin.load(tmp_path / "plant.yaml")
     for reading, is_beyond in ((1.0 + 7.9 * noise - 1e-9, False), (1.0 + 8.1 * noise + 1e-9, True)):
-        guard = hardware._guard(twin)
+        guard = rig_run._guard(twin)
         plant = SimulatedPlant(twin)
         plant.configure(LOCKSTEP)
         guard.begin(plant, LOCKSTEP)
@@ -543,7 +543,7 @@ def test_the_plant_limits_speed_and_mean_power_whoever_drives_it(tmp_path):
     plant = SimulatedPlant(twin)
     plant.configure(LOCKSTEP)
     for speed, cause in ((0.09, ""), (0.11, "VELOCITY_LIMIT: the rate of x1 - x3 is ")):  # m/s
-        guard = hardware._guard(twin)
+        guard = rig_run._guard(twin)
         guard.begin(plant, LOCKSTEP)
         found = [
             guard.check(Sample(k, gain * np.array([speed * k / 1000.0, 0.0, 0.0])), np.zeros(3)) for k in range(30)

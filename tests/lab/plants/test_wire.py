@@ -21,13 +21,13 @@ from masking.errors import (
     PlantRefusedError,
     WireError,
 )
+from masking.lab.plants import controller_session as sessions
 from masking.lab.plants import serve as serving
-from masking.lab.plants import session as sessions
 from masking.lab.plants import wire
 from masking.lab.plants.conformance import check
+from masking.lab.plants.controller_session import Allowed
 from masking.lab.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.lab.plants.serve import Serving, serve
-from masking.lab.plants.session import Allowed
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
@@ -90,7 +90,7 @@ import os, sys, time
 import numpy as np
 from masking.lab.plants.interface import LifeCycle, Sample, Settings, check_command
 from masking.lab.plants.serve import Serving, serve
-from masking.lab.plants.session import Allowed
+from masking.lab.plants.controller_session import Allowed
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.runs.realtime import Hooks, run_rig
 """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from masking.errors import RecordError
-from masking.inference.procedures.channels import Source
+from masking.inference.procedures.channel_names import Source
 from masking.lab.records.clock import rate, running_on
 from masking.lab.records.recording import Recording
 

@@ -9,7 +9,7 @@ import pytest
 
 from masking.errors import RecordError
 from masking.lab.records import readers, text_header
-from masking.lab.records.input_hold import TextForm
+from masking.lab.records.record_form import TextForm
 
 N = 200
 T = np.arange(N) * 0.002

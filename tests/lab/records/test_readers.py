@@ -17,7 +17,7 @@ from masking.app.workflows import discovery_inputs
 from masking.errors import ModelError, RecordError
 from masking.inference.estimation.identification_data import Data
 from masking.lab.records import readers
-from masking.lab.records.input_hold import RecordForm
+from masking.lab.records.record_form import RecordForm
 from masking.lab.records.recording import Recording
 from masking.lab.records.time_slice import Part
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from masking.app.cli.parser import _with_units
+from masking.app.cli.main_program import _with_units
 from masking.errors import DeclarationError, RecordError
 from masking.lab.records import readers
 from masking.lab.records.time_base import Resampling

@@ -15,8 +15,8 @@ from masking.lab.records.recording import Recording
 from masking.lab.runs import error_budget as budgets
 from masking.lab.runs.error_budget import ALL, NOTHING, SAMPLING, Budget, Row, budget, predict
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import run_twin
 from masking.lab.runs.remedies import Remedy
+from masking.lab.runs.simulated_run import run_twin
 from masking.model.effects import EFFECTS, FAMILIES
 from masking.reports.run_report import summary, warnings
 

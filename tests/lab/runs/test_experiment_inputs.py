@@ -13,10 +13,10 @@ from masking.lab.plants import adapters
 from masking.lab.plants.interface import Sample
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.records.recording import Recording
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import registry
-from tests.lab.runs.test_hardware import serving
+from tests.lab.runs.test_rig_run import serving
 
 HELD = {"rate": "500 Hz", "observer": "disturbance", "homing": 1}
 FELT = {**HELD, "external": "felt"}
@@ -31,7 +31,7 @@ def short(name, controller=HELD, seconds=2.0):
 @pytest.mark.parametrize("name", ["cart_alone_rig", "cart_reference"])
 def test_in_lockstep_it_is_the_run_offline(name):
     made = short(name)
-    found = hardware.run(made, SimulatedPlant(made.twin, made.declaration.seed), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(made, SimulatedPlant(made.twin, made.declaration.seed), rig_run.RunSettings(lockstep=True))
     expected = made.run()
     assert found.names() == expected.names()
     for column in expected.columns:
@@ -44,7 +44,7 @@ def test_in_lockstep_it_is_the_run_offline(name):
 def test_a_push_that_begins_before_the_release_is_felt_from_there_on(name):
     """The hand pushes while the rig is homed; the ideal mass gets what the controller felt."""
     made = short(name, FELT, seconds=10.0)
-    found = hardware.run(made, SimulatedPlant(made.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(made, SimulatedPlant(made.twin), rig_run.RunSettings(lockstep=True))
     assert found.manifest["rig"]["end"] == "finished"
     for run in (found, made.run()):
         assert run.manifest["masking_error"]["x"] <= 0.03
@@ -84,7 +84,7 @@ def test_passive_coordinates_in_real_time():
     """The plant may be silent for 0.75 s, as no busy machine is; the command line is tested above."""
     made = short("cart_alone_rig", seconds=1.0)
     with serving("cart_pendulum") as (_, address):
-        found = hardware.run(made, adapters.connect(address), hardware.RunSettings(watchdog=0.5))
+        found = rig_run.run(made, adapters.connect(address), rig_run.RunSettings(watchdog=0.5))
     assert found.manifest["mode"] == "real time"
     assert found.manifest["rig"]["end"] == "finished"
     assert found.manifest["passive"]["coordinates"] == ["th"]
@@ -127,7 +127,7 @@ def with_a_knob(folder, effects):
 def test_a_knob_that_is_turned_drives_the_masked_mass(tmp_path, step):
     effects = {"knob_steps": {"effect": "quantisation", "at": "knob", "parameters": {"step": step}}} if step else {}
     made = with_a_knob(tmp_path, effects)
-    run = hardware.run(made, Turned(SimulatedPlant(made.twin), "knob", packets), hardware.RunSettings(lockstep=True))
+    run = rig_run.run(made, Turned(SimulatedPlant(made.twin), "knob", packets), rig_run.RunSettings(lockstep=True))
     rig, released = run.manifest["rig"], made.sampled.before / 500.0
     assert (rig["end"], rig.get("trip")) == ("finished", None)
     assert "jumps of knob are not watched: give sensors.knob.jump" in rig["unwatched"]
@@ -146,5 +146,5 @@ def test_a_reading_that_the_rig_does_not_move_may_stay_as_it_is(tmp_path, value)
     """A knob that nobody turns, and a force sensor at rest between taps."""
     felt = short("cart_felt", FELT, seconds=4.0).changed(effects={"push": False})
     for made, sensor in ((with_a_knob(tmp_path, {}), "knob"), (felt, "force")):
-        run = hardware.run(made, Turned(SimulatedPlant(made.twin), sensor, value), hardware.RunSettings(lockstep=True))
+        run = rig_run.run(made, Turned(SimulatedPlant(made.twin), sensor, value), rig_run.RunSettings(lockstep=True))
         assert (run.manifest["rig"]["end"], run.manifest["rig"].get("trip")) == ("finished", None)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from masking.control.exports.fmu_unit import has_binary, write
-from masking.control.exports.plants import twin_unit
+from masking.control.exports.rig_units import twin_unit
 from masking.lab.plants import adapters
 from masking.lab.plants.interface import Sample
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
-from tests.lab.runs.test_hardware import assert_same_run, serving
+from tests.lab.runs.test_rig_run import assert_same_run, serving
 
 pytestmark = pytest.mark.realtime
 
@@ -41,7 +41,7 @@ def test_a_served_twin_moves_as_offline(experiment, offline, address):
     if address.startswith("serial"):
         pytest.importorskip("serial", reason="pyserial is not installed: pip install 'masking[serial]'")
     with serving(PLANT, "--address", address, "--lockstep", "--seed", SEED) as (_, served):
-        found = hardware.run(experiment, adapters.connect(served), hardware.RunSettings(lockstep=True))
+        found = rig_run.run(experiment, adapters.connect(served), rig_run.RunSettings(lockstep=True))
     assert_same_run(found, offline)
 
 
@@ -92,5 +92,5 @@ def test_an_fmu_of_the_twin_moves_as_offline(experiment, offline, version, tmp_p
     path = write(twin_unit(twin, "rig", experiment.sampled.rate), tmp_path)[version - 2]
     noise = [f"noise_{name}" for name in twin.sensors]
     where = f"fmu:{path}?sensors={','.join(twin.sensors)}&actuators={','.join([*twin.actuators, *noise])}"
-    found = hardware.run(experiment, Noisy(where, twin.actuators, SEED), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, Noisy(where, twin.actuators, SEED), rig_run.RunSettings(lockstep=True))
     assert_same_run(found, offline)

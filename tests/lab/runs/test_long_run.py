@@ -16,7 +16,7 @@ from masking.display.json_text import json_text
 from masking.errors import MaskingError, RecordError
 from masking.lab.records import columns_on_disk, readers
 from masking.lab.records.recording import Recording
-from masking.lab.runs import long_run, offline
+from masking.lab.runs import long_run, simulated_run
 from masking.lab.runs.experiment import Experiment
 from masking.reports import long_record, run_measures, run_study
 
@@ -25,7 +25,7 @@ ROWS = 1000  # of a chunk, here
 
 @pytest.fixture
 def small_chunks(monkeypatch):
-    for module in (offline, long_run):
+    for module in (simulated_run, long_run):
         monkeypatch.setattr(module, "CHUNK", ROWS)
 
 
@@ -70,7 +70,7 @@ def test_chunks_are_the_run_in_one_piece_to_the_last_bit(name, duration, section
 def test_where_an_integrator_begins_anew_changes_nothing_that_counts(monkeypatch):
     experiment = Experiment.load("duffing").changed(duration=250.0)
     whole = experiment.run()
-    monkeypatch.setattr(offline, "CHUNK", ROWS)
+    monkeypatch.setattr(simulated_run, "CHUNK", ROWS)
     np.testing.assert_allclose(experiment.run()["ideal.x1"], whole["ideal.x1"], rtol=0, atol=1e-9)
 
 

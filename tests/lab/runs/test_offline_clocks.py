@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from tests.benchmarks.clocks import SEEDS, TIMES, clocks, errors, figures
 
@@ -46,6 +46,6 @@ def test_a_rig_and_a_simulation_take_the_same_steps():
     """Rest, homing, energy balance and observer are one compiled step, offline and on a plant."""
     made = Experiment.load("huygens_rig").changed(duration=10)
     offline = made.run()
-    rig = hardware.run(made, SimulatedPlant(made.twin, made.declaration.seed), hardware.RunSettings(lockstep=True))
+    rig = rig_run.run(made, SimulatedPlant(made.twin, made.declaration.seed), rig_run.RunSettings(lockstep=True))
     for name in made.twin.actuators:
         np.testing.assert_allclose(rig[f"input.{name}"], offline[f"input.{name}"], atol=1e-9)

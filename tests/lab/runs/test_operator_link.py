@@ -24,7 +24,7 @@ from masking.lab.records import ring, stop_switch
 from masking.lab.records.recording import Recording
 from masking.lab.records.ring import RingReader
 from masking.lab.records.stop_switch import Presser, Switch
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.lab.runs.operator_link import ABSENCE, Operator
 from masking.reports.operator_page import Monitor
@@ -56,9 +56,7 @@ class Shown:
 def test_what_is_shown_is_what_is_recorded(cart):
     shown = []
     with Operator(lambda *paths: shown.append(Shown(*paths)) or shown[-1]) as operator:
-        recording = hardware.run(
-            cart, SimulatedPlant(cart.twin), hardware.RunSettings(lockstep=True, operator=operator)
-        )
+        recording = rig_run.run(cart, SimulatedPlant(cart.twin), rig_run.RunSettings(lockstep=True, operator=operator))
         reader, monitor = shown[0].reader, shown[0].monitor
         taken = reader.take()
         table = {name: taken.table[:, i] for i, name in enumerate(reader.columns)}

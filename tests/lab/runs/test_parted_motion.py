@@ -9,7 +9,7 @@ import yaml
 import masking
 from masking.app import cli
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.reports.run_report import report, strayed, summary, warnings
 
@@ -68,7 +68,7 @@ def test_another_attractor_is_named_and_the_status_is_1(wells, tmp_path, capsys)
 
 def test_it_is_known_of_a_run_on_a_plant_and_in_its_report(wells, tmp_path):
     experiment = Experiment.load(wells)
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     assert found.manifest["parting"]["reached"]["middle"]["x"] == pytest.approx(-1.0, abs=1e-6)
     made = report(found, tmp_path)
     assert "settled on another attractor of wanted system, rest at " in made.path.read_text("utf-8")

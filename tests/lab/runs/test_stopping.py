@@ -10,7 +10,7 @@ from scipy.signal import hilbert
 from masking.app.cli import main
 from masking.errors import DeclarationError, ModelError
 from masking.lab.plants.simulated import SimulatedPlant
-from masking.lab.runs import error_budget, hardware
+from masking.lab.runs import error_budget, rig_run
 from masking.lab.runs.experiment import Experiment
 
 STOP = {"when": "synchronised", "of": ["th1", "th2"]}
@@ -56,7 +56,7 @@ def test_clocks_that_begin_in_phase_are_so_at_once(clocks):
 def test_on_a_rig_in_lockstep_the_run_ends_at_the_same_sample_as_offline():
     experiment = Experiment.load("huygens_rig").changed(stop=STOP, record={"rate": "200 Hz"})
     offline = experiment.run()
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     assert offline.manifest["stop"]["met"]
     assert found.manifest["stop"] == offline.manifest["stop"]
     assert found.manifest["rig"]["end"] == "synchronised"
@@ -67,7 +67,7 @@ def test_on_a_rig_in_lockstep_the_run_ends_at_the_same_sample_as_offline():
 def test_a_run_on_a_rig_that_does_not_synchronise_is_finished():
     changes = {"stop": {**STOP, "phase": "in", "eps": 0.001}, "duration": 30.0}
     experiment = Experiment.load("huygens_rig").changed(**changes)
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     assert found.manifest["rig"]["end"] == "finished"
     assert not found.manifest["stop"]["met"]
     assert found.t[-1] == pytest.approx(30.0 * experiment.time_scale, abs=2e-3)

@@ -10,10 +10,10 @@ import pytest
 
 from masking.errors import DeclarationError, Place, Problem
 from masking.model.declaration import catalogue, registry
-from masking.model.declaration.checks import check_model
-from masking.model.declaration.cross_checks import check_experiment, check_size, count_columns, recorded_rows
 from masking.model.declaration.dimensions import check_dimensions, check_scales
+from masking.model.declaration.experiment_checks import check_experiment, check_size, count_columns, recorded_rows
 from masking.model.declaration.json_schema import json_schema
+from masking.model.declaration.model_checks import check_model
 from masking.model.declaration.schema import KINDS, ExperimentDeclaration, ModelDeclaration
 from masking.model.declaration.strict_yaml import load, loads
 from masking.model.declaration.units import (

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from masking.errors import DeclarationError, IntegrationError, ModelError
 from masking.model import effects
-from masking.model.declaration.checks import check_model
 from masking.model.declaration.differentiate import rate_of
 from masking.model.declaration.dimensions import check_dimensions, dimension_in
 from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import check_model
 from masking.model.declaration.schema import ModelDeclaration
 from masking.model.declaration.units import describe, dimension_of
 from masking.model.effects import EFFECTS, Span

@@ -1,6 +1,6 @@
 """The text of generated modules."""
 
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 
 HOSTILE = 'x"""; import os; os.system("touch injected"); """\n\nimport os\u2028\r\x0c#'
 

@@ -1,4 +1,4 @@
-"""Rig: an experiment on a plant that runs by itself, and a twin that stands in for such a plant."""
+"""Run on a rig: an experiment on a plant that runs by itself, and a twin that stands in for such a plant."""
 
 from __future__ import annotations
 

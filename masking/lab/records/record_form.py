@@ -1,4 +1,4 @@
-"""How records are given: inputs between samples, as simulations know them too, names of columns, and forms of texts.
+"""Form of a record: inputs between samples, as simulations know them too, names of columns, and forms of texts.
 
 Band-limited inputs become a first-order hold that acts alike, see `masking.inference.estimation.identification_data`.
 

@@ -1,4 +1,4 @@
-"""What sensors tell of a rig whose inputs act through dynamics of their own, and which of them are followed."""
+"""Followed sensors: what sensors tell of a rig whose inputs act through dynamics of their own, and which are used."""
 
 from __future__ import annotations
 

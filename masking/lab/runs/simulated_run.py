@@ -1,4 +1,4 @@
-"""Loop: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin.
+"""Simulated run: a closed loop run from an initial state, in continuous time, at a controller's rate, or around a twin.
 
 Each is run whole, or in chunks of rows whose state is handed on: together they are the same numbers to the last bit.
 """

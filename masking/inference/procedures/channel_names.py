@@ -1,4 +1,4 @@
-"""Channels: which columns of a record a procedure is about, the unit that they are in, and what they must be like.
+"""Names of channels: the columns of a record that a procedure is about, their units, and what they must be like.
 
 A record has commands as `input.<name>` and readings as `sensor.<name>`, or plain columns with these names. With a
 plant, readings become what the sensor measures, such as a displacement; without one they stay in its own unit.

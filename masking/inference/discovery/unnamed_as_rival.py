@@ -1,4 +1,4 @@
-"""Name or unnamed: the law without a name as the rival of all names, and the probability that none is right."""
+"""Unnamed as a rival: the law without a name as the rival of all names, and the probability that none is right."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from masking.errors import IntegrationError
-from masking.inference.discovery import closed_form, fitting, unseen_data, verdict
+from masking.inference.discovery import closed_form, fitting, validation_simulation, verdict
 from masking.inference.discovery.discovery_result import Discovery, Errors, Named
 from masking.inference.discovery.explanation import share_a_place
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.free_law import explainable
-from masking.inference.discovery.ground import Tell
+from masking.inference.discovery.search_state import Tell
 from masking.inference.discovery.unnamed_law import UnnamedLaw, law_of
 
 OPEN, NAMED = 0.8, 0.3  # of what a search may simulate: for a law that is the answer, and for a rival of names
@@ -69,7 +69,7 @@ def _in_intervals_of(law: UnnamedLaw, found: Discovery) -> Discovery:
         return found
     validation = replace(found.validation, interval=law.problem.interval)
     try:
-        new = [unseen_data.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
+        new = [validation_simulation.validated(validation, one) for one in (found.before, found.after, found.adjusted)]
     except IntegrationError:
         return found
     before, after, adjusted = (validation.errors(one.squares) for one in new)

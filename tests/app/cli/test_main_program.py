@@ -11,7 +11,7 @@ import yaml
 import masking
 from masking.app import cli
 from masking.app.cli import terminal
-from masking.app.cli.parser import VERBS
+from masking.app.cli.main_program import VERBS
 from masking.control.exports.target_text import c_name
 from masking.model.declaration import catalogue, registry
 

@@ -1,4 +1,4 @@
-"""Held-out data: the explanation to give, by how it does on the validation record.
+"""Answer by validation: the explanation to give, by how it does on the validation record.
 
 An explanation that is worse there than the model as declared is withheld. One that explains the estimation record may
 still have a parameter that shows in the other one alone: a motion ends where friction holds it, a stop is touched late.
@@ -19,10 +19,10 @@ import numpy as np
 from masking.compile.numerics.arrays import Array
 from masking.display.json_text import Result
 from masking.errors import IntegrationError
-from masking.inference.discovery import fitting, unseen_data, verdict
+from masking.inference.discovery import fitting, validation_simulation, verdict
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.explanation import Explanation, Unseen, in_both, nearest, on_unseen
 from masking.inference.discovery.fitting import Hypothesis
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.search import SearchResult
 from masking.inference.discovery.verdict import Cause
 
@@ -102,9 +102,9 @@ def _is_part(simple: Explanation, richer: Explanation) -> bool:
 
 def simulated(one: Explanation, validation: EstimationProblem) -> Explanation:
     """Explanation along unseen data; errors as `fitting.fit`."""
-    alone = unseen_data.validated(validation, one.hypothesis)
+    alone = validation_simulation.validated(validation, one.hypothesis)
     is_noise = verdict.reaches_noise(float(alone.misfits.sum()), alone.residuals.size, validation.rules)
-    within = alone.as_given if is_noise else unseen_data.predicted(validation, one.hypothesis, alone)
+    within = alone.as_given if is_noise else validation_simulation.predicted(validation, one.hypothesis, alone)
     return replace(one, unseen=Unseen(alone.as_given, within))
 
 

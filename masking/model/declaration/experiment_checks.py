@@ -9,7 +9,9 @@ from dataclasses import replace
 
 from masking.errors import Problem, nearest
 from masking.model.declaration import driven_coordinates
-from masking.model.declaration.checks import (
+from masking.model.declaration.couplings import is_commanded
+from masking.model.declaration.expression import Expression
+from masking.model.declaration.model_checks import (
     accelerations,
     beyond_ordinary,
     check_parameters,
@@ -20,8 +22,6 @@ from masking.model.declaration.checks import (
     used,
     velocities,
 )
-from masking.model.declaration.couplings import is_commanded
-from masking.model.declaration.expression import Expression
 from masking.model.declaration.schema import Declaration, ExperimentDeclaration, ModelDeclaration, PlantDeclaration
 
 LARGEST_RECORDING = 2**31  # bytes of one that is in memory

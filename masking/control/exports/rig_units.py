@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from masking.compile.codegen.compiled_functions import steps_between
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.numerics import runge_kutta
 from masking.compile.numerics.arrays import Array
 from masking.control.exports import unit_kernels

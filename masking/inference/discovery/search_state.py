@@ -1,4 +1,4 @@
-"""Ground: what every move of a search looks at: a record, the model without causes, its motion, and candidates."""
+"""State of a search: the record, the model without causes, its motion and candidates, at which every move looks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from masking.inference.discovery import fitting, verdict
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.candidates import Candidate, candidates, spans
 from masking.inference.discovery.decision_rules import DecisionRules
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.excluded_laws import is_beyond_instruments, is_excluded, unfolded
 from masking.inference.discovery.explanation import Explanation, Job, nearest, noted
 from masking.inference.discovery.fitting import Hypothesis
 from masking.inference.discovery.motion_features import Kept
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.discovery.screening import Score, Screen
 from masking.inference.discovery.smoothing import Motion, smooth
 from masking.inference.discovery.verdict import Key

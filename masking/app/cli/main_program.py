@@ -1,4 +1,4 @@
-"""The parser of the command line, and what the process prints and returns."""
+"""Main program: the parser of the command line, and what the process prints and returns."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ import pytest
 
 from masking.control.rig.twin import Twin
 from masking.inference.procedures import measurement
-from masking.inference.procedures.channels import Source
+from masking.inference.procedures.channel_names import Source
 from masking.lab.records.recording import Recording
 
 DISC = """

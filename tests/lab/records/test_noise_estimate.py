@@ -7,7 +7,7 @@ from scipy import signal
 from masking.app.workflows import discovery_inputs
 from masking.inference.discovery.readings import noise_of
 from masking.inference.estimation.identification_data import Data
-from masking.lab.records.noise import bandwidth, rounding_steps, white_noise
+from masking.lab.records.noise_estimate import bandwidth, rounding_steps, white_noise
 
 COUNT = 20_000
 

@@ -15,7 +15,7 @@ from scipy import special
 
 from masking.compile.numerics.arrays import Array
 from masking.errors import ModelError, RecordError
-from masking.inference.procedures.channels import columns, probability, refuse_not_positive
+from masking.inference.procedures.channel_names import columns, probability, refuse_not_positive
 
 HARMONICS = (1, 2, 3)  # of the drive, which are distinguished in each reading; the drive first
 SAMPLES_PER_PERIOD = 10  # that are needed

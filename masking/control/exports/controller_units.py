@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from masking.compile.codegen.source import Module
+from masking.compile.codegen.generated_module import Module
 from masking.compile.numerics.arrays import Array
 from masking.control.closed_loop import ClosedLoop
 from masking.control.closed_loop import module as module_of

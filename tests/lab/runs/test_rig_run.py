@@ -31,7 +31,7 @@ from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
 from masking.lab.plants.wire import Kind
 from masking.lab.records.recording import Recording
-from masking.lab.runs import hardware
+from masking.lab.runs import rig_run
 from masking.lab.runs.experiment import Experiment
 from masking.model.declaration import catalogue, registry
 from tests.control.test_sampled_controller import LENGTH, OMEGA, ideal, relative
@@ -71,7 +71,7 @@ def compiled(plant: str) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX)
         experiment = Experiment.load(written(Path(folder), plant, duration=0.1))
         experiment.run()
-        hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+        rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def assert_same_run(found: Recording, expected: Recording) -> None:
 @both
 def test_step_by_step_in_this_process_is_the_run_offline(offline, plant):
     _, experiment, expected = offline(plant)
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     assert_same_run(found, expected)
     assert (found.manifest["mode"], found.manifest["states"]) == ("lockstep", "estimated")
     assert found.manifest["rig"]["end"] == "finished"
@@ -170,7 +170,7 @@ def test_step_by_step_in_this_process_is_the_run_offline(offline, plant):
 def test_in_lockstep_with_a_twin_in_its_own_process_is_the_run_offline(offline, plant, tmp_path):
     _, experiment, expected = offline(plant)
     with serving(plant, "--lockstep", "--record", tmp_path) as (_, address):
-        found = hardware.run(experiment, UdpPlant(address), hardware.RunSettings(lockstep=True))
+        found = rig_run.run(experiment, UdpPlant(address), rig_run.RunSettings(lockstep=True))
     assert_same_run(found, expected)
     own, first = Recording.load(tmp_path / "session-1"), before(experiment)
     rows = slice(first, first + len(expected))
@@ -188,7 +188,7 @@ def test_in_lockstep_with_a_twin_in_its_own_process_is_the_run_offline(offline, 
 
 def test_rows_are_as_far_apart_as_the_experiment_asks(offline, tmp_path):
     experiment = Experiment.load(written(tmp_path, record={"rate": "100 Hz"}, duration=10))
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     _, _, expected = offline("linear_rig")
     assert np.diff(found.t) == pytest.approx(0.01)
     for name in found.inputs:
@@ -198,7 +198,7 @@ def test_rows_are_as_far_apart_as_the_experiment_asks(offline, tmp_path):
 def test_a_twin_is_compiled_before_it_can_be_reached(tmp_path, monkeypatch):
     monkeypatch.setenv("MASKING_CACHE", str(tmp_path))
     made = []
-    hardware.serve("ideal", NOWHERE, Serving(sessions=0), ready=lambda _: made.extend(tmp_path.rglob("*")))
+    rig_run.serve("ideal", NOWHERE, Serving(sessions=0), ready=lambda _: made.extend(tmp_path.rglob("*")))
     declaration = registry.load_plant("ideal")
     plant = SimulatedPlant(Twin(declaration, registry.load_model(declaration.model)))
     plant.configure(Settings(RATE))
@@ -263,7 +263,7 @@ def chi(positions, first: int) -> float:
 
 def disturbed(experiment: Experiment, **faults) -> tuple[float, Recording]:
     plant = Disturbed(experiment.twin, **faults)
-    found = hardware.run(experiment, plant, hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, plant, rig_run.RunSettings(lockstep=True))
     return chi(plant.positions, before(experiment)), found
 
 
@@ -305,14 +305,14 @@ def test_what_there_is_since_the_release_is_kept_when_the_plant_is_lost(offline)
     _, experiment, expected = offline("linear_rig")
     kept, first = [], before(experiment)
     with pytest.raises(PlantLostError, match="the cable is off; plug it in"):
-        hardware.run(
+        rig_run.run(
             experiment,
             Disturbed(experiment.twin, dies=first + 700),
-            hardware.RunSettings(lockstep=True, keep=kept.append),
+            rig_run.RunSettings(lockstep=True, keep=kept.append),
         )
     with pytest.raises(PlantLostError, match="the cable is off; plug it in"):
-        hardware.run(
-            experiment, Disturbed(experiment.twin, dies=first), hardware.RunSettings(lockstep=True, keep=kept.append)
+        rig_run.run(
+            experiment, Disturbed(experiment.twin, dies=first), rig_run.RunSettings(lockstep=True, keep=kept.append)
         )
     assert len(kept) == 1  # in the second there is nothing
     assert kept[0].manifest["rig"]["end"] == "plant lost"
@@ -325,7 +325,7 @@ def test_a_run_that_is_stopped_in_the_homing_says_that_nothing_was_recorded(offl
     plant = Disturbed(experiment.twin)
     said = "the run was stopped during homing, before the release; nothing was recorded"
     with pytest.raises(MaskingError, match=said) as caught:
-        hardware.run(experiment, plant, hardware.RunSettings(lockstep=True, stop=lambda: len(plant.positions) == 100))
+        rig_run.run(experiment, plant, rig_run.RunSettings(lockstep=True, stop=lambda: len(plant.positions) == 100))
     assert caught.value.exit_status == 1
     assert not any(plant.plant.telemetry()[f"applied.{name}"] for name in plant.actuators)
 
@@ -603,7 +603,7 @@ def test_what_is_written_stays_within_the_limits_of_the_plant_file(tmp_path):
     weak.write_text(text.replace("max: 0.42, unit: V", "max: 20, unit: mV"), encoding="utf-8")
     experiment = Experiment.load(written(tmp_path, str(weak), duration=20))
     with serving(weak, "--lockstep", "--record", tmp_path) as (_, address):
-        found = hardware.run(experiment, UdpPlant(address), hardware.RunSettings(lockstep=True))
+        found = rig_run.run(experiment, UdpPlant(address), rig_run.RunSettings(lockstep=True))
     own = Recording.load(tmp_path / "session-1")
     assert np.abs(found.array("demanded")).max() > 0.03
     for shown in (found.array("input"), own.array("input")):
@@ -653,7 +653,7 @@ def test_a_plant_with_other_channels_is_refused_before_it_is_activated(offline, 
     _, experiment, _ = offline("linear_rig")
     plant = Refusing(tuple(sensors.split()), tuple(actuators.split()))
     with pytest.raises(PlantMismatchError) as caught:
-        hardware.run(experiment, plant, hardware.RunSettings(lockstep=True))
+        rig_run.run(experiment, plant, rig_run.RunSettings(lockstep=True))
     wanted = "the experiment is for linear_rig"
     remedy = "in this order: run it on that plant, or write the plant that is there into it"
     assert str(caught.value) == said.format(wanted=wanted, remedy=remedy)
@@ -698,7 +698,7 @@ def test_an_experiment_that_no_rig_can_run_is_refused_before_the_plant_is_touche
     experiment = Experiment.load(written(tmp_path, controller=controller))
     plant = Refusing(("s1", "s2", "s3"), ("V1", "V2", "V3"))
     with pytest.raises(ModelError) as caught:
-        hardware.run(experiment, plant)
+        rig_run.run(experiment, plant)
     assert str(caught.value) == said
     assert caught.value.exit_status == 2
     assert plant.calls == []
@@ -707,7 +707,7 @@ def test_an_experiment_that_no_rig_can_run_is_refused_before_the_plant_is_touche
 @pytest.mark.realtime
 def test_without_an_observer_a_rig_is_estimated_with_its_disturbances(tmp_path):
     experiment = Experiment.load(written(tmp_path, controller={"observer": None}, duration=1))
-    found = hardware.run(experiment, SimulatedPlant(experiment.twin), hardware.RunSettings(lockstep=True))
+    found = rig_run.run(experiment, SimulatedPlant(experiment.twin), rig_run.RunSettings(lockstep=True))
     assert found.manifest["observer"]["kind"] == "disturbance"
 
 
@@ -731,7 +731,7 @@ def test_an_address_that_is_none_is_refused(offline, address, tmp_path, capsys):
 def test_a_host_that_does_not_exist_is_named(offline):
     _, experiment, _ = offline("linear_rig")
     with pytest.raises(PlantLostError, match=r"udp://rig\.invalid:5005 cannot be reached \(.*\); look at its name and"):
-        hardware.run(experiment, UdpPlant("udp://rig.invalid:5005", patience=0.1))
+        rig_run.run(experiment, UdpPlant("udp://rig.invalid:5005", patience=0.1))
 
 
 @pytest.mark.realtime
@@ -741,5 +741,5 @@ def test_both_sides_must_have_the_same_clock(offline, served, wanted):
     with serving("linear_rig", *(["--lockstep"] if served == "lockstep" else [])) as (server, address):
         said = f"its clock is '{served}', the controller wants '{wanted}'; start both in lockstep, or both without"
         with pytest.raises(PlantRefusedError, match=said):
-            hardware.run(experiment, UdpPlant(address), hardware.RunSettings(lockstep=wanted == "lockstep"))
+            rig_run.run(experiment, UdpPlant(address), rig_run.RunSettings(lockstep=wanted == "lockstep"))
         server.send_signal(signal.SIGTERM)

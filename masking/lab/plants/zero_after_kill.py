@@ -1,6 +1,6 @@
-"""Last word: a process beside the one that drives a plant sets the outputs to zero where that one is killed.
+"""Zero after a kill: a process beside the one that drives a plant sets the outputs to zero where that one is killed.
 
-    python -m masking.lab.plants.last_word ADDRESS HANDLE
+    python -m masking.lab.plants.zero_after_kill ADDRESS HANDLE
 
 It is there for plants whose outputs stay as they are without their process (`interface.Holding`). HANDLE is the end of
 a pipe on which it hears when the plant is driven and when it is left; a process that was killed says neither.
@@ -26,7 +26,7 @@ _DRIVEN, _LEFT = b"d", b"l"
 _READY: Final = "ready"
 _LONGEST: Final = 10.0  # s that a driver may take until it gives up the outputs of a process that was killed
 _AGAIN: Final = 0.01  # s between tries
-_NAME: Final = "masking.lab.plants.last_word"
+_NAME: Final = "masking.lab.plants.zero_after_kill"
 
 
 def main(arguments: list[str] | None = None) -> int:

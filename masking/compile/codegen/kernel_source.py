@@ -12,8 +12,8 @@ from functools import cache
 from types import CodeType, FunctionType
 from typing import Any
 
+from masking.compile.codegen.generated_module import Made, Module, made_of
 from masking.compile.codegen.llvm_text import Expressions
-from masking.compile.codegen.source import Made, Module, made_of
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import pytest
 
 import masking
 from masking.control.exports.c_unit import CUnit
-from masking.control.exports.controllers import law_unit, sampled_unit
-from masking.control.exports.plants import model_unit, twin_unit
+from masking.control.exports.controller_units import law_unit, sampled_unit
+from masking.control.exports.rig_units import model_unit, twin_unit
 from masking.control.rig.twin import Twin
 from masking.control.stepwise_controller import SampledStep
 from masking.errors import DeclarationError, ModelError

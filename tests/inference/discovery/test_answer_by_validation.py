@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import masking
-from masking.inference.discovery import fitting, unseen_data
+from masking.inference.discovery import fitting, validation_simulation
 from masking.inference.discovery.augmented_model import EffectInstance
 from masking.inference.discovery.decision_rules import RULES
 from masking.inference.discovery.excluded_laws import is_excluded
@@ -34,15 +34,15 @@ def test_unseen_data_are_predicted_within_the_uncertainty_of_the_parameters(mode
     known = fitting.fit(problem(rig, "pendulum", seconds=2.0, off=0.02, noise=5e-3, driven=False))
     other = problem(rig, "pendulum", seconds=30.0, off=0.02, noise=5e-3, driven=False, seed=1)
     size = other.record.readings.size
-    alone = unseen_data.validated(other, known)
-    within = unseen_data.predicted(other, known, alone)
+    alone = validation_simulation.validated(other, known)
+    within = validation_simulation.predicted(other, known, alone)
     assert alone.misfits.sum() > 2.0 * size
     assert within.misfits.sum() < (1.0 + 5.0 * np.sqrt(2.0 / size)) * size
     assert within.pull < 4.0 * len(known.theta)
     off = (within.theta - known.theta) / known.deviations[: len(known.theta)]
     assert within.pull == pytest.approx(float(off @ off), rel=1e-6)
     sure = replace(known, covariance=1e-12 * known.covariance)
-    assert unseen_data.predicted(other, sure, alone).misfits.sum() > 0.9 * alone.misfits.sum()
+    assert validation_simulation.predicted(other, sure, alone).misfits.sum() > 0.9 * alone.misfits.sum()
 
 
 def test_what_is_worse_on_unseen_data_is_not_given(models, tmp_path):

@@ -13,7 +13,7 @@ import pytest
 
 from masking.errors import IntegrationError
 from masking.lab.runs.experiment import Experiment
-from masking.lab.runs.offline import run_twin
+from masking.lab.runs.simulated_run import run_twin
 from masking.model.declaration import registry
 from masking.reports.run_report import warnings
 

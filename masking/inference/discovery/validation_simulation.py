@@ -1,4 +1,4 @@
-"""Unseen data: a hypothesis along a record that it was not fitted to."""
+"""Validation by simulation: a hypothesis along a record that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from masking.errors import IntegrationError
 from masking.inference.discovery import continuation, fitting
+from masking.inference.discovery.estimation_problem import EstimationProblem
 from masking.inference.discovery.excluded_laws import first_states
 from masking.inference.discovery.fitting import Begun, Hypothesis
-from masking.inference.discovery.problem import EstimationProblem
 from masking.inference.estimation.initial_states import FIRST_READINGS
 from masking.inference.estimation.simulation import PARTS, STUCK
 
