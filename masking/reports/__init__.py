@@ -1,7 +1,9 @@
 """Reports: facts, sentences, tables, figures, pages and files of each result.
 
-Each result has a file for its text, its figures, its page and its files, such as `discovery_text`; numbers, with their
-deviations and units, are written by `declaration.quantities`.
+A result has a page named after it; where that is long, its text, figures or files stand beside it, such as
+`discovery_text`. The page of a run is `run_report`, of what `run_study` finds; `run_text` has its sentences, which
+call a phase locked by a threshold of their own. Numbers, with their deviations and units, are written by
+`declaration.quantities`.
 
 In: results.
 Out: their text, figures, pages and files.

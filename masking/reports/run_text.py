@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from masking.analysis.synchronisation.synchronisation_verdict import NEAR
 from masking.lab.records.recording import Recording
 from masking.model.declaration.quantities import number, percent
 from masking.reports.run_study import BudgetRow, InputUse, Parameter, PhasePair, Study, nested, parameters
@@ -20,7 +21,6 @@ _TARDY = 0.01  # of the samples of a run
 _OWNED = frozenset({"the", "a", "an", "my", "our", "your", "his", "her", "its", "their", "this", "that"})
 _AWAY = 0.02  # of the largest initial coordinate: what homing may leave
 _MUCH = 1.1  # times its limit: from here on an input is stated in multiples, below in percent
-_NEAR = 0.1  # of pi: how near to 0 or pi counts as in-phase or anti-phase
 _WITH_MODEL = frozenset({"kalman", "disturbance"})  # observers that predict what is late
 _ORDER, _ENOUGH = 8, 100  # of differences of readings; readings in which noise is looked for
 _MEDIAN = 0.6745  # of the magnitude of normal noise, in parts of its deviation
@@ -284,9 +284,9 @@ def _phase_sentence(pair: PhasePair) -> str:
 def _state(phase: float, steady: float) -> str:
     if steady < _STEADY:
         return _NO_PHASE
-    if phase <= _NEAR * math.pi:
+    if phase <= NEAR:
         return "in-phase"
-    return "anti-phase" if phase >= (1 - _NEAR) * math.pi else f"{pi(phase)} apart"
+    return "anti-phase" if phase >= math.pi - NEAR else f"{pi(phase)} apart"
 
 
 def summary(facts: Study) -> str:

@@ -27,7 +27,7 @@ Kind = Literal["in-phase", "anti-phase", "locked", "beating", "death", "not sync
 _LEAST_PERIODS: Final = 5  # of the slower oscillator in the end that is looked at, where the record has as many
 _LARGEST: Final = 5  # n and m of a lock
 _ASIDE: Final = 0.02  # relative, how far n times one frequency may be from m times the other to be tried
-_NEAR: Final = 0.1 * math.pi  # how near to 0 or pi counts as in-phase or anti-phase
+NEAR: Final = 0.1 * math.pi  # how near to 0 or pi counts as in-phase or anti-phase
 _AT_REST: Final = 0.03  # of the other's size: below this an oscillator has died, if it was larger before
 _FADED: Final = 5.0  # times its rms at the end, what it has been at most; sqrt(2) is that of a steady one
 _STEADY: Final = 0.9  # length of the mean unit vector of a phase that is locked
@@ -228,7 +228,7 @@ def _described(
         turned = np.exp(1j * (difference - phase))
         time = synchronisation_time(record.t, np.abs(np.angle(_averaged(turned, record.t, first))), within)
         return replace(found, kind="locked", alpha=alpha, time=time)
-    kind: Kind = "in-phase" if abs(phase) <= _NEAR else "anti-phase" if abs(phase) >= math.pi - _NEAR else "locked"
+    kind: Kind = "in-phase" if abs(phase) <= NEAR else "anti-phase" if abs(phase) >= math.pi - NEAR else "locked"
     whole = first if np.std(ends[0]) >= np.std(ends[1]) else second
     turn = {"in-phase": 0.0, "anti-phase": math.pi, "locked": phase}[kind]
     alpha, g = proportion(record.t[tail], *ends, turn / (2 * math.pi) * whole, whole)

@@ -1,7 +1,7 @@
 """The command line: one sub-command for each verb, each a few lines over `masking.app.workflows`.
 
-The exit status is that of the error (`masking.errors`), or what the function of a verb gives (`*_verbs`);
-`main_program` turns both into the status of the process, an interrupt into 130.
+The exit status is that of the error (`masking.errors`), 70 for a defect (`defects`), or what the function of a verb
+gives (`verbs`, `rig_verbs`); `main_program` makes it the status of the process, an interrupt 130.
 
 In: a command line.
 Out: an exit status, and text or JSON.

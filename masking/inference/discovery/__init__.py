@@ -1,12 +1,12 @@
 """Discovery: which physical effect a model is missing, found from a record that it does not reproduce.
 
-`discovery_stages` is the whole way from a record to a result. `readings` are the ways to take the record,
-`search_state` what every move of the `search` looks at; moves are in `more_causes`, `other_laws`, `wrong_parameters`
-and `further_places`. Candidates come from `candidates` at `places`, are ordered by `screening`, and fitted by
-`fitting`. A law without a name is in `free_law` and `unnamed_law`. The word of the verdict is `verdict.decide`, by
-the thresholds of `decision_rules`; `answer_by_validation` chooses by unseen data, and `unnamed_as_rival` may take a
-name back. A delay of an actuator or of the loop is a candidate as any other; small ones are adjusted by
-`instrument_errors`.
+`discovery_stages` is the whole way from a record to a result. `readings` are the ways to take the record, with the
+noise of `reading_noise`; `search_state` is what every move of the `search` looks at, and moves are in `more_causes`,
+`other_laws` and `wrong_parameters`. Candidates come from `candidates` at `places`, are ordered by `screening`, and
+fitted by `fitting` as an `estimation_problem`, which has the noise floor. A law without a name is in `free_law`,
+`further_places` and `unnamed_law`. The word of the verdict is `verdict.decide`, by the thresholds of
+`decision_rules`; `verdict.revised`, `answer_by_validation` and `unnamed_as_rival` may change it. A delay of an
+actuator or of the loop is a candidate as any other; small ones are adjusted by `instrument_errors`.
 
 In: a record that a model does not reproduce.
 Out: the physical effect that the model lacks, and a verdict.

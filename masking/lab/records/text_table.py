@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from masking.errors import RecordError
 from masking.lab.records import labview_text, text_encoding, text_header, wall_clock
-from masking.lab.records.decimals import is_decimal, is_number
+from masking.lab.records.decimals import decimal_commas, is_decimal, is_number
 from masking.lab.records.record_form import TextForm
 from masking.lab.records.text_header import REMARKS, Header, shown
 from masking.lab.records.time_slice import Part
@@ -29,8 +29,6 @@ from masking.lab.records.time_slice import Part
 Column = NDArray[np.float64]
 _NEITHER = re.compile(r"[^-+0-9eE.,;\t\n ]")  # in a table of decimal numbers
 _REMARKS = REMARKS[:2]
-_GROUPED = re.compile(r"(?<![0-9.,])[1-9][0-9]{0,2}(?:,[0-9]{3})+(?![0-9.,eE])")  # 1,234: a comma of either kind
-_DECIMAL_COMMA = re.compile(r"(?<![0-9,])0[0-9]*,[0-9]|,[0-9]{1,2}(?![0-9])|,[0-9]{4}|,[0-9]+[eE]")
 
 
 @dataclass(frozen=True)
@@ -109,17 +107,14 @@ class TextTable:
     def _is_comma(self) -> bool:
         """Whether commas in numbers are decimal commas; a RecordError where they may stand for thousands."""
         header = self.header
-        if header.separator == "," or "," not in header.body:
-            return False
-        if header.separator == ";" or _DECIMAL_COMMA.search(header.body):
-            return True
-        if grouped := _GROUPED.search(header.body):
+        found, grouped = decimal_commas(header.body, header.separator)
+        if grouped is not None:
             line = header.start + header.body[: grouped.start()].count("\n")
             raise RecordError(
                 f"{self.file}: line {line} holds '{grouped[0]}': its comma may be a decimal one or stand for "
                 "thousands; put semicolons between the cells if it is a decimal one, or take the commas out"
             )
-        return True
+        return found
 
     def _decimals(self) -> Column | None:
         """Read a body that holds nothing but decimal numbers, fast; None if it may hold something else."""
