@@ -3,7 +3,7 @@
 `interface` is what a plant does, `simulated` a twin that does it, `adapters` finds those of an address.
 `safety_chain` checks readings, commands and whether ticks come in time, by rules of `numerics.safety_kernels`, and
 latches a trip, which `trip_memory` keeps when a server starts again. `serve` lets others drive a plant, one
-`controller_session` at a time.
+`controller_session` at a time, and refuses them after a trip until it is acknowledged.
 
 In: commands.
 Out: readings: a rig, simulated here or behind a wire, through one interface.
