@@ -243,8 +243,8 @@ def test_a_controller_may_take_noise_and_delay_to_be_other_than_they_are():
             "controller.effects.nois: 'nois' is not an effect of twin of the experimental rig; did you mean 'noise'",
         ),
         (
-            "gains",
-            "controller.effects.gains: a controller is not designed with actuator_gain; allowed: measured_spring1,",
+            "strong_gain",
+            "controller.effects.strong_gain: a controller is not designed with actuator_gain; allowed: measured_spri",
         ),
     ],
 )
