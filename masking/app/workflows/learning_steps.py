@@ -37,6 +37,7 @@ from masking.inference.procedures.channel_names import Source
 from masking.inference.procedures.measurement import springs
 from masking.lab import signals
 from masking.lab.plants.interface import Plant
+from masking.lab.records import stream
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.runs import batch_plan
@@ -221,6 +222,7 @@ class Learner:
                     self._reached(partial(self.rig.rest, self.rig.cooling(found.get("cause"))))
                 if self.costs["after"] > self.rig.until - self.rig.now:
                     break
+                stream.remove(place)  # of a run that a crash or a trip has cut off
                 found = self._reached(partial(outcome, wanted, self.make, self.operator))
             except (PlantLostError, PlantRefusedError):  # nothing is known of the run: it is made by the next start
                 raise

@@ -31,6 +31,7 @@ from masking.errors import (
 )
 from masking.lab.plants.simulated import SimulatedPlant
 from masking.lab.plants.udp import UdpPlant
+from masking.lab.records import stream
 from masking.lab.records.journal import Journal
 from masking.lab.records.recording import Recording
 from masking.lab.records.stop_switch import Presser, switches
@@ -282,6 +283,25 @@ def test_it_parts_causes_goes_on_until_all_is_explained_and_survives_a_crash_bet
     assert crashes == len(whole.rows)
     assert all(map(same, again.rows, whole.rows))
     assert Twin.load(str(tmp_path / "again" / "plant.yaml")).declaration.model == "cart"
+
+
+def test_a_run_of_the_experiment_that_a_crash_cut_off_is_made_again(tmp_path):
+    plant, _, experiment = written(RIGS["nothing"], tmp_path)
+    rig, out = partial(SimulatedPlant, Twin.load(str(plant))), tmp_path / "out"
+
+    def up_to(step):
+        def crash(text):
+            if text.startswith(step):
+                raise StoppedError
+
+        with pytest.raises(StoppedError):
+            learn(str(plant), rig, settings(out, say=crash, experiment=str(experiment)))
+        return rows(out)[-1]
+
+    assert up_to("springs:")["next"] == "before"
+    stream.begin(out / "steps" / "04-before", {"columns": ["t"], "rate": 500.0, "spare": 0, "number": "1"})
+    assert up_to("before:")["measured"] == "finished"
+    assert not stream.is_in(out / "steps" / "04-before")
 
 
 def test_the_hours_end_it(tmp_path, scripted):
