@@ -34,7 +34,8 @@ def assumed(twin: Twin, experiment: schema.ExperimentDeclaration) -> Twin:
 def held(twin: Twin, experiment: schema.ExperimentDeclaration, where: str = "element") -> list[PlacedEffect]:
     """Effects at one kind of place of an assumed rig that `controller.effects` gives the controller."""
     named = {f"effects.{name}" for name in experiment.controller.effects}
-    return [e for e in twin.effects if e.path in named and e.entry.where == where and e.enabled]
+    effects = (e for e in twin.effects if e.path in named and e.enabled and e.entry.is_held_by_controller)
+    return [e for e in effects if e.entry.where == where]
 
 
 def model(

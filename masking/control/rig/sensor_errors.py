@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from masking.compile.codegen.graph import Graph, Node
-from masking.control.rig.twin import PlacedEffect, Twin
-from masking.lazy_imports import sympy as sp
+from masking.control.rig.twin import PlacedEffect, Twin, lowered
 from masking.model.effects import Effect, expressions
 
 
@@ -22,8 +21,7 @@ class SensorError:
 
     @classmethod
     def of(cls, twin: Twin, placed: Iterable[PlacedEffect]) -> tuple[SensorError, ...]:
-        """Those of the effects of a twin that a controller foresees, in the order in which a reading passes them."""
-        found = (effect for effect in placed if effect.entry.where == "sensor" and effect.entry.is_held_by_controller)
+        """Those of some effects in the sensors of a twin, in the order in which a reading passes them."""
         return tuple(
             cls(
                 e.path.removeprefix("effects."),
@@ -31,7 +29,7 @@ class SensorError:
                 e.entry,
                 tuple(twin.parameter_value(f"{e.label}_{name}") for name in e.entry.parameters),
             )
-            for e in found
+            for e in placed
         )
 
     def reading(self, true: float) -> float:
@@ -42,12 +40,9 @@ class SensorError:
     def lower(self, graph: Graph, true: Node, parameters: Sequence[Node], since: Node) -> Node:
         """Reading as a node of a graph, by the true one, the parameters, and the time since the first reading."""
         law, rates = expressions(self.entry)
-        symbols = {name: sp.Symbol(name, real=True) for name in ("s", "on", *self.entry.parameters, *rates)}
         given = dict(zip(self.entry.parameters, parameters, strict=True)) | {"s": true, "on": graph.number(1.0)}
-        known = {symbols[name]: node for name, node in given.items()}
-        for name, rate in rates.items():
-            known[symbols[name]] = graph.mul(graph.lower(rate.to_sympy(symbols), known), since)
-        return graph.lower(law.to_sympy(symbols), known)
+        states = {name: graph.mul(lowered(graph, rate, given), since) for name, rate in rates.items()}
+        return lowered(graph, law, given | states)
 
 
 def known_readings(

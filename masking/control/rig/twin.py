@@ -468,14 +468,18 @@ class LoweredTwin:
             nodes = {name: self.states[effect.label, name] for name in rates}
             nodes |= {"on": self.switches[effect.label], "u" if where == "actuator" else "s": x}
             nodes |= self.parameters[effect.label] | ({} if noise is None else {"xi": noise})
-            symbols = {name: sp.Symbol(name, real=True) for name in nodes}
-            known = {symbols[name]: node for name, node in nodes.items()}
-            x = self.graph.lower(result.to_sympy(symbols), known)
+            x = lowered(self.graph, result, nodes)
             if noise is not None:
-                known |= {symbols["s"]: sound, symbols["xi"]: silent}
-                sound = self.graph.lower(result.to_sympy(symbols), known)
-            self.rates += [self.graph.lower(rate.to_sympy(symbols), known) for rate in rates.values()]
+                nodes |= {"s": sound, "xi": silent}
+                sound = lowered(self.graph, result, nodes)
+            self.rates += [lowered(self.graph, rate, nodes) for rate in rates.values()]
         return x
+
+
+def lowered(graph: Graph, expression: Expression, nodes: Mapping[str, Node]) -> Node:
+    """Node of an expression of an effect, by the nodes of its names."""
+    symbols = {name: sp.Symbol(name, real=True) for name in nodes}
+    return graph.lower(expression.to_sympy(symbols), {symbols[name]: node for name, node in nodes.items()})
 
 
 def _as_text(parameters: Mapping[str, float | Expression]) -> dict[str, float | str]:
